@@ -58,12 +58,13 @@ check` at a bag. Why nothing is accepted: [interfaces](interfaces.md#why-nothing
 Other questions: [FAQ](faq.md). This page is written by `python scripts/troubleshooting.py`.
 """
 VERBS = (
-    "accept add allow announce apply apt ask average begin bring call change check choose close "
-    "compare confirm continue copy correct delete describe do drop end export feed free give go "
-    "install leave let list lower look make mark measure mount move name offer open order pip put "
-    "raise read remove rename repair repeat replace reset restart restore resume run select "
-    "send set sign solve split start state stop swap take test try turn unpack unset update use "
-    "wait widen write"
+    "accept add allow announce apply apt ask attach average begin bring call change check "
+    "choose close compare confirm continue copy correct delete derive describe do drop end "
+    "enlarge exchange export feed find free give go install join keep leave let list look lower "
+    "make mark measure mend mount move name offer open order pip put raise read record remove "
+    "rename repair repeat replace reset restart restore resume run select send set sign "
+    "solve source split start state stop swap take test try turn unpack unset update use wait "
+    "widen write"
 )
 CALLED = "attach|bag|plan|report|run|settings|solve|verify"
 _BEGIN = rf"(?!set-up|run <)(?:{'|'.join(VERBS.split())}|'?rotcal (?:{CALLED}))"

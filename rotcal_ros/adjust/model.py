@@ -450,7 +450,9 @@ def require_determined(model: Model) -> None:
     """
     computed, jacobian = model.equations(model.first)
     if not (np.isfinite(computed).all() and np.isfinite(jacobian).all()):
-        raise DataError("the equations give no finite numbers at the start values")
+        raise DataError(
+            "the equations give no finite numbers at the start values: give others in Model.first"
+        )
     _solved(model, jacobian / model.std[:, None])
 
 
@@ -490,7 +492,7 @@ def fitted(
         x = x + step
     raise DataError(
         "the adjustment does not settle: the start values are too far off, or observations "
-        "contradict each other"
+        "contradict each other; check units, signs and order of the data"
     )
 
 

@@ -77,7 +77,9 @@ def _unpack_file(
             plain.write(part)
     except zstandard.ZstdError as error:
         if not done:
-            raise BagError(f"{path} cannot be unpacked: {error}") from None
+            raise BagError(
+                f"{path} cannot be unpacked: {error}; copy it again from where it was recorded"
+            ) from None
         what = f"the file cannot be unpacked after byte {done} of its content: {error}"
         return Damage(0, what)
     return None

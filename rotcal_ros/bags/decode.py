@@ -161,11 +161,14 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     """
     if channel.encoding not in ("ros2msg", "ros2idl"):
         what = f"only one in {channel.encoding!r}" if channel.encoding else "no definition"
-        raise BagError(f"topic {channel.topic}: the bag holds {what} of {channel.type_name}")
+        raise BagError(
+            f"topic {channel.topic}: the bag holds {what} of {channel.type_name}; convert it "
+            "with 'ros2 bag convert' where the package of this type is installed"
+        )
     if channel.message_encoding not in _ENCODINGS:
         raise BagError(
             f"topic {channel.topic}: its messages are serialised as "
-            f"{channel.message_encoding!r}, which cannot be read (cdr can)"
+            f"{channel.message_encoding!r}, which cannot be read (cdr can); record it from ROS 2"
         )
     remembered = len(channel.definition) <= _REMEMBERED
     try:
@@ -179,7 +182,8 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     else:
         return store, store.fielddefs
     raise BagError(
-        f"topic {channel.topic}: the definition of {channel.type_name} cannot be read: {reason}"
+        f"topic {channel.topic}: the definition of {channel.type_name} cannot be read: {reason}; "
+        "correct it in its package, and record again"
     )
 
 

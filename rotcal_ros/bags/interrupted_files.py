@@ -115,7 +115,10 @@ class OpenEnd:
         Raises OSError when the disk fails; the next call on the same file does it again.
         """
         if self.path.stat().st_size != self.size:
-            raise BagError(f"{self.path} has changed since it was read; nothing was done to it")
+            raise BagError(
+                f"{self.path} has changed since it was read; end the program that writes it; "
+                "nothing was done to it"
+            )
         journal = _journal(self.path)
         sync_file(self.path)  # the journal relies on the bytes before it
         if not journal.exists():

@@ -37,8 +37,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     """
     try:
         if not path.exists():
-            what = "does not exist; expected a bag folder or an .mcap or .db3 file"
-            raise BagError(f"{path} {what}")
+            raise BagError(f"{path} does not exist; name a bag folder, or an .mcap or .db3 file")
         if path.is_file():
             scan_file(path)
             return (path,)
@@ -52,8 +51,8 @@ def bag_files(path: Path) -> tuple[Path, ...]:
         if files:
             return tuple(sorted(files.values(), key=_order))
     deeper = sorted(f.parent for ending in SUFFIXES for f in path.glob(f"*/*{ending}"))
-    hint = f"; did you mean {deeper[0]}?" if deeper else ""
-    raise BagError(f"{path} is not a bag: there is no .mcap or .db3 file in the folder{hint}")
+    hint = f"did you mean {deeper[0]}?" if deeper else "name another"
+    raise BagError(f"{path} is not a bag: there is no .mcap or .db3 file in the folder; {hint}")
 
 
 def scan_file(

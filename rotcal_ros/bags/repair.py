@@ -206,7 +206,9 @@ def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
         copy = _copy_old(path)
         write_atomically(path, yaml_text({INFORMATION: information}))
     except OSError as error:
-        raise BagError(f"cannot write {path}: {error.strerror or error}") from error
+        raise BagError(
+            f"cannot write {path}: {error.strerror or error}; make room and the folder writable"
+        ) from error
     return Reindexed(path, copy, sum(v.messages for v in verdicts), session)
 
 

@@ -190,7 +190,9 @@ class TopicSettings:
             ("angle_unit_rad", self.angle_unit_rad, self.angle_unit != "rad"),
         ):
             if factor == 0.0:
-                raise ConfigurationError(f"{name} = 0 makes every value zero")
+                raise ConfigurationError(
+                    f"{name} = 0 makes every value zero: give the size of one unit, such as 0.001"
+                )
             if short and abs(factor) != 1.0:
                 by_name = name.rpartition("_")[0]
                 raise ConfigurationError(

@@ -35,6 +35,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
 from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Scan, TopicCount
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import why
 
 _BLOCK_BYTES: Final = 1 << 20
 _MAX_CHANNELS: Final = 1 << 16
@@ -164,7 +165,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
         with unpacked_storage_file(path, limits) as (plain, damage):
             if not plain.is_file() or not plain.stat().st_size:
                 what = "is empty" if plain.is_file() else "is not a file"
-                raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")
+                raise BagError(f"cannot read {path}: it {what}; copy the recording again")
             with (
                 _with_pending_changes(plain) as (file, how),
                 closing(_connected(file, how)) as connection,
@@ -173,7 +174,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
     except _FAILURES as error:
         raise _refusal(path, _words(error)) from error
     except OSError as error:
-        raise BagError(f"cannot read {path}: {error.strerror or error}") from error
+        raise BagError(f"cannot read {path}: {why(error)}") from error
 
 
 def _refusal(path: Path, what: str) -> BagError:

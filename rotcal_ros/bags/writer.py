@@ -220,7 +220,10 @@ class BagWriter:
         if not resume:
             self._make_folder()
         elif not self.folder.is_dir():
-            raise BagError(f"cannot continue {self.folder}: there is no such folder")
+            raise BagError(
+                f"cannot continue {self.folder}: there is no such folder; name that of the "
+                "interrupted recording"
+            )
         self._lock = FolderLock(self.folder)
         self.watch_earlier_files()
         self._begin_file()
@@ -481,7 +484,7 @@ class McapFile:
             dict(channel.metadata) | {name: text for name, text in known.items() if text},
         )
         if number > _MOST_CHANNELS:
-            raise BagError(f"a bag has at most {_MOST_CHANNELS} channels")
+            raise BagError(f"a bag has at most {_MOST_CHANNELS} channels: record fewer topics")
         self._undescribed.append(replace(channel, channel_id=number))
         return self._undescribed[-1]
 

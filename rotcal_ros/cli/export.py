@@ -238,14 +238,10 @@ def _table(
     forward: ResultSource, backward: ResultSource | None, asked: ExportRequest
 ) -> CompensationTable:
     """Return the correction table at the measured angles, or on rows of a harmonic fit."""
-    from rotcal_ros.compensation.table import table_from_result
+    from rotcal_ros.compensation.table import require_one_axis, table_from_result
 
     axis = asked.measured_axis(forward)
-    if backward is not None and _recorded_axis(backward) not in (None, axis):
-        raise ConfigurationError(
-            f"the forward run is of axis {axis}, the reverse run of axis "
-            f"{_recorded_axis(backward)}"
-        )
+    require_one_axis(axis, "" if backward is None else _recorded_axis(backward) or "")
     return table_from_result(
         forward.result,
         reverse=None if backward is None else backward.result,

@@ -69,7 +69,9 @@ def command(
     from rotcal_ros.sessions.session import prepare_session, resume_session
 
     if detach and as_json:
-        raise click.UsageError("--json prints the outcome, for which --detach does not wait")
+        raise click.UsageError(
+            "--json prints the outcome, for which --detach does not wait: leave one out"
+        )
     require_ros()
     started = time.monotonic()
     if resume is None:
@@ -78,7 +80,9 @@ def command(
     elif output is None and not keep_previous:
         session = resume_session(configuration, resume, changes)
     else:
-        raise click.UsageError("--resume continues in its own FOLDER, without --output")
+        raise click.UsageError(
+            "--resume continues in its own FOLDER: leave out --output and --keep-previous"
+        )
     page = page and page_can_be_served()
     session = replace(session, shown_by=("page",) * page + ("scene",) * scene)
     viewers = Viewers(session, at_once=yes)

@@ -82,7 +82,9 @@ def combined(
 def _refuse_word(table: CompensationTable, word: Combination) -> None:
     """Raise DataError if the ``word`` does not fit what is known, or is missing."""
     if table.adds_to:
-        raise DataError(f"the table contains the table {table.adds_to[:12]} already")
+        raise DataError(
+            f"the table contains the table {table.adds_to[:12]} already: feed it as it is"
+        )
     if table.measured_on == UNKNOWN and word == "as_measured":
         raise DataError(
             f"{in_words(UNKNOWN)}. Say which: 'replace' if there was none, 'add' if it was the "

@@ -27,7 +27,7 @@ from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.foundation.files import make_folder, sync_folder, write_atomically
-from rotcal_ros.foundation.untrusted import read_bytes, read_text
+from rotcal_ros.foundation.untrusted import read_bytes, read_text, why
 
 T = TypeVar("T")
 
@@ -81,11 +81,12 @@ def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -
         return answer.result(timeout_s)
     except FutureTimeout as error:
         raise ControllerError(
-            f"the controller in {place} does not answer: no {what} within {timeout_s:g} s"
+            f"the controller in {place} does not answer: no {what} within {timeout_s:g} s; "
+            "make sure that it runs and its drive is mounted, or raise bridge.answer_timeout_s"
         ) from error
     except OSError as error:
         raise ControllerError(
-            f"the controller in {place} does not answer: cannot {what}: {error.strerror or error}"
+            f"the controller in {place} does not answer: cannot {what}: {why(error)}"
         ) from error
 
 

@@ -54,7 +54,9 @@ def parse_options(texts: Iterable[str]) -> dict[str, Any]:
         if not equals or not name.strip():
             raise ConfigurationError(f"controller setting {text!r}: expected NAME=VALUE")
         if name.strip() in options:
-            raise ConfigurationError(f"controller setting {name.strip()!r} is given twice")
+            raise ConfigurationError(
+                f"controller setting {name.strip()!r} is given twice: leave one out"
+            )
         options[name.strip()] = load_yaml(value, f"controller setting {text!r}")
     return options
 

@@ -64,10 +64,8 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
         try:
             if (side["controller"], side["axis"]) == (controller_name, axis):
                 found[path.name] = (text, dict(side["settings"]), dict(side["files_sha256"]))
-        except KeyError as error:
-            raise BagError(f"{path} is not a side file of a table: no entry {error}") from error
-        except (ValueError, TypeError) as error:
-            raise BagError(f"{path} is not a side file of a table: {error}") from error
+        except (KeyError, ValueError, TypeError) as error:
+            raise _no_side_file(path, error) from error
     if len(found) != 1:
         raise ConfigurationError(
             f"{folder} holds {len(found)} tables of axis {axis} for {controller_name}, expected "
@@ -106,17 +104,21 @@ def _side(path: Path) -> dict[str, Any]:
         if side["schema"] != SCHEMA:
             raise ValueError(f"its schema is {side['schema']!r:.20}, expected {SCHEMA}")
         return {**side, "controller": str(side["controller"]), "axis": str(side["axis"])}
-    except KeyError as error:
-        raise BagError(f"{path} is not a side file of a table: no entry {error}") from error
-    except (ValueError, TypeError) as error:
-        raise BagError(f"{path} is not a side file of a table: {error}") from error
+    except (KeyError, ValueError, TypeError) as error:
+        raise _no_side_file(path, error) from error
+
+
+def _no_side_file(path: Path, error: Exception) -> BagError:
+    why = f"no entry {error}" if isinstance(error, KeyError) else str(error)
+    return BagError(f"{path} is not a side file of a table: {why}; restore the file of the export")
 
 
 def _checked(path: Path, sha256: str) -> str:
     text = _text(path)
     if hashlib.sha256(text.encode()).hexdigest() != sha256:
         raise BagError(
-            f"{path} was changed since it was written: its side file states another SHA-256"
+            f"{path} was changed since it was written: its side file states another SHA-256; "
+            "export again, or restore the file"
         )
     return text
 

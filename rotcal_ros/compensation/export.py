@@ -157,8 +157,8 @@ def _refuse(
         )
     if axis is not None and check_axis(axis) != table.axis:
         raise ConfigurationError(
-            f"the table is for axis {table.axis} and the export for axis {axis}: "
-            "nothing was written"
+            f"the table is for axis {table.axis} and the export for axis {axis}: leave the "
+            "axis out, or accept another one; nothing was written"
         )
     if controller.unverified and not accept_unverified:
         title, unverified = controller.facts.title, "; ".join(controller.unverified)
@@ -198,7 +198,7 @@ def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:
             f"{residual.stated / ARCSEC:.4g}: nothing was written"
         )
     if residual.simulated > residual.before + 1e-14:
-        coarse = ("the control's resolution or the spacing is too coarse for it",)
+        coarse = ("the control's resolution or the spacing is too coarse: choose a finer spacing",)
         why = "; ".join(lag.notes if lag.simulated else coarse)
         raise DataError(
             f"{title}: the table would leave {residual.simulated / ARCSEC:.4g} arcsec of a "

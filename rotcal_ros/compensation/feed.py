@@ -120,7 +120,7 @@ class Feed:
         if self.offer is not None and self.offer.table.simulated and not self._takes_simulated:
             raise DataError(
                 "the table is SIMULATED, no instrument measured it, and this is the bridge of a "
-                "real cell; bridge.accept_simulated accepts it nevertheless"
+                "real cell: feed a measured one, or set bridge.accept_simulated for a trial"
             )
 
     def in_force(self) -> str:
@@ -244,7 +244,9 @@ class Feed:
         """Return the offer with this hash, and hold the lock."""
         offer = self.offer
         if offer is None:
-            raise DataError("no table has arrived that could be fed to this controller")
+            raise DataError(
+                "no table has arrived that could be fed to this controller: calibrate first"
+            )
         if confirmation != offer.confirmation:
             raise DataError(
                 f"the files here have the hash {offer.confirmation}, the confirmation is for "
@@ -260,7 +262,9 @@ class Feed:
             return entry
         undo = self.next_restore()
         if undo is None:
-            raise DataError("no table was applied here, so none can be taken back")
+            raise DataError(
+                "no table was applied here, so none can be taken back: apply one first"
+            )
         raise DataError(
             f"nothing with the hash {kept_hash or 'none'} was kept; the last change is undone by "
             f"{undo}. {self.unfinished() or ''}".rstrip()
@@ -365,14 +369,18 @@ class Feed:
         if not change <= limit_arcsec * ARCSEC:
             raise DataError(
                 f"the table changes the correction by up to {change / ARCSEC:.4g} arcsec, "
-                f"max_change_arcsec is {limit_arcsec:.4g}: nothing was changed"
+                f"max_change_arcsec is {limit_arcsec:.4g}: look at the table, and raise the limit "
+                "if it is right. Nothing was changed"
             )
 
     def _refuse_busy(self) -> None:
         command = self.settings.busy_command or self._controller.busy_command
         timeout_s = self.settings.answer_timeout_s
         if work := self._store.busy() or ask_busy(command, timeout_s):
-            raise ControllerError(f"the machine is at work: {work}; nothing was changed")
+            raise ControllerError(
+                f"the machine is at work: {work}; wait until it stands, then apply again. "
+                "Nothing was changed"
+            )
 
     def _exchange(
         self,
@@ -458,14 +466,15 @@ def ask_busy(command: Sequence[str], timeout_s: float) -> str | None:
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ControllerError(
-            f"it is not known whether the machine is at work ({name}: {error}): nothing was "
-            "changed"
+            f"it is not known whether the machine is at work ({name}: {error}): correct "
+            "this command (bridge.busy_command). Nothing was changed"
         ) from error
     last = (done.stdout.strip() or done.stderr.strip()).rpartition("\n")[2]
     if done.returncode not in (0, 1):
         raise ControllerError(
             f"it is not known whether the machine is at work ({name} ended with code "
-            f"{done.returncode}: {last}): nothing was changed"
+            f"{done.returncode}: {last}): correct this command (bridge.busy_command). "
+            "Nothing was changed"
         )
     return (last or f"{name} says so") if done.returncode else None
 
@@ -637,7 +646,7 @@ def _refuse_unbelievable(table: CompensationTable, stamp_ns: int, now_ns: int) -
         raise DataError(
             f"the table's largest standard uncertainty, {std / ARCSEC:.4g} arcsec, is more than "
             f"{MAX_STD_RATIO:g} times its largest correction, {largest / ARCSEC:.4g} arcsec: "
-            "it would gain nothing"
+            "it would gain nothing; measure longer, or feed none"
         )
 
 

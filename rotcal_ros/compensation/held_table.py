@@ -24,7 +24,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.directional import directional_curve
 from rotcal_ros.foundation.curves.interpolation import TURN
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.in_force import NONE
 from rotcal_ros.foundation.observations import Approach
@@ -87,9 +87,13 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
             f"(*{PROVENANCE}) is missing, damaged or of another schema; measure without a "
             "table and replace it"
         ) from error
+    try:
+        rule = controller.read(of_the_controller(files))
+    except BagError as error:
+        raise BagError(f"{error}; restore the file, or measure without a table") from error
     return HeldTable(
         in_force=in_force_of(files),
-        rule=controller.read(of_the_controller(files)),
+        rule=rule,
         angles=angles,
         period=period,
         reference_angle=reference,

@@ -91,7 +91,8 @@ class Journal:
             append_line(self.folder / FILE, json.dumps(asdict(entry)).encode() + b"\n")
         except OSError as error:
             raise ControllerError(
-                f"cannot note '{entry.action}' in {self.folder / FILE}: {error.strerror}"
+                f"cannot note '{entry.action}' in {self.folder / FILE}: {error.strerror}; make "
+                "room and the folder writable"
             ) from error
 
     def keep(self, files: Contents, time_ns: int) -> str:

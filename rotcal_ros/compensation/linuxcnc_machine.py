@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.untrusted import read_bytes
+from rotcal_ros.foundation.untrusted import read_bytes, why
 
 AGENT: Final = (
     "/usr/bin/python3",
@@ -66,11 +66,13 @@ class Joint:
         kind, unit = joint._text("TYPE") or "LINEAR", ini.value("TRAJ", "ANGULAR_UNITS")
         if kind != "ANGULAR":
             raise ConfigurationError(
-                f"{ini.path}: [{joint.section}] TYPE = {kind}, a table of degrees needs ANGULAR"
+                f"{ini.path}: [{joint.section}] TYPE = {kind}, a table of degrees needs "
+                "ANGULAR: name the joint of the rotary axis"
             )
         if unit not in DEGREE_WORDS:
             raise ConfigurationError(
-                f"{ini.path}: [TRAJ] ANGULAR_UNITS = {unit}, tables are written in degree"
+                f"{ini.path}: [TRAJ] ANGULAR_UNITS = {unit}, tables are written in degree: "
+                "set it to degree"
             )
         return joint
 
@@ -159,7 +161,7 @@ def joints_with_tables(ini: Ini) -> list[Joint]:
     count = int(ini.number("KINS", "JOINTS", 1))
     if count > MOST_JOINTS:
         raise ConfigurationError(
-            f"{ini.path}: [KINS] JOINTS = {count}, LinuxCNC has at most {MOST_JOINTS}"
+            f"{ini.path}: [KINS] JOINTS = {count}, LinuxCNC has at most {MOST_JOINTS}; correct it"
         )
     letters = _coordinates(ini)
     joints = [Joint(ini, n, letters[n] if n < len(letters) else "") for n in range(count)]
@@ -173,7 +175,9 @@ def agent_command(ini: str, axis: str, number: int) -> list[str]:
     when the machine has no such axis.
     """
     if not ini:
-        raise ConfigurationError("linuxcnc_driver: parameter ini_file is missing")
+        raise ConfigurationError(
+            "linuxcnc_driver: parameter ini_file is missing: give the machine's ini file"
+        )
     joint = Joint.of_axis(Ini.read(Path(ini)), axis, number)
     return [*AGENT, "-ini", ini, "--axis", joint.letter, "--joint", str(joint.number)]
 
@@ -184,7 +188,8 @@ def _joints(ini: Ini, letter: str) -> list[int]:
     found = [number for number, name in enumerate(letters) if name == letter]
     if letters and not found:
         raise ConfigurationError(
-            f"{ini.path}: the machine has the axes {letters} and none named {letter}"
+            f"{ini.path}: the machine has the axes {letters} and none named {letter}; name "
+            "one of them"
         )
     return found
 
@@ -222,7 +227,7 @@ class Ini:
             return cls(path, read_bytes(path).decode(ENCODING))
         except OSError as error:
             raise ConfigurationError(
-                f"cannot read the machine's ini file {path}: {error.strerror}"
+                f"cannot read the machine's ini file {path}: {why(error)}"
             ) from error
 
     def value(self, section: str, key: str) -> str | None:
@@ -248,7 +253,9 @@ class Ini:
                 f"{self.path}: [{section}] {key} = {text!r}, expected a number"
             )
         if not isfinite(number := float(match[0])):
-            raise ConfigurationError(f"{self.path}: [{section}] {key} = {text!r:.60} is too large")
+            raise ConfigurationError(
+                f"{self.path}: [{section}] {key} = {text!r:.60} is too large; correct it"
+            )
         return number
 
     def count(self, section: str) -> int:

@@ -189,7 +189,8 @@ def check_verdict(origin: Result | CompensationTable) -> None:
         why = f" ({'; '.join(origin.warnings)})" if origin.warnings else ""
         raise DataError(
             f"the verdict of the {origin.method} result is '{origin.verdict}'{why}: only 'ok' may "
-            "be fed to a controller; nothing was written"
+            "be fed to a controller; look at the report for the cause, and measure again. Nothing "
+            "was written"
         )
 
 
@@ -202,10 +203,7 @@ def measured_axis(
     """
     forward = result.circumstances.axis
     backward = "" if reverse is None else reverse.circumstances.axis
-    if forward and backward and forward != backward:
-        raise ConfigurationError(
-            f"the forward run is of axis {forward}, the reverse run of axis {backward}"
-        )
+    require_one_axis(forward, backward)
     known = forward or backward
     if known and axis and check_axis(axis) != known:
         raise ConfigurationError(
@@ -213,6 +211,15 @@ def measured_axis(
             "axis out; a table for another axis is accepted when files are made"
         )
     return known or axis or default
+
+
+def require_one_axis(forward: str, backward: str) -> None:
+    """Raise ConfigurationError if both runs state their axis, and not the same."""
+    if forward and backward and forward != backward:
+        raise ConfigurationError(
+            f"the forward run is of axis {forward}, the reverse run of axis {backward}: give two "
+            "runs of one axis"
+        )
 
 
 def table_from_result(
@@ -311,7 +318,8 @@ def _weights_of(harmonics: int | None) -> Weights:
 def _harmonic_weights(curve: DirectionalCurve, at: Floats, order: int) -> Floats:
     if curve.period == 0.0:
         raise ConfigurationError(
-            "harmonics need the full circle, and the result covers only an arc"
+            "harmonics need the full circle, and the result covers only an arc: leave out "
+            "--harmonics"
         )
     estimator = harmonic_estimator(curve.angles, order, curve.forward_covariance)
     return harmonic_basis(at, order) @ estimator

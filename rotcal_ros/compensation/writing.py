@@ -30,7 +30,9 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
         if not folder.is_dir():
             make_folder(folder)
     except OSError as error:
-        raise BagError(f"cannot make the folder {folder}: {error.strerror}") from error
+        raise BagError(
+            f"cannot make the folder {folder}: {error.strerror}; choose another"
+        ) from error
     done: list[Path] = []
     try:
         with scratch_folder(folder) as scratch:
@@ -54,7 +56,10 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
         left = (
             f"{', '.join(map(str, done))} must be removed by hand" if done else "nothing is left"
         )
-        raise BagError(f"cannot write into {folder}: {error.strerror}; {left}") from error
+        raise BagError(
+            f"cannot write into {folder}: {error.strerror}; {left}; make room, or choose another "
+            "folder"
+        ) from error
     return tuple(done)
 
 

@@ -110,7 +110,7 @@ def _common(first: MeasuredCurve, second: MeasuredCurve) -> tuple[Floats, NDArra
     if len(rows) < 2:
         raise DataError(
             f"the curves share {len(rows)} angles: the second covers only {low / DEGREE:.6g} .. "
-            f"{high / DEGREE:.6g} deg"
+            f"{high / DEGREE:.6g} deg; give results of the same arc"
         )
     return np.clip(angles[rows], second.angles[0], second.angles[-1]), rows
 

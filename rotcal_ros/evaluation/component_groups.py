@@ -691,6 +691,7 @@ def _within(angles: Floats, own: Floats) -> Ints:
     if len(inside) < LINKING:
         raise DataError(
             f"the curves share {len(inside)} angles: the others cover only "
-            f"{angles[0] / DEGREE:.6g} .. {angles[-1] / DEGREE:.6g} deg"
+            f"{angles[0] / DEGREE:.6g} .. {angles[-1] / DEGREE:.6g} deg; give results of "
+            "the same arc"
         )
     return inside

@@ -48,9 +48,11 @@ def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> Harm
     curve of parts with unconnected zeros: their offsets would look like harmonics.
     """
     if curve.open_zeros:
-        raise DataError(f"{curve.open_zeros}: it would look like harmonics")
+        raise DataError(f"{curve.open_zeros}: it would look like harmonics; use a spline")
     if curve.period == 0.0:
-        raise DataError("the curve covers an arc only: harmonics need the full circle")
+        raise DataError(
+            "the curve covers an arc only: harmonics need the full circle; use a spline"
+        )
     n = len(curve.angles)
     top = min(12, (n - 1) // 2) if max_order is None else max_order
     estimator = harmonic_estimator(curve.angles, top, curve.covariance)

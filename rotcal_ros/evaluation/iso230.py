@@ -433,7 +433,7 @@ def runs_of(result: Result) -> BidirectionalRuns | None:
     if runs is not None and (words := result.zeros.in_words(["ECC"])):
         raise DataError(
             f"{words}: figures of ISO 230-2 are ranges over all targets, and nothing would bound "
-            "them"
+            "them; join it with a result that links them (rotcal combine)"
         )
     if runs is None or runs.forward is None or runs.reverse is None or runs.forward.shape[1] < 2:
         return None

@@ -98,7 +98,10 @@ def quick_check(
     difference = keep @ (both.first - both.second)
     std = std_of(keep @ both.first_covariance @ keep)
     if not np.all(std > 0.0):
-        raise DataError("the new measurement states no uncertainty, so no risk can be stated")
+        raise DataError(
+            "the new measurement states no uncertainty, so no risk can be stated; give "
+            "--reference-u for a table, or solve again"
+        )
     expected = std_of(rule.expected(both.second_covariance, keep))
     verdict, why = _judge(rule, both.angles, difference, std, expected, (unit, unit_name))
     if new.verdict_line.startswith("suspect"):

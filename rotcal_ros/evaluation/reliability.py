@@ -188,7 +188,9 @@ def _gain(
         changed[row] = replace(observations[row], mean=tuple(mean))
         again = calibration.solve(changed)
         if not np.array_equal(again.angles, result.angles):
-            raise DataError("a small error changes which angles are solved: the plan is too weak")
+            raise DataError(
+                "a small error changes which angles are solved: the plan is too weak; add lengths"
+            )
         squares = squares + np.square(_in_std(result, again) / step)
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 

@@ -233,7 +233,7 @@ def _document(path: Path) -> Mapping[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise BagError(f"cannot read {path}: {why(error)}") from error
     except ValueError as error:
-        raise BagError(f"{path} is not JSON: {error}") from error
+        raise BagError(f"{path} is not JSON: {error}; write it anew") from error
     if not isinstance(content, Mapping):
         raise DataError(f"{path}: expected a group of entries")
     return content
@@ -245,9 +245,9 @@ def _read(
     try:
         return read(document)
     except KeyError as error:
-        raise DataError(f"{path}: the entry {error} is missing") from error
+        raise DataError(f"{path}: the entry {error} is missing; add it") from error
     except (AttributeError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: {error}") from error
+        raise DataError(f"{path}: {error}; correct it") from error
 
 
 def _true_curves(document: Mapping[str, Any]) -> _Curves:

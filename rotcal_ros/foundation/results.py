@@ -36,6 +36,7 @@ from rotcal_ros.foundation.units import DEGREE
 SCHEMA: Final = 1
 FILE_NAMES: Final = {"table_position": "table_index", "angles": "angles_rad"}
 """Names that files use for something, where they differ from ours."""
+_AGAIN: Final = "solve the bag or the table again"
 RUNS: Final = "runs"
 BUDGET: Final = "budget"
 ERROR_MOTION: Final = "error_motion"
@@ -520,15 +521,16 @@ class Result:
         """
         if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
             raise DataError(
-                f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry; solve the "
-                "bag or the table again"
+                f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry; {_AGAIN}"
             )
         try:
             return _result(data)
         except KeyError as error:
-            raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
+            raise DataError(
+                f"no whole rotcal result: the entry {error} is missing; {_AGAIN}"
+            ) from error
         except (ArithmeticError, AttributeError, ConfigurationError, TypeError, ValueError) as e:
-            raise DataError(f"damaged rotcal result: {e}") from e
+            raise DataError(f"damaged rotcal result: {e}; {_AGAIN}") from e
 
 
 def _at_best_suspect(verdict: Verdict) -> Verdict:

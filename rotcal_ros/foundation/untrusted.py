@@ -100,12 +100,21 @@ def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST_FILE) 
         return text.read()
 
 
+_CURES: Final = {
+    errno.ENOENT: "; check the path",
+    errno.ENOTDIR: "; check the path",
+    errno.EACCES: "; ask its owner to let you read it",
+    errno.EIO: "; check the disk",
+    errno.ESTALE: "; mount its drive again",
+}
+
+
 def why(error: Exception) -> str:
-    """Return why a file could not be read, without its path."""
+    """Return why a file could not be read, without its path, and what to do about it."""
     if isinstance(error, OSError) and error.strerror:
-        return error.strerror
+        return error.strerror + _CURES.get(error.errno or 0, "")
     if isinstance(error, UnicodeDecodeError):
-        return f"it is not text in UTF-8 (byte {error.start})"
+        return f"it is not text in UTF-8 (byte {error.start}); save it as UTF-8"
     return str(error)
 
 
@@ -160,13 +169,17 @@ and something else in YAML 1.2: write a plain number such as 1.5, or a text in q
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
         what = error.problem or error.context or "it cannot be read"
-        raise ConfigurationError(f"{source}: not valid YAML: {where}{what}") from error
+        raise ConfigurationError(
+            f"{source}: not valid YAML: {where}{what}; correct it there"
+        ) from error
     except yaml.YAMLError as error:
         what = " ".join(str(error).split())
-        raise ConfigurationError(f"{source}: not valid YAML: {what}") from error
+        raise ConfigurationError(f"{source}: not valid YAML: {what}; correct it") from error
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
         # Tagged values, such as an impossible date, raise errors of yaml's own constructors.
-        raise ConfigurationError(f"{source}: a value cannot be read: {error}") from error
+        raise ConfigurationError(
+            f"{source}: a value cannot be read: {error}; correct it, or put it in quotes"
+        ) from error
 
 
 class _AmbiguousError(Exception):

@@ -88,7 +88,7 @@ def fit_rotation(source: ArrayLike, target: ArrayLike) -> Floats:
     if not singular[1] > 1e-12 * singular[0]:
         raise GeometryError(
             f"a rotation cannot be found from {len(s)} vectors on one line: "
-            "at least two directions are needed"
+            "give at least two directions"
         )
     sign = np.sign(np.linalg.det(u @ vt))
     result: Floats = (u * np.array([1.0, 1.0, sign])) @ vt

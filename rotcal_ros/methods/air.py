@@ -163,7 +163,7 @@ def with_common(result: Result, moved: Result) -> Result:
     if moved.components != result.components or len(moved.angles) != len(result.angles):
         raise DataError(
             "the index of refraction cannot be judged: other angles or deviations are solved with "
-            "every index larger by its standard uncertainty"
+            "every index larger by its standard uncertainty; measure more lengths"
         )
     shift = {n: moved.deviations[n] - values for n, values in result.deviations.items()}
     return replace(

@@ -71,7 +71,8 @@ def simulated_run(calibration: Calibration, start_ns: int = 0) -> Iterator[Event
         else:
             raise ConfigurationError(
                 f"{configuration.source}: the simulated cell does not finish step {step.index} "
-                "within an hour; an external table or silent instruments cannot be simulated alone"
+                "within an hour; an external table or silent instruments cannot be simulated "
+                "alone: set simulation.table.external to false"
             )
 
 

@@ -179,7 +179,9 @@ class Plan:
     def __post_init__(self) -> None:
         """Refuse a plan whose steps do not fit its tables."""
         if not self.steps:
-            raise PlanError(f"the plan of method {self.method} has no steps")
+            raise PlanError(
+                f"the plan of method {self.method} has no steps: give table positions and targets"
+            )
         for number, step in enumerate(self.steps):
             if step.index != number:
                 raise PlanError(f"step {number} of the plan carries the index {step.index}")

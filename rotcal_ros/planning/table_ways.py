@@ -71,7 +71,8 @@ def way_to(angle: float, approach: Approach, start: float, settings: TableAdapte
         raise DataError(
             f"the table cannot go to {angle / DEGREE:.4f} deg"
             f"{' with this side of approach' if approach in TOWARDS else ''}: its travel is "
-            f"{settings.lower_deg:g} to {settings.upper_deg:g} deg"
+            f"{settings.lower_deg:g} to {settings.upper_deg:g} deg; leave this angle out of the "
+            "plan, or correct lower_deg and upper_deg"
         )
     angles = min(possible, key=lambda legs: (_length(start, legs), legs))
     stops = (start, *angles)

@@ -57,14 +57,19 @@ class Input:
         if is_table(self.path):
             if self.setup is None:
                 raise ConfigurationError(
-                    f"{self.path} is a table, and a table needs its set-up: --setup SETUP.yaml"
+                    f"{self.path} is a table, and a table needs its set-up: give --setup "
+                    "SETUP.yaml (rotcal new writes one)"
                 )
             if of_reading:
-                raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is not a bag")
+                raise ConfigurationError(
+                    f"--set {of_reading[0]}: {self.path} is not a bag; leave it out"
+                )
             stated = changed(read_configuration(self.setup), self.changes)
             return read_measurements(self.path, stated, self.targets, self.announce)
         if self.targets is not None:
-            raise ConfigurationError(f"{self.path} is not a table: only a table takes --targets")
+            raise ConfigurationError(
+                f"{self.path} is not a table: only a table takes --targets; leave it out"
+            )
         limits = changed_limits(of_reading)
         changes = tuple(change for change in self.changes if change not in of_reading)
         configuration = self._configuration(changes, limits)

@@ -349,7 +349,10 @@ def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
     """Raise BagError, with the first damage, if no file holds a message."""
     if not any(verdict.messages for verdict in verdicts):
         bad = next((v.sentence() for v in verdicts if v.state != "complete"), "")
-        raise BagError(f"the bag {path} holds no messages{bad and f' that can be read: {bad}'}")
+        raise BagError(
+            f"the bag {path} holds no messages{bad and f' that can be read: {bad}'}; name "
+            "another, or try rotcal bag repair"
+        )
 
 
 @dataclass

@@ -103,9 +103,9 @@ def _results(path: Path) -> dict[str, ResultSource]:
             for way in ways
         }
     except OSError as error:
-        raise BagError(f"cannot read {path}: {error.strerror}") from error
+        raise BagError(f"cannot read {path}: {why(error)}") from error
     except (AttributeError, TypeError) as error:
-        raise DataError(f"{path}: damaged evaluations: {error}") from error
+        raise DataError(f"{path}: damaged evaluations: {error}; solve again") from error
     except ValueError as error:
         raise BagError(
             f"{path} is not JSON: {error}: give a result.json, a bag, a session or a table"

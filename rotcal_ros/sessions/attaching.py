@@ -277,7 +277,10 @@ def _person(folder: SessionFolder, session: Attachment) -> Person:
     try:
         greeting = session.events.get(timeout=patient(GREETING_TIMEOUT_S))
     except Empty:
-        raise DataError(f"the calibration in {folder.path} does not answer") from None
+        raise DataError(
+            f"the calibration in {folder.path} does not answer; look at its logs there, and "
+            "attach again"
+        ) from None
     if greeting["event"] == "gone":
         _raise_gone(folder)
     configuration = read_configuration(folder.configuration)
@@ -297,13 +300,14 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
     """Connect to the session of a folder; ConfigurationError says why that is impossible."""
     if not folder.configuration.is_file():
         raise ConfigurationError(
-            f"{folder.path} holds no calibration: {folder.configuration.name} is missing"
+            f"{folder.path} holds no calibration: {folder.configuration.name} is missing; name "
+            "the folder of a run"
         )
     try:
         connection.connect(_address(folder))
     except PermissionError:
         raise ConfigurationError(
-            f"the calibration in {folder.path} belongs to another user; only that user may attach"
+            f"the calibration in {folder.path} belongs to another user: attach as that user"
         ) from None
     except (FileNotFoundError, ConnectionRefusedError):
         raise _nothing_runs(folder) from None

@@ -99,7 +99,8 @@ def _answer(command: list[str], seconds: float) -> CellReport:
     if late:
         raise RotcalError(
             f"no answer within {limit_s:.0f} s, of which {seconds:g} s were for listening: the "
-            f"process that listens was ended; the last line that it wrote: {last}"
+            f"process that listens was ended; the last line that it wrote: {last}; try again, "
+            "with a longer --time"
         )
     if child.returncode == ConfigurationError.exit_code and not text:
         raise ConfigurationError(last)

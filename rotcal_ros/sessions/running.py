@@ -199,7 +199,9 @@ def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
             f"node {name} ended at its start (exit code {code})", nodes.log_tail(name)
         )
     if silence_s > patient(SILENCE_TIMEOUT_S):
-        raise DataError(f"the client has been silent for {silence_s:.0f} s: it hangs")
+        raise DataError(
+            f"the client has been silent for {silence_s:.0f} s: it hangs; go on with --resume"
+        )
 
 
 def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[str, Any]:

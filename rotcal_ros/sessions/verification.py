@@ -151,7 +151,9 @@ def begin(
     _rehearse(request, calibration)
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
-        raise ConfigurationError(f"{folder} cannot be made: {above} takes no new files")
+        raise ConfigurationError(
+            f"{folder} cannot be made: {above} takes no new files; choose another -o"
+        )
     require_ros()
     prepare_session(configuration, folder, changes, keep_previous=keep_previous)
     write_atomically(folder / REQUEST, json.dumps(asdict(request), indent=1) + "\n")
@@ -266,10 +268,13 @@ def _read_request(folder: Path) -> Request:
     except FileNotFoundError:
         raise ConfigurationError(
             f"{folder} holds no verification: its {REQUEST} is missing; begin one with 'rotcal "
-            "verify CONFIG', or go on with a single measurement: rotcal run CONFIG --resume"
+            "verify CONFIG', or go on with a single measurement: rotcal run CONFIG --resume "
+            f"{folder}"
         ) from None
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"{folder / REQUEST} is damaged: {why(error)}") from error
+        raise ConfigurationError(
+            f"{folder / REQUEST} is damaged: {why(error)}; begin anew: rotcal verify CONFIG"
+        ) from error
 
 
 def _outcome(
@@ -361,7 +366,9 @@ def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
     for name, export in exports.items():
         for file, text in of_the_controller(export.files).items():
             if (folder / file).is_file() and read_text(folder / file, "latin-1") != text:
-                raise DataError(f"{folder / file} was changed since it was written")
+                raise DataError(
+                    f"{folder / file} was changed since it was written; restore it, or begin anew"
+                )
         there = {file: text for file, text in export.files.items() if (folder / file).exists()}
         rest = {file: text for file, text in export.files.items() if file not in there}
         left[name] = replace(export, files=rest)

@@ -174,7 +174,7 @@ def test_another_serialization_is_named_and_not_decoded(path: Path) -> None:
     assert [part.role for part in parts] == [names.TEMPERATURE]
     assert topics.unreadable == {
         "/cell/tracer_length": "topic /cell/tracer_length: its messages are serialised as 'cbor', "
-        "which cannot be read (cdr can)"
+        "which cannot be read (cdr can); record it from ROS 2"
     }
     repair(path, path.parent / "good")
     ((scan, _), _) = read_blocks(bag_files(path.parent / "good"))

@@ -223,7 +223,7 @@ def test_foreign_files_are_kept_byte_by_byte(tmp_path):
 )
 def test_a_folder_that_is_gone_or_silent_is_told_with_what_was_wanted(what, call, tmp_path):
     gone = ControllerFolder(tmp_path / "gone", 10.0)
-    words = rf"gone does not answer: cannot {what}: No such file or directory$"
+    words = rf"gone does not answer: cannot {what}: No such file or directory; check the path$"
     with pytest.raises(ControllerError, match=words):
         call(gone)
     free = threading.Event()
@@ -238,6 +238,9 @@ def test_a_folder_that_is_gone_or_silent_is_told_with_what_was_wanted(what, call
         def _write(self, files):
             free.wait()
 
-    with pytest.raises(ControllerError, match=rf"does not answer: no {what} within 0\.05 s$"):
+    with pytest.raises(
+        ControllerError,
+        match=rf"does not answer: no {what} within 0\.05 s; make sure that it runs",
+    ):
         call(Silent(tmp_path, 0.05))
     free.set()

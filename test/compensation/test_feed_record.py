@@ -196,7 +196,7 @@ def test_the_largest_change_is_held_against_the_limit(cell, share, refused):
     largest = np.max(np.abs(wavy(even(24)) - wavy(0.0))) / ARCSEC
     feed = cell.feed(max_change_arcsec=share * largest)
     if refused:
-        words = rf"by up to {largest:.4g} arcsec, max_change_arcsec is {share * largest:.4g}: not"
+        words = rf"by up to {largest:.4g} arcsec, max_change_arcsec is {share * largest:.4g}: look"
         with pytest.raises(DataError, match=words):
             applied(feed, table_of())
         return

@@ -337,7 +337,7 @@ def require(result: Result) -> None:
     if result.verdict != "ok":
         raise DataError(
             f"the verdict is {result.verdict}: no certificate is written about uncertainties that "
-            "the data contradict; the report says why"
+            "the data contradict; look at the report for the cause, and measure again"
         )
 
 
@@ -502,6 +502,11 @@ def verify(certificate: bytes, x509: bytes) -> None:
     try:
         proved = XMLVerifier().verify(certificate, x509_cert=x509.decode("ascii"))
     except (InvalidSignature, InvalidInput, etree.XMLSyntaxError) as error:
-        raise DataError(f"the signature does not hold: {error}") from error
+        raise DataError(
+            f"the signature does not hold: {error}; ask its sender for the original"
+        ) from error
     if getattr(getattr(proved, "signed_xml", None), "tag", "") != ROOT:
-        raise DataError("the signature does not hold: only a part of the certificate is signed")
+        raise DataError(
+            "the signature does not hold: only a part of the certificate is signed; ask its "
+            "sender for the original"
+        )

@@ -173,7 +173,8 @@ def _points(angles: Floats, added: Floats) -> list[tuple[float, float]]:
             slope = (multiplier - 1.0) * DEGREE / ARCSEC
             raise ConfigurationError(
                 f"smoothieware: from {low:g} to {high:g} deg the correction changes by "
-                f"{slope:.4g} arcsec per degree, and a multiplier is {SMALLEST} .. {LARGEST}"
+                f"{slope:.4g} arcsec per degree, and a multiplier is {SMALLEST} .. {LARGEST}: "
+                "choose a wider spacing"
             )
         rounded = np.float32(multiplier)
         total += float(_trapezium(bend, np.float32(before), rounded))

@@ -219,7 +219,7 @@ def _require_fitting(configuration: Configuration) -> None:
     if (solver.variant, solver.datum) != ("joint", "prior"):
         raise ConfigurationError(
             f"{source}: solver: a quick check is planned for the variant joint with the datum "
-            f"prior, found {solver.variant} and {solver.datum}"
+            f"prior, found {solver.variant} and {solver.datum}: set both"
         )
     if solver.error_motion_std_m is None:
         raise ConfigurationError(

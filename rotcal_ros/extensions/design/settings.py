@@ -203,7 +203,8 @@ class TracerDesignSettings(TableAngleSettings):
                 )
         if any(a > b for a, b in zip(self.volume_min_m, self.volume_max_m, strict=True)):
             raise ConfigurationError(
-                f"volume_min_m {self.volume_min_m} lies beyond volume_max_m {self.volume_max_m}"
+                f"volume_min_m {self.volume_min_m} lies beyond volume_max_m {self.volume_max_m}: "
+                "give the smallest x, y, z first"
             )
 
     @property

@@ -18,7 +18,7 @@ from typing import Any
 from rotcal_ros.bags.reader import bag_files, is_storage_name
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.untrusted import read_text
+from rotcal_ros.foundation.untrusted import read_text, why
 
 Inodes = frozenset[tuple[int, int]]
 
@@ -106,7 +106,7 @@ class _FolderSearch:
         try:
             lines = read_text(path, "utf-8-sig").splitlines()
         except (OSError, UnicodeDecodeError) as error:
-            raise BagError(f"cannot read the list {path}: {error}") from error
+            raise BagError(f"cannot read the list {path}: {why(error)}") from error
         for line in map(str.strip, lines):
             if line and not line.startswith("#"):
                 yield from self._entry(line if is_remote(line) else str(path.parent / line))
@@ -242,7 +242,9 @@ def remote_bags(source: str) -> Iterator[str]:
     except FileNotFoundError:
         return
     except OSError as error:
-        raise BagError(f"cannot read {source}: {error}") from error
+        raise BagError(
+            f"cannot read {source}: {error}; check the URL, and that you may read it"
+        ) from error
 
 
 def remote_files(source: str) -> tuple[str, ...]:
@@ -283,7 +285,7 @@ def local(source: str) -> Iterator[Path]:
     filesystem, path = _filesystem(source)
     files = remote_files(source)
     if not files:
-        raise BagError(f"{source} names no bag: no .mcap or .db3 file is there")
+        raise BagError(f"{source} names no bag: no .mcap or .db3 file is there; check the URL")
     with tempfile.TemporaryDirectory(prefix="rotcal_") as folder:
         name = PurePosixPath(path).name
         target = Path(folder) / name
@@ -358,4 +360,6 @@ def _region(source: str, path: str) -> str:
     try:
         return str(fs.resolve_s3_region(path.partition("/")[0]))
     except OSError as error:
-        raise BagError(f"cannot read {source}: {error}") from error
+        raise BagError(
+            f"cannot read {source}: {error}; check the URL, and that you may read it"
+        ) from error

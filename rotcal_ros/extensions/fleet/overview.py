@@ -357,7 +357,7 @@ def connected(folder: Path) -> Iterator[Any]:
         ) from error
     files = [str(path) for path in parts(folder)]
     if not files:
-        raise BagError(f"{folder} holds no results yet")
+        raise BagError(f"{folder} holds no results yet; wait for the first bag to be solved")
     with duckdb.connect(config={"memory_limit": _MEMORY, "threads": 2}) as connection:
         connection.execute("SET preserve_insertion_order = false")
         connection.read_parquet(files).create_view("rows")

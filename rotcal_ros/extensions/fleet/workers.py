@@ -102,7 +102,10 @@ def on_cluster(
     try:
         client = Client(scheduler, timeout=_SCHEDULER_ANSWERS_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise ConfigurationError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+        raise ConfigurationError(
+            f"no Dask scheduler answers at {scheduler}: {error}; start one (dask scheduler), or "
+            "leave out --scheduler"
+        ) from error
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its tracebacks
     try:
         yield from _outcomes(client, iter(jobs), scheduler, time_limit_s, work)

@@ -54,12 +54,13 @@ def instrument_of(settings: InstrumentSettings) -> Instrument:
         raise
     except Exception as error:  # of somebody else's code
         raise ConfigurationError(
-            f"instrument.plugin: {settings.plugin} cannot be made: {type(error).__name__}: {error}"
+            f"instrument.plugin: {settings.plugin} cannot be made: {type(error).__name__}: "
+            f"{error}; check instrument.address and instrument.options, or mend the plug-in"
         ) from error
     if not isinstance(instrument, Tracer | Tracker):
         raise ConfigurationError(
-            f"instrument.plugin: {settings.plugin} makes neither a Tracer nor a Tracker of "
-            "rotcal_ros.extensions.instrument_plugins.instrument"
+            f"instrument.plugin: {settings.plugin} makes neither a Tracer nor a Tracker: "
+            "derive it from one of rotcal_ros.extensions.instrument_plugins.instrument"
         )
     return instrument
 
@@ -169,7 +170,10 @@ class InstrumentDriver:
             now_s = time.monotonic()
             heard_s = now_s if readings else heard_s
             if now_s - heard_s > self._settings.silence_s:
-                raise InstrumentError(f"no reading for {self._settings.silence_s:g} s")
+                raise InstrumentError(
+                    f"no reading for {self._settings.silence_s:g} s: make sure that the "
+                    "instrument measures, or raise instrument.silence_s"
+                )
 
     def _pass_on(self, reading: Length) -> None:
         whole = reading.valid and isfinite(reading.length)

@@ -35,5 +35,7 @@ class InstrumentSettings:
         pairs = [option.partition("=") for option in self.options]
         for name, equals, _ in pairs:
             if not (name and equals):
-                raise ConfigurationError(f"instrument.options: {name!r:.80} is not name=value")
+                raise ConfigurationError(
+                    f"instrument.options: {name!r:.80} is not name=value: write it so"
+                )
         return {name: value for name, _, value in pairs}

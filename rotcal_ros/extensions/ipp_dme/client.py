@@ -467,7 +467,10 @@ class DmeLink:
             self._socket = socket.create_connection((host, port), reply_timeout_s)
         except OSError as error:
             why = error.strerror or str(error)
-            raise ConnectionLostError(f"no DME server answers at {self.address}: {why}") from error
+            raise ConnectionLostError(
+                f"no DME server answers at {self.address}: {why}; start it, or correct dme.host "
+                "and dme.port"
+            ) from error
         # A computer that was switched off says no goodbye: keep-alive notices in the end.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         # Commands are short, and an abort must not wait until a packet is full.

@@ -344,7 +344,9 @@ def parse_response(line: str) -> ResponseLine:
     """Return the response that a line is; ProtocolError when it is none."""
     found = _RESPONSE.fullmatch(line)
     if found is None:
-        raise ProtocolError(f"the server sent a line that is not I++ DME: {line!r:.200}")
+        raise ProtocolError(
+            f"the server sent a line that is not I++ DME: {line!r:.200}; check dme.port"
+        )
     return ResponseLine(found[1], Kind(found[2]), found[3] or "")
 
 

@@ -77,7 +77,9 @@ class DmeServer:
             server = await asyncio.start_server(self._converse, self.host, self.port)
         except OSError as error:
             why = error.strerror or str(error)
-            raise ControllerError(f"cannot listen at {self.host}:{self.port}: {why}") from error
+            raise ControllerError(
+                f"cannot listen at {self.host}:{self.port}: {why}; choose another address or port"
+            ) from error
         self.port = server.sockets[0].getsockname()[1]
         listening()
         async with server:
@@ -611,7 +613,9 @@ class SimulatedMachine:
     def __init__(self, cell: SimulatedCell) -> None:
         settings = cell.settings
         if settings.table.external:
-            raise ConfigurationError("simulation.table.external: a DME server moves its own table")
+            raise ConfigurationError(
+                "simulation.table.external: a DME server moves its own table; set it to false"
+            )
         self.settings = settings
         self._cell = cell
         self._looked_s = time.monotonic()

@@ -40,7 +40,9 @@ def serve(configuration: Path, host: str, port: int, version: str) -> None:
     """
     read = read_configuration(configuration)
     if not read.simulated:
-        raise ConfigurationError(f"{configuration} has no group simulation: nothing to serve")
+        raise ConfigurationError(
+            f"{configuration} has no group simulation: nothing to serve; add one"
+        )
     cell = read.method.simulated_cell(read.simulation, time.time_ns())
     server = DmeServer(cell, host, port, version)
 

@@ -51,7 +51,7 @@ class AdsLink:
             if rows > self._settings.capacity:
                 raise ControllerError(
                     f"{self.address}: {rows} rows in force, and ads.capacity is "
-                    f"{self._settings.capacity}"
+                    f"{self._settings.capacity}: set it to the length of the array"
                 )
             array = self._array(plc)[:rows]
         return {name: self._form.text_of(array)} if rows else {}
@@ -64,7 +64,8 @@ class AdsLink:
         capacity = self._settings.capacity
         if len(rows) > capacity:
             raise ControllerError(
-                f"{self.address}: {len(rows)} rows, the array holds ads.capacity = {capacity}"
+                f"{self.address}: {len(rows)} rows, the array holds ads.capacity = {capacity}: "
+                "choose a wider spacing, or enlarge both"
             )
         array = np.zeros((capacity, COLUMNS))
         array[: len(rows)] = rows
@@ -100,7 +101,10 @@ class AdsLink:
 
     def _only(self, names: list[str]) -> str:
         if len(names) != 1:
-            raise ControllerError(f"{self.address}: one array holds one table, not {names}")
+            raise ControllerError(
+                f"{self.address}: one array holds one table, not {names}; "
+                "choose a controller with one file"
+            )
         return names[0]
 
     @contextmanager
@@ -112,7 +116,10 @@ class AdsLink:
             with plc:
                 yield Runtime(plc, end_s)
         except (pyads.ADSError, RuntimeError, ValueError, TypeError, TimeoutError) as error:
-            raise ControllerError(f"{self.address}: cannot {what}: {error}") from error
+            raise ControllerError(
+                f"{self.address}: cannot {what}: {error}; check ads.host, ads.net_id and "
+                "ads.port, and the route to this machine"
+            ) from error
 
 
 class Runtime:

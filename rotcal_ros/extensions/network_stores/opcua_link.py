@@ -78,11 +78,11 @@ class OpcUaLink:
         except RotcalError:
             raise
         except asyncio.TimeoutError as error:
-            why = f"not done within {self._timeout_s:g} s"
+            why = f"not done within {self._timeout_s:g} s; check opcua.endpoint and the network"
             raise ControllerError(f"{self.address}: cannot {what}: {why}") from error
         except Exception as error:
             # Whatever the library raises: the feed has to put the old table back.
-            why = str(error).strip() or type(error).__name__
+            why = f"{str(error).strip() or type(error).__name__}; look at the server's log"
             raise ControllerError(f"{self.address}: cannot {what}: {why}") from error
 
     @asynccontextmanager
@@ -122,7 +122,9 @@ async def _application_uri(certificate: Path) -> str:
         UniformResourceIdentifier
     )
     if not uris:
-        raise ConfigurationError(f"opcua.certificate: {certificate} states no application URI")
+        raise ConfigurationError(
+            f"opcua.certificate: {certificate} states no application URI; make one that does"
+        )
     return str(uris[0])
 
 
@@ -185,7 +187,9 @@ class ServerFolder:
         await self._directory.create_file(name, request_file_open=False)
         node_id = await self._file(name)
         if node_id is None:
-            raise ControllerError(f"the server did not create the file {name}")
+            raise ControllerError(
+                f"the server did not create the file {name}; check what it lets opcua.user do"
+            )
         await self._write(node_id, data)
         if await self._read(node_id) != data:
             raise ControllerError(f"read back, {name} differs from what was sent: not in force")
@@ -202,7 +206,9 @@ class ServerFolder:
     async def _move(self, name: str, new_name: str) -> None:
         node_id = await self._file(name)
         if node_id is None:
-            raise ControllerError(f"the file {name} has gone from the server")
+            raise ControllerError(
+                f"the file {name} has gone from the server; find out who removes it"
+            )
         await self._directory.move_or_copy(node_id, self._node.nodeid, False, new_name)
 
     async def _delete(self, name: str) -> None:
@@ -216,7 +222,8 @@ class ServerFolder:
             if data is None:
                 return
             raise ControllerError(
-                f"there is no file {name}, and the server does not allow creating one"
+                f"there is no file {name}, and the server does not allow creating one; make it "
+                "there"
             )
         await self._write(node_id, data or b"")
 
@@ -251,7 +258,9 @@ class ServerFolder:
             if child.BrowseName.Name == name
         ]
         if len(found) > 1:
-            raise ControllerError(f"the server shows {len(found)} files of the name {name}")
+            raise ControllerError(
+                f"the server shows {len(found)} files of the name {name}; leave one of them"
+            )
         return cast(ua.NodeId, found[0]) if found else None
 
 

@@ -86,12 +86,14 @@ def secret(source: str, where: str) -> str:
     kind, name = _check_source(source, where)
     if kind == "env":
         if name not in os.environ:
-            raise ConfigurationError(f"{where}: the environment has no variable {name}")
+            raise ConfigurationError(
+                f"{where}: the environment has no variable {name}; set it for this process"
+            )
         return os.environ[name]
     path = Path(name).expanduser()
     try:
         if path.stat().st_mode & OTHERS:
-            raise ConfigurationError(f"{where}: others may read {path}: chmod 600 {path}")
+            raise ConfigurationError(f"{where}: others may read {path}: run chmod 600 {path}")
         return read_text(path).rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{where}: cannot read {path}: {why(error)}") from error

@@ -168,7 +168,7 @@ class Desk:
                 if size > LARGEST_FILE:
                     part.unlink()
                     raise ConfigurationError(
-                        f"{name} has more than the {LARGEST_FILE:,} bytes that we read"
+                        f"{name} has more than the {LARGEST_FILE:,} bytes that we read: split it"
                     )
                 file.write(data)
         part.replace(place)

@@ -227,7 +227,10 @@ class Player:
 
         if not self._wait(settled, PLAN_TAKEN_S) or not_yet():
             states = "; ".join(f"{node}: {self._health.in_words(node)}" for node in nodes)
-            raise ConfigurationError(f"the plan of the bag is not taken ({states})")
+            raise ConfigurationError(
+                f"the plan of the bag is not taken ({states}): start the nodes with the bag's "
+                "configuration"
+            )
         unheard = partial(self._outcome.unheard, self._publishers, with_plan=True)
         if not self._wait(lambda: not unheard(), LISTENERS_S):
             left = ", ".join(sorted(unheard()))
@@ -475,7 +478,10 @@ class ReplayOutcome:
         if finish and "solver" in self.live() and self._bag.plan_id:
             found |= self._solved(result)
         elif result is not None:
-            raise ConfigurationError(f"no result for {result}: no solver was asked for it")
+            raise ConfigurationError(
+                f"no result for {result}: no solver was asked for it; start one, or leave out "
+                "--result"
+            )
         say("result", **found)
 
     def _hear(self, message: ObservationMsg) -> None:
@@ -502,11 +508,16 @@ class ReplayOutcome:
         """Have the solver finish, as a planner does; DataError when it gives no result."""
         say("solving")
         if not self._wait(self._finish.service_is_ready, ARRIVAL_S):
-            raise DataError("node solver does not offer finish_calibration")
+            raise DataError(
+                "node solver does not offer finish_calibration: look at its log, and start it "
+                "again"
+            )
         request = FinishCalibration.Request(plan_id=self._bag.plan_id, steps=self._bag.steps)
         future = self._finish.call_async(request)
         if not self._wait(future.done, SOLVE_S):
-            raise DataError("the solver gave no answer")
+            raise DataError(
+                f"the solver gave no answer within {SOLVE_S:g} s: solve the bag (rotcal solve)"
+            )
         answer = future.result()
         if not answer.success:
             raise DataError(f"no result: {answer.message}")
@@ -514,7 +525,9 @@ class ReplayOutcome:
             try:
                 write_atomically(path, answer.result_json)
             except OSError as error:
-                raise ConfigurationError(f"cannot write {path}: {error}") from error
+                raise ConfigurationError(
+                    f"cannot write {path}: {error}; choose another --result"
+                ) from error
         result = Result.from_dict(json.loads(answer.result_json))
         return {
             "verdict": answer.verdict,

@@ -80,7 +80,9 @@ class ReplayedBag:
         bag = cls(files, contents.channels, contents.counts)
         bag._find_roles(contents)
         if not contents.counts:
-            raise BagError(f"the bag {path} holds no messages: there is nothing to replay")
+            raise BagError(
+                f"the bag {path} holds no messages: there is nothing to replay; name another"
+            )
         bag.start_ns, bag.end_ns = contents.start_ns, contents.end_ns
         bag._leave_out(everything)
         if not bag.channels:

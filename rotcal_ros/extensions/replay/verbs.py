@@ -148,7 +148,9 @@ def _followed(processes: Processes) -> dict[str, Any]:
     if code := child.wait():
         text = processes.log_tail(PLAYER, 1)
         if not text:
-            raise DataError(f"the player ended (exit code {code}) without a message")
+            raise DataError(
+                f"the player ended (exit code {code}) without a message: run it again with --debug"
+            )
         raise _ERRORS.get(code, BagError)(text)
     return outcome
 

@@ -57,7 +57,7 @@ def within(nodes: Floats, at: ArrayLike, period: float) -> Floats:
         first, low, high = np.array([outside.flat[0], nodes[0], nodes[-1]]) / DEGREE
         raise DataError(
             f"the angle {first:.6g} deg lies outside the measured arc {low:.6g} .. "
-            f"{high:.6g} deg: nothing is known there"
+            f"{high:.6g} deg, where nothing is known: choose one inside it"
         )
     return angles
 

@@ -153,7 +153,7 @@ def _ordered(
         return _in_rounds(grid, balls, cmm, rounds or 1)
     if order == "probe_rests":
         return (_probe_rests if backlash else _to_and_fro)(grid, balls, cmm)
-    raise PlanError(f"unknown order {order!r}: interleaved, table_once or probe_rests")
+    raise PlanError(f"unknown order {order!r}: choose interleaved, table_once or probe_rests")
 
 
 def _to_and_back(grid: int, turns: Ints, ball: Ints) -> tuple[Ints, Ints, Bools]:
@@ -202,7 +202,10 @@ def _interleaved(grid: int, balls: Ints, cmm: Ints, rounds: int) -> tuple[Ints, 
     Which ball begins changes from stop to stop without a period that the grid could share.
     """
     if not 1 <= rounds <= len(balls):
-        raise PlanError(f"{len(balls)} balls cannot be shared out among {rounds} rounds")
+        raise PlanError(
+            f"{len(balls)} balls cannot be shared out among {rounds} rounds: set plan.rounds to "
+            f"at most {len(balls)}"
+        )
     around = _from_largest_gap(grid, balls)
     first = np.floor(np.arange(grid) * _GOLDEN * rounds).astype(np.int64)
     turns, visited = [], []
@@ -225,7 +228,10 @@ def spread_out(grid: int) -> Ints:
 def _in_rounds(grid: int, balls: Ints, cmm: Ints, rounds: int) -> tuple[Ints, Ints]:
     """Go around once for every share of the CMM positions, the table always onward."""
     if not 1 <= rounds <= len(cmm):
-        raise PlanError(f"{len(cmm)} CMM positions cannot be shared out among {rounds} rounds")
+        raise PlanError(
+            f"{len(cmm)} CMM positions cannot be shared out among {rounds} rounds: set "
+            f"plan.rounds to at most {len(cmm)}"
+        )
     spread = spread_out(grid)
     shares = np.array_split(spread[np.isin(spread, cmm)], rounds)
     turns, visited = [], []

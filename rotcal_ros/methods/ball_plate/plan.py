@@ -44,13 +44,13 @@ def plan(configuration: Configuration) -> Plan:
     ):
         if missing := sorted(set(wanted) - set(known)):
             raise ConfigurationError(
-                f"{configuration.source}: solver.{name}: {missing} are not in the plan, which has "
-                f"{list(known)}"
+                f"{configuration.source}: solver.{name}: {missing} are not in the plan: choose "
+                f"among {list(known)}"
             )
     if settings.plate.grid % solver.coarser:
         raise ConfigurationError(
             f"{configuration.source}: solver.coarser = {solver.coarser} does not divide the grid "
-            f"of {settings.plate.grid} steps"
+            f"of {settings.plate.grid} steps: choose a divisor of it"
         )
     return planned
 

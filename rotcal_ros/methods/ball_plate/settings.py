@@ -83,8 +83,8 @@ def _check_steps(plate: Plate, where: str) -> None:
     twice = sorted({step for step in steps if steps.count(step) > 1})
     if twice or len(steps) < 3:
         raise ConfigurationError(
-            f"{where}: at least 3 different ball_steps are needed; {len(steps)} found, "
-            f"named twice: {twice}"
+            f"{where}: {len(steps)} ball_steps, named twice: {twice}; give at least 3 "
+            "different ones"
         )
 
 

@@ -71,7 +71,9 @@ def _problem(
     """Return the problem that observations pose, and what was left out of it."""
     paired, left_out = _paired(observations)
     if not paired:
-        raise DataError("no reflector was measured both directly and through the mirror yet")
+        raise DataError(
+            "no reflector was measured both directly and through the mirror; measure both"
+        )
     problem = plane_mirror.problem_from_observations(paired, np.array(plan.table_angles))
     return configured(problem, configuration), left_out
 

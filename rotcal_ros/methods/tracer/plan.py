@@ -186,21 +186,24 @@ def explicit_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) -
     """
     if settings.repeated:
         raise PlanError(
-            "runs and bidirectional repeat all lengths: they do not go with explicit pairs"
+            "runs and bidirectional repeat all lengths: they do not go with explicit pairs; leave "
+            "out one of both"
         )
     if settings.limited:
         raise PlanError(
             "min_elevation_deg and min_distance_m leave out pairs: they do not go with explicit "
-            "ones"
+            "ones; remove one of both"
         )
     angles, targets = table_angles(settings), tuple(targets) or targets_of(settings)
     pairs = settings.listed
     for number, (position, target) in enumerate(pairs):
         where = f"step {number} of the pairs, table position {position}, target {target}"
         if position >= len(angles):
-            raise PlanError(f"{where}: there are table positions 0 to {len(angles) - 1}")
+            raise PlanError(
+                f"{where}: there are table positions 0 to {len(angles) - 1}; correct it"
+            )
         if target >= len(targets):
-            raise PlanError(f"{where}: there are targets 0 to {len(targets) - 1}")
+            raise PlanError(f"{where}: there are targets 0 to {len(targets) - 1}; correct it")
     return _plan(angles, targets, pairs, [Approach.POSITIVE] * len(angles))
 
 

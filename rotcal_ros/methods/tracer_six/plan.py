@@ -117,17 +117,18 @@ def check_plan(_configuration: Configuration, planned: Plan) -> None:
     n = len(planned.targets)
     if (apart := len(set(planned.targets))) < n:
         raise PlanError(
-            f"{n} targets at {apart} places: box_size_m is 0 where box_points are more"
+            f"{n} targets at {apart} places: box_size_m is 0 where box_points are more; give a "
+            "size"
         )
     if n < LOCATING:
         raise PlanError(
             f"{n} targets: a place and its zero are 4 unknowns, and every target has errors of "
-            f"its own; at least {LOCATING} targets are needed"
+            f"its own; give at least {LOCATING}"
         )
     if len(planned.distinct_angles) < LEAST_ANGLES:
         raise PlanError(
-            f"{len(planned.distinct_angles)} table angles: what turns with the table and what "
-            f"stands still are told apart from {LEAST_ANGLES} on"
+            f"{len(planned.distinct_angles)} table angles: to tell what turns with the table from "
+            f"what stands still, give at least {LEAST_ANGLES}"
         )
 
 

@@ -342,7 +342,7 @@ class ControllerAccess:
         except FutureTimeout as error:
             raise ControllerError(
                 f"not finished within {limit_s:g} s: whether the table will be changed is not "
-                "known yet; /diagnostics will show it"
+                "known yet; look at /diagnostics, and wait until it says so"
             ) from error
 
 

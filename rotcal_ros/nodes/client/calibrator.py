@@ -151,7 +151,8 @@ class Calibrator:
         """Wait for the end of the calibration and return how it ended."""
         if not self._peer.work_until(self._ended, timeout_s):
             raise CalibratorError(
-                f"no result within {timeout_s:g} s: the planner is {self.health.in_words(PLANNER)}"
+                f"no result within {timeout_s:g} s: the planner is "
+                f"{self.health.in_words(PLANNER)}; wait longer, or call cancel()"
             )
         assert self._outcome is not None
         return self._outcome
@@ -288,7 +289,7 @@ class Outcome:
     def load(self) -> Result:
         """Return the result; DataError with the reason when there is none."""
         if not self.result_file:
-            raise DataError(f"the calibration has no result: {self.error_msg}")
+            raise DataError(f"the calibration has no result: {self.error_msg}; solve its bag")
         try:
             return Result.from_dict(load_json(read_text(Path(self.result_file))))
         except (OSError, ValueError) as error:

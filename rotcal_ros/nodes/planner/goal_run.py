@@ -302,7 +302,9 @@ class GoalBag:
         try:
             write_atomically(path, result_json)
         except OSError as error:
-            raise GoalError(Codes.RECORDER_FAILED, f"cannot write {path}: {error}") from error
+            raise GoalError(
+                Codes.RECORDER_FAILED, f"cannot write {path}: {error}; make room"
+            ) from error
         return str(path)
 
     async def _recorder_did(self, client: Any, request: Any, timeout_s: float) -> Any:

@@ -309,7 +309,8 @@ class GoalWatch:
             if self._bag_open and state is State.IDLE:
                 raise GoalError(
                     Codes.RECORDER_FAILED,
-                    f"the recorder has closed the bag {place}: node planner stood still too long",
+                    f"the recorder has closed the bag {place}: node planner stood still too long; "
+                    "keep other work off this computer",
                 )
             self._check_streams(place)
             self._check_plan(place)

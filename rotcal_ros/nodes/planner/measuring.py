@@ -200,7 +200,8 @@ class GoalMeasurement:
             place = self._calibration.plan.steps[key[0]].in_words()
             raise GoalError(
                 Codes.RECORDER_FAILED,
-                f"{place}: no receipt from the recorder within {limit_s:g} s ({reason})",
+                f"{place}: no receipt from the recorder within {limit_s:g} s ({reason}); look at "
+                "its log, or raise planner.receipt_timeout_s",
             )
         return receipts[key]
 

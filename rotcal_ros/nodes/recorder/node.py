@@ -153,13 +153,18 @@ class RecorderNode(CellNode):
         topic = self._called.topic(names.OBSERVATION)
         try:
             if not await until(self.stopped, CLOSE_TIMEOUT_S):
-                raise BagError("the recorder is still closing the bag of the previous run")
+                raise BagError(
+                    "the recorder is still closing the bag of the previous run: wait, "
+                    "then try again"
+                )
             self._reading, self._unwanted = True, False
             self.health.beat()  # before the reading can delay it
             bag = await in_thread(self._bags.go_on, request.plan_id, topic)
             if self._unwanted:
                 bag.writer.close()
-                raise BagError("the recorder was deactivated or ended meanwhile")
+                raise BagError(
+                    "the recorder was deactivated or ended meanwhile: activate it, then try again"
+                )
             self._begin(request, bag, response)
         except (RotcalError, OSError) as error:
             response.message = str(error)

@@ -178,4 +178,7 @@ def _observation(data: bytes, file: Path) -> Observation:
     try:
         return messages.observation(deserialize_message(data, msg.Observation))
     except Exception as error:
-        raise BagError(f"{file}: an observation of another version: {error}") from error
+        raise BagError(
+            f"{file}: an observation of another version ({error}): begin a new calibration, or go "
+            "on with the version that began it"
+        ) from error

@@ -232,7 +232,8 @@ def compensation_table(message: msg.CompensationTable) -> CompensationTable:
     if table.table_hash != message.table_hash:
         raise DataError(
             f"the table of axis {message.axis} carries the hash {message.table_hash or 'none'}, "
-            f"its numbers have {table.table_hash}: it was changed on the way"
+            f"its numbers have {table.table_hash}: it was changed on the way; send it as it was "
+            "made"
         )
     return table
 

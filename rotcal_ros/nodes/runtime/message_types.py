@@ -21,7 +21,10 @@ def importable_type(type_name: str, type_hash: str) -> type:
     """
     found, here = message_type(type_name), installed_hash(type_name)
     if type_hash and here and type_hash != here:
-        raise BagError(f"message type {type_name} is defined differently here and in the bag")
+        raise BagError(
+            f"message type {type_name} is defined differently here and in the bag: "
+            "source the version with which it was recorded"
+        )
     return found
 
 
@@ -35,7 +38,10 @@ def message_type(type_name: str) -> type:
             return feedback
         found: type = getattr(import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise BagError(f"message type {type_name} is not installed here: {error}") from error
+        raise BagError(
+            f"message type {type_name} is not installed here ({error}): install its package, or "
+            "source the workspace that holds it"
+        ) from error
     return found
 
 

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
         ("twincat", {"max_points": 10}, 8, r"twincat: points: 10, and the controller holds 9: a w"
          "ider spacing, or raise P-COMP-00059"),
         ("sinumerik", {"max_points": 9}, 8, "sinumerik: points at 40 deg: 10, and the controller "
-         "holds 9: a wider spacing, or set max_points to MD38000 of the machine"),
+         "holds 9: choose a wider spacing, or set max_points to MD38000 of the machine"),
         ("sinumerik", {"max_points": 9, "tables": "cec"}, 8, "set max_points to MD18342 of the m"),
         ("fanuc", {"slots": 19, "reference_slot": 9}, 9, "fanuc: last slot for 10 intervals from 9"
          ": 19, and the controller holds 18: choose a wider spacing or a lower reference_slot"),

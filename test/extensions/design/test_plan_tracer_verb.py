@@ -197,6 +197,7 @@ def test_the_plain_minimum_warns():
         (("--need", "ECC=0.0001", *SMALL), "wanted of them is 0.0001"),
         (("--set", "sigma=3"), "unknown setting 'sigma'"),
         (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
+        (("--need", "ECC"), "--need ECC: expected ECC=ARCSEC, e.g. ECC=1.2"),
         (("missing.yaml",), "cannot read the goal missing.yaml: No such file"),
         (("--set", "keep_out_m=[1, 2"), "keep_out_m=[1, 2: not valid YAML"),
         (("--set", "keep_out_m=[1, -1, 0, -1, 1, 2]"), "is no box"),

@@ -163,7 +163,10 @@ def test_a_file_that_is_too_large_is_not_kept(visitor, tmp_path, monkeypatch):
     monkeypatch.setattr(web, "LARGEST_FILE", 1000)
     answer = visitor.drop("table", "big.csv", b"1" * 1001)
     assert answer.status_code == 400
-    assert answer.json()["error"]["text"] == "big.csv has more than the 1,000 bytes that we read"
+    assert (
+        answer.json()["error"]["text"]
+        == "big.csv has more than the 1,000 bytes that we read: split it"
+    )
     assert list(tmp_path.iterdir()) == []
     assert visitor.drop("table", "fits.csv", b"1" * 1000).status_code == 200
 

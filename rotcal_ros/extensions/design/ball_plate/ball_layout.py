@@ -153,11 +153,16 @@ def _checked(
 ) -> Floats:
     weight = np.array(weights, dtype=np.float64)
     if weight.shape != (4,) or not (weight >= 0.0).all() or not weight.any():
-        raise PlanError(f"four weights of at least 0 are needed (ECC, xy, tilt, z), not {weights}")
+        raise PlanError(
+            f"give four weights of at least 0 (ECC, xy, tilt, z), one above 0, not {weights}"
+        )
     if n_balls < 4:
-        raise PlanError(f"{n_balls} balls cannot separate table, plate and CMM: at least 4")
+        raise PlanError(f"{n_balls} balls cannot separate table, plate and CMM: give at least 4")
     if min_gap < 1 or n_balls * min_gap > grid:
-        raise PlanError(f"{n_balls} balls {min_gap} steps apart do not fit on {grid} steps")
+        raise PlanError(
+            f"{n_balls} balls {min_gap} steps apart do not fit on {grid} steps: give fewer balls, "
+            "a smaller gap or a finer grid"
+        )
     if subset_of is not None and len(set(subset_of)) < n_balls:
         raise PlanError(f"the plate has only {len(set(subset_of))} of {n_balls} wanted balls")
     return weight
@@ -255,7 +260,10 @@ def _random_layout(
             free = free[_steps_between(grid, free, chosen[-1]) >= min_gap]
         if len(chosen) == n_balls:
             return np.sort(np.array(chosen))
-    raise PlanError(f"no random layout of {n_balls} balls keeps gaps of {min_gap} steps")
+    raise PlanError(
+        f"no random layout of {n_balls} balls keeps gaps of {min_gap} steps: give fewer balls or "
+        "a smaller gap"
+    )
 
 
 def _neighbours(grid: int, layout: Ints, places: Ints, min_gap: int) -> Ints:

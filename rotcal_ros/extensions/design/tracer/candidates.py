@@ -46,7 +46,7 @@ def scene_of(settings: TracerDesignSettings, targets: ArrayLike | None = None) -
     if np.hypot(*settings.mount_m[:2]) < LEAST_RADIUS:
         raise PlanError(
             f"mount_m {list(settings.mount_m)} stands on the table's axis: a tracer that is not "
-            "carried round a circle does not see the table turn"
+            "carried round a circle does not see the table turn; give its place beside the axis"
         )
     places = lattice(settings) if targets is None else np.asarray(targets, dtype=np.float64)
     for box in boxes(settings):

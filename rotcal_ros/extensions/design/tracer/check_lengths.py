@@ -103,7 +103,7 @@ class _LengthSearch:
         """Raise PlanError when even exact lengths, or those to all targets, would not suffice."""
         wanted, n = 1.0 - self.rule.false_alarm, len(self.scene.targets)
         if n < STATION_MINIMUM:
-            raise PlanError(f"{n} possible targets: at least {STATION_MINIMUM} are needed")
+            raise PlanError(f"{n} possible targets: offer at least {STATION_MINIMUM}")
         every = self.all_to(list(range(n)))
         if _least_depth(self.scene, every) < LEAST_DEPTH:
             raise PlanError(

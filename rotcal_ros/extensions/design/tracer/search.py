@@ -237,7 +237,8 @@ def _goal(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> flo
     if demands.mean <= constant:
         raise PlanError(
             f"the error motion alone makes U(ECC) {COVERAGE_FACTOR * constant**0.5 / ARCSEC:.3g} "
-            f"arcsec, wanted is {settings.need_arcsec:g}: no number of lengths helps"
+            f"arcsec, wanted is {settings.need_arcsec:g}, and no number of lengths helps: ask for "
+            "less, or check error_motion_std_m"
         )
     return demands.mean - constant
 

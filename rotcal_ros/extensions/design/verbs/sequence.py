@@ -82,7 +82,9 @@ def sequence(
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes))
     if calibration.method.name != "tracer_multistation":
-        raise ConfigurationError(f"{configuration}: only plans of a laser tracer have such orders")
+        raise ConfigurationError(
+            f"{configuration}: only plans of a laser tracer have such orders; name one of these"
+        )
     model = stated_time(turn_s, length_s)
     if cell:
         model = cell_time(calibration.configuration)

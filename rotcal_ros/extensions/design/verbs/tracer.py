@@ -107,7 +107,7 @@ def _needed(need: str | None) -> list[str]:
     if need is None:
         return []
     name, _, limit = need.partition("=")
-    if name.strip().upper() != "ECC":
+    if name.strip().upper() != "ECC" or not limit.strip():
         raise PlanError(f"--need {need}: expected ECC=ARCSEC, e.g. ECC=1.2")
     return [f"need_arcsec={limit}"]
 

@@ -240,7 +240,10 @@ def select(
     was not measured, when ``coarser`` does not divide the grid, or when nothing is left.
     """
     if coarser < 1 or problem.grid % coarser:
-        raise PlanError(f"a grid of {problem.grid} steps cannot be made {coarser} times coarser")
+        raise PlanError(
+            f"a grid of {problem.grid} steps cannot be made {coarser} times coarser: choose a "
+            "divisor of it"
+        )
     step = grid_step(problem.position, problem.grid)
     keep = (problem.ball_step % coarser == 0) & (step % coarser == 0)
     for wanted, column, name in (
@@ -251,10 +254,15 @@ def select(
             continue
         missing = np.setdiff1d(wanted, column)
         if len(missing):
-            raise PlanError(f"{name} {missing.tolist()} were not measured")
+            raise PlanError(
+                f"{name} {missing.tolist()} were not measured: choose among "
+                f"{np.unique(column).tolist()}"
+            )
         keep &= np.isin(column, wanted)
     if not keep.any():
-        raise PlanError("no centre is left after the selection of balls, positions and grid")
+        raise PlanError(
+            "no centre is left after the selection of balls, positions and grid: choose more"
+        )
     part, upward = problem.take(keep), problem.position[keep] < problem.grid
     grid = part.grid // coarser
     return replace(
@@ -298,9 +306,11 @@ def places_of(wanted: Ints, column: Ints) -> Ints:
 
 def _check_statements(problem: BallPlateProblem) -> None:
     if problem.grid < 3:
-        raise DataError(f"a grid of {problem.grid} table positions: at least 3 are needed")
+        raise DataError(f"a grid of {problem.grid} table positions: give at least 3")
     if problem.drift not in (0, 1, 2):
-        raise DataError(f"drift of degree {problem.drift}: 0 (none), 1 (linear) or 2 (quadratic)")
+        raise DataError(
+            f"drift of degree {problem.drift}: choose 0 (none), 1 (linear) or 2 (quadratic)"
+        )
     positive, some = "a positive length is needed", "a length is needed, 0 for none"
     for name, length, needed in (
         ("radius of the ball circle", problem.radius, positive),

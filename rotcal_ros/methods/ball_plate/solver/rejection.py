@@ -208,7 +208,8 @@ def _check_share(count: int, problem: BallPlateProblem, worst: Rejection) -> Non
     if count > MOST * len(problem.centres):
         raise DataError(
             f"{count} of {len(problem.centres)} centres contradict the others, more than "
-            f"{MOST:.0%} may not be rejected; the worst: {worst.why}"
+            f"{MOST:.0%} may not be rejected; the worst: {worst.why}; check the assignment and "
+            "measure again"
         )
 
 

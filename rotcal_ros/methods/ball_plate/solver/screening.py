@@ -121,7 +121,8 @@ def _check_circle(problem: BallPlateProblem) -> None:
     if abs(radius - stated) > RADIUS_TOLERANCE * stated:
         raise DataError(
             f"the centres lie on a circle of radius {radius:.6f} m, the plate says "
-            f"{stated:.6f} m: wrong plate file, or probe points of the wrong ball diameter"
+            f"{stated:.6f} m: wrong plate file, or probe points of the wrong ball diameter; "
+            "correct it"
         )
     if np.hypot(x, y) > CENTRE_TOLERANCE * stated:
         raise DataError(

@@ -197,7 +197,7 @@ def _group(
     if not len(rows):
         raise ObservabilityError(
             f"no centre was measured at the table positions {first}, {first + count}, ...: "
-            "one group is missing altogether"
+            "one group is missing altogether; measure it"
         )
     part = problem.take(rows)
     if start is None:

@@ -208,7 +208,7 @@ def check_pairs(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
         if why := not_an_image(problem.xyz[direct].tolist(), problem.xyz[mirrored].tolist()):
             raise DataError(
                 f"{problem.source}: {problem.row_name(direct)}: {why} (points are given in the "
-                "tracker's own frame, not in a common one)"
+                "tracker's own frame, not in a common one); correct the row, or leave it out"
             )
 
 

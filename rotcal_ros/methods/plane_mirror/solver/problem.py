@@ -193,7 +193,7 @@ def _stamps(observations: list[Observation]) -> Floats | None:
 def _require_shapes(problem: PlaneMirrorProblem) -> None:
     n = len(problem.xyz)
     if problem.angles.ndim != 1 or len(problem.angles) < 2:
-        raise DataError(f"{problem.source}: at least 2 commanded angles are needed")
+        raise DataError(f"{problem.source}: give at least 2 commanded angles")
     if problem.xyz.shape != (n, 3) or n == 0:
         raise DataError(f"{problem.source}: points must be (n, 3), found {problem.xyz.shape}")
     for name in ("position", "station", "kind", "nest"):

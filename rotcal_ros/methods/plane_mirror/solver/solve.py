@@ -236,7 +236,8 @@ def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) 
         raise DataError(
             f"{problem.source}: the table position commanded to {angles[worst] / DEGREE:g} deg "
             f"comes out {deviations[worst] / DEGREE:.2f} deg off; no table is that wrong: "
-            "reflector on the wrong nest, wrong position number, or wrong commanded angle"
+            "reflector on the wrong nest, wrong position number, or wrong commanded angle; "
+            "correct it"
         )
 
 

@@ -210,7 +210,7 @@ class TracerProblem(LengthProblem):
         if self.segment is None and self.zero_walk_std != 0.0:
             raise ConfigurationError(
                 "zero_walk_std is for a zero per segment; lengths without segments have a zero "
-                "per station, which does not wander"
+                "per station, which does not wander: set it to 0"
             )
         if self.variant != "station":
             return

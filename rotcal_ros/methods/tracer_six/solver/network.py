@@ -160,9 +160,9 @@ def _check(c: Floats, angles: Floats) -> None:
     if not size[worst] < TOO_FAR:
         raise DataError(
             f"the table turned {np.degrees(size[worst]):.3g} degrees off at the commanded angle "
-            f"{np.degrees(angles[worst]):g} degrees: are the angles counter-clockwise, in the "
-            "right unit and in the order of the positions, is the machine's z along the axis, and "
-            "its frame right-handed?"
+            f"{np.degrees(angles[worst]):g} degrees: check that the angles are counter-clockwise, "
+            "in the right unit and in the order of the positions, that the machine's z is along "
+            "the axis, and that its frame is right-handed"
         )
 
 
