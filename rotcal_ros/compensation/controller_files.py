@@ -115,9 +115,7 @@ def require_zero_at_start(table: CompensationTable, title: str, resolution: floa
 def require_at_most(count: int, limit: int, what: str, hint: str) -> None:
     """Raise ConfigurationError with the number when ``count`` is above ``limit``."""
     if count > limit:
-        raise ConfigurationError(
-            f"{what}: {count}, and the controller holds {limit}: choose {hint}"
-        )
+        raise ConfigurationError(f"{what}: {count}, and the controller holds {limit}: {hint}")
 
 
 def _nearby(spacing_deg: float, step_deg: float) -> str:

@@ -244,7 +244,7 @@ class LinuxCnc(Controller):
             rows * self.turns + 1,
             MAX_ROWS,
             f"linuxcnc: {rows} rows x {self.turns} turns + 1",
-            f"a spacing of at least {360 * self.turns / (MAX_ROWS - 1):.3g} deg"
+            f"choose a spacing of at least {360 * self.turns / (MAX_ROWS - 1):.3g} deg"
             + (f", or at most {fit} turns at this spacing" if fit else ""),
         )
         angles, up, down = every_turn(self.first_turn, self.turns, *columns)

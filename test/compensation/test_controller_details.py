@@ -32,9 +32,9 @@ def fits_exactly(controller, most, words):
     ("settings", "most", "words"),
     [
         ({}, 255, r"linuxcnc: 256 rows x 1 turns \+ 1: 257, and the controller holds "
-         r"256: a spacing of at least 1\.41 deg$"),
-        ({"turns": 3}, 85, r"linuxcnc: 86 rows x 3 turns \+ 1: 259, and the controller"
-         r" holds 256: a spacing of at least 4\.24 deg, or at most 2 turns at this spacing$"),
+         r"256: choose a spacing of at least 1\.41 deg$"),
+        ({"turns": 3}, 85, r"linuxcnc: 86 rows x 3 turns \+ 1: 259, and the controller holds"
+         r" 256: choose a spacing of at least 4\.24 deg, or at most 2 turns at this spacing$"),
     ],
 )  # fmt: skip
 def test_the_limit_itself_fits_and_one_more_does_not(settings, most, words):

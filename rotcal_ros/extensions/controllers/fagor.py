@@ -59,7 +59,7 @@ class Fagor(Controller):
         """Return the table; ConfigurationError for too many points or a hidden reverse column."""
         require_circle(table, "Fagor 8055")
         angles, up, down = columns_deg(table)
-        require_at_most(len(angles), self.max_points, "fagor: points", "a wider spacing")
+        require_at_most(len(angles), self.max_points, "fagor: points", "choose a wider spacing")
         errors = np.round(-np.column_stack([up, down]), DECIMALS)
         if not np.any(errors[:, 1]) and np.any(errors[:, 0]):
             raise ConfigurationError(

@@ -149,7 +149,7 @@ class Fanuc(Controller):
             self.slots - 1,
             f"fanuc: last slot for {'two times ' * (sets - 1)}{n} intervals from "
             f"{self.reference_slot}",
-            "a wider spacing or a lower reference_slot",
+            "choose a wider spacing or a lower reference_slot",
         )
         magnification = self._fitting_magnification(table)
         totals = self._totals(table, magnification)

@@ -67,7 +67,7 @@ class Heidenhain(Controller):
         """Return the .COM table and its .CMA table; ConfigurationError above 256 rows."""
         require_circle(table, "Heidenhain")
         angles, up, down = columns_deg(table)
-        require_at_most(len(angles), MAX_ROWS, "heidenhain: rows", "a wider spacing")
+        require_at_most(len(angles), MAX_ROWS, "heidenhain: rows", "choose a wider spacing")
         reverse = -down if self.backlash == ABSOLUTE else up - down
         name = f"{stem}.COM"
         lines = [f"BEGIN {name}", f"NR AXISPOS BACKLASH {table.axis}"]

@@ -97,7 +97,7 @@ class Sinumerik(Controller):
             count,
             self.max_points,
             f"sinumerik: points at {spacing:g} deg",
-            f"a wider spacing, or set max_points to {machine_data} of the machine",
+            f"choose a wider spacing, or set max_points to {machine_data} of the machine",
         )
         axis = self.axis_name or table.axis
         if self.tables == ENC_COMP:

@@ -64,7 +64,10 @@ class TwinCat(Controller):
         _, up, down = columns_deg(table)
         n = len(up)
         require_at_most(
-            n, self.max_points - 1, "twincat: points", "a wider spacing, or raise P-COMP-00059"
+            n,
+            self.max_points - 1,
+            "twincat: points",
+            "choose a wider spacing, or raise P-COMP-00059",
         )
         pos, neg = (np.rint(-column / UNIT_DEG).astype(np.int64) for column in (up, down))
         bilateral = int(table.directional)

@@ -22,8 +22,8 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
         ("heidenhain", {}, 255, "heidenhain: rows: 257, and the controller holds 256: choose a"),
         ("fagor", {}, 999, "fagor: points: 1001, and the controller holds 1000: choose a wider"),
         ("fagor", {"max_points": 7}, 6, "fagor: points: 8, and the controller holds 7: choose a"),
-        ("twincat", {"max_points": 10}, 8, r"twincat: points: 10, and the controller holds 9: a w"
-         "ider spacing, or raise P-COMP-00059"),
+        ("twincat", {"max_points": 10}, 8, r"twincat: points: 10, and the controller holds 9: cho"
+         "ose a wider spacing, or raise P-COMP-00059"),
         ("sinumerik", {"max_points": 9}, 8, "sinumerik: points at 40 deg: 10, and the controller "
          "holds 9: choose a wider spacing, or set max_points to MD38000 of the machine"),
         ("sinumerik", {"max_points": 9, "tables": "cec"}, 8, "set max_points to MD18342 of the m"),

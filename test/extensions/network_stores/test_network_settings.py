@@ -94,7 +94,7 @@ def test_where_a_secret_is(tmp_path, monkeypatch):
     path.chmod(0o600)
     assert secret(f"file:{path}", "x") == "a:b "
     path.chmod(0o640)
-    with pytest.raises(ConfigurationError, match=f"x: others may read {path}: chmod 600"):
+    with pytest.raises(ConfigurationError, match=f"x: others may read {path}: run chmod 600"):
         secret(f"file:{path}", "x")
     with pytest.raises(ConfigurationError, match=r"cannot read .*: No such file"):
         secret(f"file:{path}s", "x")
