@@ -244,7 +244,7 @@ def test_bag_of_something_else_holds_no_configuration(simulated_run: Run, tmp_pa
 
 def test_a_folder_around_a_bag_and_a_file_that_is_none_get_a_hint(tmp_path):
     (tmp_path / "run" / "bag").mkdir(parents=True)
-    with pytest.raises(BagError, match=r"no \.mcap or \.db3 file in the folder$"):
+    with pytest.raises(BagError, match=r"no \.mcap or \.db3 file in the folder; name another$"):
         bag_files(tmp_path / "run")
     (tmp_path / "run" / "bag" / "bag_0.mcap").write_bytes(b"")
     with pytest.raises(BagError, match=r"did you mean .*run/bag"):

@@ -66,7 +66,7 @@ def test_it_knows_the_controllers(before):
 
 def test_it_knows_the_methods_and_no_other():
     assert offered("rotcal settings ") == [
-        "ball_plate", "plane_mirror", "tracer_multistation", "tracer_six",
+        "angle_comparison", "ball_plate", "plane_mirror", "tracer_multistation", "tracer_six",
     ]  # fmt: skip
 
 

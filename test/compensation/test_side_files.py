@@ -170,7 +170,7 @@ def test_the_residual_in_words_and_in_sum():
 
 
 def test_a_table_for_its_own_axis_only():
-    with pytest.raises(ConfigurationError, match="for axis C1 and the export for axis C: nothing"):
+    with pytest.raises(ConfigurationError, match="for axis C1 and the export for axis C: leave"):
         prepare_export(d4_table(), "csv", now=NOW, axis="C")
     with pytest.raises(ConfigurationError, match="axis name 'c1'"):
         prepare_export(d4_table(), "csv", now=NOW, axis="c1")

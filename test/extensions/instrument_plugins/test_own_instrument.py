@@ -111,7 +111,11 @@ def test_lengths_arrive_in_metres_whatever_the_pieces_and_a_broken_beam_is_told(
         ([b"1.0 OK\n"], "the tracer has closed the connection"),
         ([b"1.0 OK\n", b"ERROR laser is warming up\n"], "the tracer says: laser is warming up"),
         ([b"1.0 OK\n", b"one OK\n"], "not a length: 'one OK'"),
-        ([b"1.0 OK\n", SILENCE], "no reading for 0.3 s"),
+        (
+            [b"1.0 OK\n", SILENCE],
+            "no reading for 0.3 s: make sure that the instrument measures, or raise "
+            "instrument.silence_s",
+        ),
     ],
 )
 def test_a_lost_connection_is_named_and_made_again_behind_a_broken_beam(talk, said):
