@@ -41,7 +41,9 @@ UNIT = re.compile("_(deg|mm|um|arcsec)$")
 DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
     "tracker", "tracer", "laser", "mirror", "plate", "cmm", "rotary table", "machine",
-    "ball plate", "thermometer", "barometer", "hygrometer",
+    "ball plate", "thermometer", "barometer", "hygrometer", "the instrument drifts",
+    "the instrument drifts in one run,", "reference or instrument moved",
+    "the scale of the instrument is wrong", "readings", "contradicts other readings",
 )  # fmt: skip
 """Words that come as data."""
 

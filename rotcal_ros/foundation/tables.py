@@ -75,7 +75,7 @@ class Row:
         if abs(value) > farthest:
             raise DataError(
                 f"{self.place}: {name} is {value:g} m, more than {farthest:g} m; are these "
-                "millimetres? Tables are in metres"
+                "millimetres? State the unit in the head of the column, as [mm]"
             )
         return value
 
@@ -85,7 +85,7 @@ class Row:
         if abs(value) > largest:
             raise DataError(
                 f"{self.place}: {name} is {value:g} rad, more than {largest:g}; are these "
-                "arcseconds? Tables are in radians"
+                "arcseconds? State the unit in the head of the column, as [arcsec]"
             )
         return value
 

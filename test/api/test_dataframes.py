@@ -137,3 +137,12 @@ def test_results_and_evaluations_become_dataframes():
     np.testing.assert_array_equal(frame["EXC"], spread.result.deviations["EXC"])
     np.testing.assert_array_equal(frame["EXC_linear_std"], spread.result.std["EXC"])
     np.testing.assert_array_equal(frame["EXC_high"], spread.components["EXC"].high)
+
+
+def test_a_dataframe_with_other_columns_and_units_is_read_as_the_file_would_be(lengths, targets):
+    other = lengths.rename(columns={"length_m": "length [mm]"})
+    other["length [mm]"] *= 1000.0
+    other["remark"] = "as exported"
+    found = rc.read_table(other, DATA / "tracer.yaml", targets).solve()
+    usual = rc.read_table(lengths, DATA / "tracer.yaml", targets).solve()
+    assert found.deviations["ECC"] == pytest.approx(usual.deviations["ECC"], abs=1e-12)

@@ -367,7 +367,7 @@ def test_a_column_of_times_tells_what_came_before_what(rotcal, tmp_path):
     [
         ([2, 3, 0.0], "which has positions 0 to 12 and mountings 0 to 2"),
         ([13, 0, 0.0], "row 2: position 13, mounting 0 is not in the plan"),
-        ([1, 0, 1.7], "are these arcseconds? Tables are in radians"),
+        ([1, 0, 1.7], "are these arcseconds? State the unit in the head of the column"),
         ([1, 0, float("nan")], "reading_rad must be a finite number"),
     ],
 )

@@ -329,9 +329,9 @@ def require(result: Result) -> None:
     if missing:
         lines = "\n".join(f"  {name}: {why}" for name, why in missing.items())
         raise ConfigurationError(
-            "a calibration certificate needs more than this result states, see below: give it in "
-            "the configuration, or with --setup or --set for a bag (the "
-            "group identity changes no number)",
+            "a calibration certificate needs more than this result states: give "
+            f"{', '.join(missing)} in the configuration, or with --setup or --set for a bag or a "
+            "table (the group identity changes no number)",
             lines,
         )
     if result.verdict != "ok":

@@ -31,6 +31,7 @@ from rotcal_ros.foundation.sheets.words import (
     TIME,
     UNITS,
     Heading,
+    answer,
     columns_of,
     folded,
     is_down,
@@ -192,7 +193,9 @@ def read_any(
     layout = best_layout(found, headers, named, str(path))
     if layout is None or layout.missing:
         raise _not_understood(path, headers, layout, found)
-    return _Rows(path, layout, settings, known()).read()
+    reading = _Rows(path, layout, settings, known()).read()
+    in_memory = isinstance(source, Table) and source.in_memory
+    return replace(reading, table=replace(reading.table, in_memory=in_memory))
 
 
 def _named(entry: str) -> tuple[str, str]:
@@ -218,7 +221,7 @@ def _not_understood(
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
         f"'{','.join(layout.header)}', in any unit and order. Tell a column with another name by "
-        f"--set 'sheet.columns=[{name}=ITS NAME]'",
+        f"{answer(name, layout.aside[0] if layout.aside else 'ITS NAME')}",
         question=_which_column(layout.missing[0], layout.aside),
     )
 

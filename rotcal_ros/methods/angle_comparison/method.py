@@ -93,25 +93,25 @@ def _check(configuration: Configuration, circles: Circles) -> None:
 def check_plan(configuration: Configuration, _planned: Plan) -> None:
     """Raise PlanError for shifts that leave an order of the table open, which is named."""
     settings: ComparisonPlanSettings = configuration.plan
-    circles = Circles.of(settings)
-    if known_reference(configuration.solver, circles) or len(settings.shifts_deg) == 1:
-        return
-    shifts = f"{configuration.source}: with plan.shifts_deg {list(settings.shifts_deg)}"
-    if lost := lost_orders(circles, np.array(settings.shifts_deg) * DEGREE):
-        orders = ", ".join(map(str, lost[:12])) + (" and more" if len(lost) > 12 else "")
-        raise PlanError(
-            f"{shifts} nothing tells order {orders} of the table from that of the reference: add "
-            f"a shift by one step of the table angles, {360.0 / len(circles.marks):g} deg"
-        )
     try:
         require_determined(model(configuration, readings_of(settings)))
     except ObservabilityError as error:
-        raise PlanError(f"{shifts} {error}") from error
+        shifts = list(settings.shifts_deg)
+        raise PlanError(f"with plan.shifts_deg {shifts} {error}") from error
 
 
 def model(configuration: Configuration, read: Readings) -> Model:
-    """Return what was read, for the engine."""
-    return model_of(configuration.plan, configuration.solver, read)
+    """Return what was read, for the engine; ObservabilityError for an order that is lost."""
+    settings: ComparisonPlanSettings = configuration.plan
+    circles, solver = Circles.of(settings), configuration.solver
+    lost = lost_orders(circles, np.array(settings.shifts_deg) * DEGREE)
+    if lost and len(settings.shifts_deg) > 1 and not known_reference(solver, circles):
+        orders = ", ".join(map(str, lost[:12])) + (" and more" if len(lost) > 12 else "")
+        raise ObservabilityError(
+            f"nothing tells order {orders} of the table from that of the reference: add a shift "
+            f"by one step of the table angles, {360.0 / len(circles.marks):g} deg"
+        )
+    return model_of(settings, solver, read)
 
 
 def states(configuration: Configuration, found: Adjusted) -> Statement:
