@@ -329,10 +329,9 @@ def require(result: Result) -> None:
     if missing:
         lines = "\n".join(f"  {name}: {why}" for name, why in missing.items())
         raise ConfigurationError(
-            "a calibration certificate needs more than this result states: give "
-            f"{', '.join(missing)} in the configuration, or with --setup or --set for a bag or a "
-            "table (the group identity changes no number)",
-            lines,
+            "a calibration certificate needs more than this result states. Give it in the "
+            "configuration, or with --setup or --set for a bag or a table (the group identity "
+            f"changes no number):\n{lines}"
         )
     if result.verdict != "ok":
         raise DataError(
