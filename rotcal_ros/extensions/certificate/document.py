@@ -327,11 +327,13 @@ def require(result: Result) -> None:
     """
     missing = missing_settings(result)
     if missing:
+        names = ", ".join(name.removeprefix("identity.") for name in missing)
         lines = "\n".join(f"  {name}: {why}" for name, why in missing.items())
         raise ConfigurationError(
-            "a calibration certificate needs more than this result states. Give it in the "
-            "configuration, or with --setup or --set for a bag or a table (the group identity "
-            f"changes no number):\n{lines}"
+            f"a calibration certificate needs more than this result states ({names}), see below: "
+            "give it in the configuration, or with --setup or --set for a bag or a table (the "
+            "group identity changes no number)",
+            lines,
         )
     if result.verdict != "ok":
         raise DataError(
