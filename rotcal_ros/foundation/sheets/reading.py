@@ -31,7 +31,6 @@ from rotcal_ros.foundation.sheets.words import (
     TIME,
     UNITS,
     Heading,
-    answer,
     columns_of,
     folded,
     is_down,
@@ -221,7 +220,7 @@ def _not_understood(
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
         f"'{','.join(layout.header)}', in any unit and order. Tell a column with another name by "
-        f"{answer(name, layout.aside[0] if layout.aside else 'ITS NAME')}",
+        f"--set 'sheet.columns=[{name}=ITS NAME]'",
         question=_which_column(layout.missing[0], layout.aside),
     )
 
