@@ -53,8 +53,8 @@ FARTHEST_RAD: Final = 0.02
 def plan(configuration: Configuration) -> Plan:
     """Return the plan: ``station`` is the setting of the reference, ``target`` its mark.
 
-    Raises ConfigurationError for settings that contradict each other, PlanError for shifts that
-    do not separate the two circles.
+    Raises ConfigurationError for settings that contradict each other, PlanError for angles that
+    do not ascend. Whether the shifts separate the two circles :func:`check_plan` tells.
     """
     settings: ComparisonPlanSettings = configuration.plan
     circles = Circles.of(settings)

@@ -7,8 +7,8 @@ deviation (actual - commanded) at its angle ``theta``, ``r`` the error of the re
 (actual - nominal) at the angle that it shows then, ``shift`` the table angle at which it shows its
 zero. A reading is positive where the table has turned farther than the reference says.
 
-With several shifts both circles are unknown and both are found (Sim's "full closure", a rosette of
-two circles). Order n of a complete circle with K shifts s has the normal matrix
+With several shifts both circles are unknown and both are found, a rosette of two. Order n of a
+complete circle with K shifts s has the normal matrix
 
     [[K, -S], [-conj(S), K]],    S = sum over k of exp(i n s_k),
 

@@ -97,7 +97,7 @@ def test_no_file_of_the_page_asks_another_machine():
 
 
 def test_both_pages_are_small_and_names_the_licence_of_what_it_carries():
-    assert sum(path.stat().st_size for path in STATIC.iterdir()) < 150_000
+    assert sum(path.stat().st_size for path in STATIC.iterdir()) < 143_000
     assert "Permission is hereby granted" in (STATIC / "uPlot.LICENSE").read_text()
 
 

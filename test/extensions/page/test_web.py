@@ -319,6 +319,7 @@ def test_a_controller_gets_its_files_once_it_is_said_what_was_in_force(visitor):
     assert error["text"].startswith(
         "not added: the table in force does not do what it should: it is inactive"
     )
+    assert "+1.0" in error["text"]  # what it does of what it should
     error = visitor.work("controller", **FOR_CSV | {"controller": "cvs"})
     assert "did you mean 'csv'?" in error["error"]["text"]
 
