@@ -15,6 +15,7 @@ import atexit
 import ctypes
 import fcntl
 import gc
+import inspect
 import json
 import os
 import re
@@ -38,6 +39,8 @@ WITH_ROS = re.compile(r"rotcal_ros\.(nodes|ros|extensions\.\w+\.node)\b")
 """What needs ROS, or starts it."""
 START_NODES = ("run", "verify", "doctor")
 """Commands whose own processes begin as copies, too."""
+LOADED_LATE = ("rosidl_generator_py", "type_description_interfaces.srv", "scipy.interpolate")
+"""What each node imports once it runs."""
 NOT_COPIED = ("LD_PRELOAD", "LD_LIBRARY_PATH")
 """Variables that count from the first instruction of a process."""
 REQUEST_BYTES = 1 << 20
@@ -346,7 +349,9 @@ def import_all(ros: bool) -> None:
         with suppress(ImportError):
             import_module(module.name)
     if ros:
-        import_module("rosidl_generator_py")  # each node asks for it when it first publishes
+        for name in LOADED_LATE:
+            import_module(name)
+        inspect.getframeinfo(inspect.currentframe())  # whoever first logs looks at every module
     gc.freeze()  # or the collector would touch, and so copy, all of that in each copy
 
 

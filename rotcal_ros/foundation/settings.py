@@ -13,7 +13,7 @@ import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -26,6 +26,8 @@ _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
 """Characters that no message of ROS and no file in UTF-8 can hold."""
 _LARGEST = 1 << 63
+_hints = cache(typing.get_type_hints)
+"""Types of the fields of a class; to find them out takes longer than to check a value."""
 _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
@@ -131,7 +133,7 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
             f"{where}: expected a group of settings, found {values!r:.80}: "
             "put its settings below it, indented, as NAME: VALUE"
         )
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
@@ -185,7 +187,7 @@ def to_mapping(settings: Any) -> dict[str, Any]:
 
 def declarations(cls: type[Any], prefix: str = "") -> Iterator[Declaration]:
     """Yield every setting that ``cls`` declares, nested groups flattened."""
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     for field in dataclasses.fields(cls):
         if dataclasses.is_dataclass(hints[field.name]):
             nested = declarations(hints[field.name], f"{prefix}{field.name}.")

@@ -276,7 +276,7 @@ def line_of(text: str, *names: str) -> int:
     """
     import yaml
 
-    node, line = yaml.compose(text, Loader=_loader(yaml)), 0
+    node, line = composed(text), 0
     for name in names:
         pairs = node.value if isinstance(node, yaml.MappingNode) else []
         found = next(((key, value) for key, value in pairs if key.value == name), None)
@@ -284,6 +284,13 @@ def line_of(text: str, *names: str) -> int:
             return 0
         line, node = found[0].start_mark.line + 1, found[1]
     return line
+
+
+def composed(text: str) -> Any:
+    """Return the nodes, with their places, of YAML that :func:`load_yaml` has read."""
+    import yaml
+
+    return yaml.compose(text, Loader=_loader(yaml))
 
 
 _TOO_DEEP: Final = f"more than {DEEPEST} levels of lists and groups in each other"

@@ -33,7 +33,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.sheets.reading import SheetSettings
-from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
+from rotcal_ros.foundation.untrusted import composed, line_of, load_yaml, read_text, why
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
 from rotcal_ros.planning.choices import AS_LISTED
@@ -355,7 +355,7 @@ def _plan(text: str) -> tuple[str, list[tuple[yaml.Node, yaml.Node]]]:
     """Return the method and the entries that may be of the group ``plan``; none without either."""
     try:
         load_yaml(text, "")  # only what is within bounds is gone through node by node
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = composed(text)
     except (ConfigurationError, yaml.YAMLError):
         return "", []
     short = list(node.value) if _entry(node, "method") else []

@@ -40,6 +40,7 @@ def disturbed(seed, which, size, own_zero=True, at=2):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_sound_data_are_called_disturbed_less_often_than_allowed():
     alarms = sum(judge(disturbed(seed, [], 0.0)[1]).proved(0.02) for seed in range(300))
     assert alarms <= 12  # 0.02 of 300 are 6; twice as many have a chance below 0.02
@@ -130,6 +131,7 @@ def test_probable_but_unproved_errors_are_covered():
     assert not held or np.mean(held) > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("e", "count"), [(8, 6), (6, 3)])
 def test_sound_data_whose_noise_was_estimated_are_suspected_no_more_often(e, count):
     design = lines(count, e)

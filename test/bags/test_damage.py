@@ -129,6 +129,7 @@ def _stream(data: bytes) -> object:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_random_bit_flips_are_noticed_and_counted(sample: Sample, tmp_path: Path) -> None:
     path = tmp_path / "flipped.mcap"
     chance = random.Random(20)

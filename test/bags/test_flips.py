@@ -40,6 +40,7 @@ def in_one_chunk(bit: int) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_every_flip_is_told_and_costs_what_it_covers(tmp_path: Path) -> None:
     path = tmp_path / "flipped.mcap"
     for bit in flips(10**9 if LONG else 400, seed=1):

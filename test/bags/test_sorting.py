@@ -44,6 +44,7 @@ def test_nothing_gives_nothing():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_memory_is_that_of_a_run():
     rng = np.random.default_rng(2)
     payload = bytes(1000)

@@ -80,6 +80,7 @@ def test_a_constant_has_the_tolerance_of_one():
     np.testing.assert_allclose(numerical_tolerance(np.zeros(1), 2), [0.05])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("digits", "seed"), [(1, 0), (1, 5), (2, 9)])
 def test_the_stop_is_that_of_the_standard(digits, seed):
     """JCGM 101, 7.9.4, block after block; a model of little spread, so that it ends soon."""

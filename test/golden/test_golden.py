@@ -97,6 +97,7 @@ def test_a_recording_solves_to_the_same_result(outcomes, name):
         assert_close(json.loads(outcome["out"]), stored)
 
 
+@pytest.mark.slow
 def test_another_arithmetic_changes_the_last_digits_only():
     for name, outcome in carry_out(SOLVED, OTHER_ARITHMETIC).items():
         stored, found = json.loads(stored_for(name)), json.loads(outcome["out"])

@@ -81,6 +81,7 @@ def test_a_warm_plate_is_suspect_and_named_by_kelvin_of_its_material(order):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_plate_that_keeps_its_temperature_is_seldom_said_to_grow(order):
     runs = 300 if LONG else 25

@@ -55,6 +55,7 @@ def test_the_position_is_named_and_the_others_have_the_truth(left):
     assert again.to_json() == result.to_json()
 
 
+@pytest.mark.slow
 def test_stated_uncertainties_hold_with_positions_left_out():
     present = np.setdiff1d(np.arange(24), [5, 6, 17])
     plate = ExactPlate(24, SIX, **REAL, present=present, seed=3)

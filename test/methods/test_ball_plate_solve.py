@@ -72,6 +72,7 @@ def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_whole_solver_keeps_its_intervals_with_the_paper_plate():
     inside, rejected = [], 0
     for run in range(40 if LONG else 4):

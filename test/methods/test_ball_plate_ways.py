@@ -316,6 +316,7 @@ def test_spectral_takes_thousands_of_positions_within_little_memory():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_whole_result_of_thousands_of_positions_holds_no_matrix_of_them():
     problem, _ = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
     tracemalloc.start()

@@ -183,6 +183,8 @@ def _unit(text: str) -> str:
 
 def _without_accents(text: str) -> str:
     """Return a text without the accents of Latin letters; other scripts keep their marks."""
+    if text.isascii():
+        return text
     apart, kept, latin = unicodedata.normalize("NFD", text), list[str](), False
     for character in apart:
         if not unicodedata.combining(character):

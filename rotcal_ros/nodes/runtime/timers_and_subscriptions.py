@@ -16,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from inspect import Signature
 from threading import Thread
 from typing import Any, Final
 
@@ -31,11 +32,20 @@ from rotcal_ros.foundation.clock_jumps import ClockWatch
 from rotcal_ros.nodes.runtime.qos import adapted_qos
 
 _LOOK_S: Final = 0.1
+_NO_ARGUMENTS: Final = Signature()
 
 
 def steady_timer(node: Node, period_s: float, work: Callable[[], Any]) -> Any:
-    """Do ``work`` regularly, by the monotonic clock; return the timer."""
-    return node.create_timer(period_s, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    """Do ``work`` regularly, by the monotonic clock; return the timer.
+
+    At every turn rclpy asks for the signature of what it calls, which takes longer than most work.
+    """
+
+    def turn() -> Any:
+        return work()
+
+    turn.__signature__ = _NO_ARGUMENTS  # type: ignore[attr-defined]
+    return node.create_timer(period_s, turn, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def wake_after_jumps(executor: Executor) -> None:

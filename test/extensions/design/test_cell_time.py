@@ -13,6 +13,7 @@ CONFIG = Path(__file__).parents[3] / "config"
 TICK = 0.02  # s, how finely the cell's time is cut; each step loses half of it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drives",
     [

@@ -124,6 +124,7 @@ def test_the_same_seed_promises_the_same():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "runs"), [(1.0, 20), (1e-9, 100)], ids=["met by all", "met by none"]
 )

@@ -125,6 +125,7 @@ def large(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_every_bag_is_on_one_page_and_no_page_is_large(large):
     pages = list((large / "overview").glob("table-*.html"))
     assert len(pages) == 40 * -(-250 // PAGE)

@@ -129,6 +129,7 @@ def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_without_drift_false_alarms_are_as_rare_as_stated():
     found = campaign()
     points = found.noisy(np.random.default_rng(11), 150 if LONG else 30)

@@ -139,6 +139,7 @@ def test_the_linear_view_of_reflectors_is_that_of_the_way():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_small_ones_are_seldom_ok_and_wrong():
     """The figures for 100 worlds of each size are in docs/evidence_methods.md."""
     missed = 0
@@ -193,6 +194,7 @@ def test_u_holds_a_swing_of_an_arcsecond_between_two_looks_at_the_nests(cycles):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_the_statement_changes_u_alone_and_more_looks_at_the_nests_make_it_small():
     grown = []
     for rounds in ((), (1, 2, 3)):
@@ -212,6 +214,7 @@ def test_nothing_is_allowed_for_where_no_drift_is_known():
     np.testing.assert_array_equal(first.covariance["ECC"], second.covariance["ECC"])
 
 
+@pytest.mark.slow
 def test_trials_swing_as_the_uncertainty_says():
     """Of a small swing residuals hardly tell, so that its square is that of the statement."""
     found = campaign()

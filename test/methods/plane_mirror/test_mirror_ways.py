@@ -183,6 +183,7 @@ def test_95_percent_intervals_hold_the_truth_direct(direct_runs):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_joint_is_at_least_as_good_as_registration(errors):
     joint, registration = (
         np.sqrt((errors[way][0][:, 1:] ** 2).mean()) for way in ("joint", "registration")

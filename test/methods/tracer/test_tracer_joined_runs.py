@@ -69,6 +69,7 @@ def test_another_zero_is_found_and_leaves_no_trace(variant):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_the_stated_uncertainty_holds_over_many_interruptions():
     scores = []
     for seed in range(20 if LONG else 8):
@@ -123,6 +124,7 @@ def test_an_error_of_one_join_reaches_the_runs_that_lean_on_it():
     np.testing.assert_allclose(trials.zeros[1], np.where(run > 1, second, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_the_stated_uncertainty_holds_after_two_interruptions():
     scores = []

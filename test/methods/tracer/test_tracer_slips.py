@@ -59,6 +59,7 @@ def test_a_slip_that_cannot_be_missed_costs_nothing_but_at_the_ends():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_as_many_slips_are_found_as_is_stated():
     found, stated, runs = 0, [], 60 if LONG else 25
     for seed in range(runs):

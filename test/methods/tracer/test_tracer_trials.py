@@ -42,6 +42,7 @@ def test_every_trial_is_what_the_solver_finds_for_the_same_numbers(options):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
 def test_trials_scatter_as_the_solver_states(options):
     task = problem(options, error_motion_std=1e-7)

@@ -58,6 +58,7 @@ def move_of(result, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_probabilities_are_uniform_where_nothing_moves():
     """Over scatter that is estimated: at most every thousandth cell at rest is suspect."""
     found = [measured(seed, solved=adjust).moves for seed in range(24)]

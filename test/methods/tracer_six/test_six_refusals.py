@@ -56,6 +56,7 @@ def test_a_prior_on_the_tilts_carries_two_places_and_stands_in_the_budget():
     assert 0.5e-5 < tilts[1] < 1e-5
 
 
+@pytest.mark.slow
 def test_prior_on_the_tilts_covers():
     rng, inside = np.random.default_rng(4), []
     for _ in range(25 if LONG else 8):

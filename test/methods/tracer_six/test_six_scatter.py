@@ -24,6 +24,7 @@ def test_intervals_hold_without_scatter():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_intervals_hold_with_scatter_that_is_estimated():
     found = coverage(40 if LONG else 12, (1e-7, 5e-7), seed=2, slip=0.0)
     assert (found.share > LEAST).all()

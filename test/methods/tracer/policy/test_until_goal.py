@@ -121,6 +121,7 @@ def test_allowances_are_undone():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_blocked_sector_is_planned_around(of):
     away = -of.directions
     azimuth = np.arctan2(away[:, 1], away[:, 0])
