@@ -257,10 +257,7 @@ def test_every_interface_is_built():
 
 
 def test_no_file_is_too_long_to_read():
-    lines = {
-        str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in TEXT_FILES
-    }
-    assert {path: n for path, n in lines.items() if n > MAX_LINES} == {}
+    assert [path for path in TEXT_FILES if len(path.read_text().splitlines()) > MAX_LINES] == []
 
 
 def _given_names(nodes):

@@ -26,8 +26,8 @@ _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
 """Characters that no message of ROS and no file in UTF-8 can hold."""
 _LARGEST = 1 << 63
-_hints = cache(typing.get_type_hints)
-"""Types of the fields of a class; to find them out takes longer than to check a value."""
+_hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
+"""Types of the fields of a class; to find them out takes longer than to check the values."""
 _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
