@@ -36,6 +36,8 @@ FOUND_S: Final = 5.0
 """Time for two ends to discover each other: lost discovery packets are sent again after 3 s."""
 SETTLED_S: Final = 0.5
 """If no new publisher is discovered for this long, the known ones count as all."""
+LOOK_S: Final = 0.1
+"""To look at the graph takes longer than a turn of the executor."""
 HOPELESS_S: Final = 0.5
 """The capture must report HOPELESS for this long: late readings may look so for a moment."""
 SOLVER: Final = "solver"
@@ -53,6 +55,19 @@ class GoalError(Exception):
         super().__init__(text)
         self.code = code
         self.in_another_run = in_another_run
+
+
+def _rarely(condition: Callable[[], bool]) -> Callable[[], bool]:
+    """Return a ``condition`` that is looked at every LOOK_S, however often it is asked for."""
+    last_s, met = -math.inf, False
+
+    def seen() -> bool:
+        nonlocal last_s, met
+        if (now_s := time.monotonic()) - last_s >= LOOK_S:
+            last_s, met = now_s, condition()
+        return met
+
+    return seen
 
 
 class RequiredNodes:
@@ -234,7 +249,7 @@ class GoalWatch:
 
     async def have(self, missing: Callable[[], list[str]], code: int) -> None:
         """Wait until nothing is missing; after the time of a preflight GoalError names what is."""
-        if not await self.wait(lambda: not missing(), self.patience_s):
+        if not await self.wait(_rarely(lambda: not missing()), self.patience_s):
             raise GoalError(code, "; ".join(missing()) or "preflight timed out")
 
     async def stands_still(self, look: Callable[[], object]) -> None:
@@ -249,14 +264,14 @@ class GoalWatch:
                 known, since_s = now, now_s
             return now_s - since_s >= SETTLED_S
 
-        await self.wait(settled, self.patience_s)
+        await self.wait(_rarely(settled), self.patience_s)
 
     async def is_found(self, missing: Callable[[], list[str]]) -> bool:
         """Return whether everything was found within FOUND_S; if not, make new publishers.
 
         Sometimes the middleware never connects two ends that it knows, but does connect new ones.
         """
-        if await self.wait(lambda: not missing(), min(FOUND_S, self.patience_s)):
+        if await self.wait(_rarely(lambda: not missing()), min(FOUND_S, self.patience_s)):
             return True
         self.links.publish_anew()
         return False

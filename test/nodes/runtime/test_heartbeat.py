@@ -1,4 +1,6 @@
-"""A node beats while its executor takes no turn, and tells for how long that has been."""
+"""A node beats while its executor takes no turn and says so; who hears no beat subscribes anew."""
+
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,6 +13,7 @@ from rotcal_msgs.msg import NodeState
 
 from rotcal_ros.foundation.node_state import NO_PLAN
 from rotcal_ros.nodes.runtime.conversions import node_state
+from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.liveness import HostProcess
 from rotcal_ros.nodes.runtime.running import Peer, default_context
 from rotcal_ros.nodes.solver.node import SolverNode
@@ -60,3 +63,23 @@ def test_the_last_beat_is_the_goodbye(heard):
     node.health.leave()
     wait_for(lambda beats: len(beats) > 3)
     assert wait_for(lambda _: True).state == NodeState.STATE_LEAVING
+
+
+def test_who_does_not_hear_another_subscribes_anew():
+    """As where the middleware never connects two ends: here one end is simply gone."""
+    peer = Peer("planner")
+    Health(peer.node, lambda: (NO_PLAN, {}))
+    other = Peer("listener")
+    deaf = Health(other.node, None)
+    other.node.destroy_subscription(deaf._heard.subscription)
+    deaf._heard = SimpleNamespace(drain=lambda: None, subscription=None)
+
+    def hears():
+        peer.work_until(lambda: False, 0.05)
+        other.work_until(lambda: False, 0.05)
+        return deaf.present()
+
+    wait_until(hears, "the planner is heard")
+    assert deaf.state("planner") is NO_PLAN.state
+    other.close()
+    peer.close()
