@@ -32,6 +32,7 @@ from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
 from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
     LEAST_FACTOR,
+    LEAST_REDUNDANCY,
     NEARLY_SETTLED,
     PRIOR,
     SETTLED,
@@ -588,7 +589,8 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     """
     ones = np.ones(len(diagnosis.model.components))
     stated = diagnosis.fitted(ones, diagnosis.start)
-    chance = _evidence(stated, bent).probabilities()
+    evidence = _evidence(stated, bent)
+    chance, checked = evidence.probabilities(), evidence.redundancy > LEAST_REDUNDANCY
     if chance.min() >= diagnosis.limits.significance / len(chance):
         return Noise(ones), stated
     held = np.zeros(len(ones), dtype=np.bool_)
@@ -598,7 +600,7 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
         if not exact.any():
             return Noise(found.factors, found), fit
         held |= exact
-        if held.all():
+        if held[checked].all():
             return Noise(ones), stated
 
 

@@ -75,6 +75,7 @@ class ByModel:
     The first observations of a model are the readings, in their order. Its outputs are the
     deviations at the first table positions of the plan, one of the ``components`` after the other.
     ``states`` tells what the engine cannot know; all that every method lists has to be said.
+    ``counts_from``: what they count from, see :class:`~rotcal_ros.foundation.results.Zeros`.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
     the result, and the curves from each side.
     """
@@ -83,6 +84,7 @@ class ByModel:
     model: Callable[[Configuration, Readings], Model]
     states: Callable[[Configuration, Adjusted], Statement]
     components: tuple[str, ...] = ("ECC",)
+    counts_from: str = "first angle"
     arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
 
     def solve(
@@ -97,6 +99,7 @@ class ByModel:
             np.array(plan.table_angles[:count]),
             {c: slice(k * count, (k + 1) * count) for k, c in enumerate(self.components)},
             (read.position % count, read.target),
+            counts_from=self.counts_from,
             doubts=statement.doubts,
             protections=statement.protections,
             details=statement.details,

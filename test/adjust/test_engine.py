@@ -502,6 +502,14 @@ def test_where_the_noise_was_estimated_larger_effects_stay_unseen():
     assert said["knock"].error > 1.05 * stated["knock"].error
 
 
+def test_exact_observations_beside_a_certificate_that_nothing_checks_keep_their_noise():
+    truth, model = comparison()
+    zero = np.eye(1, PLACES + RUNS)  # of the first place: all readings leave it open
+    found = adjust(model.knowing("the certificate", zero, np.zeros(1), SIGMA))
+    assert found.value == pytest.approx(truth, abs=1e-12)
+    assert (found.verdict, found.diagnosis.noise.estimated) == ("ok", None)
+
+
 def test_exact_readings_with_one_redundant_one_are_no_matter():
     drift = Disturbing("drift", "it drifts", np.array([[0.0], [1.0]]), 1e-3)
     std, design = np.full(2, SIGMA), np.ones((2, 1))

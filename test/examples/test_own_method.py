@@ -13,14 +13,16 @@ import numpy as np
 import pytest
 import yaml
 from one_table import by_ball_plate
+from snippets import PYTHON, blocks
+from test_level import PLAN, World
 from warm import WarmServer
 
-from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
+from rotcal_level.settings import LevelSimulationSettings
+from rotcal_level.simulation import SimulatedLevels
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate
-from rotcal_ros.methods.simulation.settings import TableSettings
 from rotcal_ros.methods.simulation.table import SimulatedTable, deviations
 from rotcal_ros.sessions.domains import free_domain
 
@@ -28,10 +30,13 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "own_method"
-DEMO = EXAMPLE / "polygon_demo.yaml"
+DEMO = EXAMPLE / "level_demo.yaml"
 DEADLINE_S = 120.0
-HARMONICS = {"amplitudes_arcsec": [2.0, 0.9, 0.5, 0.3], "phases_deg": [20.0, -75.0, 140.0, 60.0]}
-"""The ECC of the demonstration."""
+SIMULATION = load(
+    LevelSimulationSettings,
+    yaml.safe_load(DEMO.read_text())["/**"]["ros__parameters"]["simulation"],
+    "simulation",
+)
 N = 12
 
 
@@ -89,8 +94,8 @@ def session(rotcal, tmp_path_factory):
     pytest.importorskip("rotcal_msgs")
     folder = tmp_path_factory.mktemp("live") / "session"
     outcome = json.loads(rotcal("run", DEMO, "--output", folder, "--json").stdout)
-    assert (outcome["verdict"], outcome["n_used"], outcome["n_rejected"]) == ("ok", 3 * 13, 0)
-    assert set(outcome["files"]) == {"bag", "result", "truth", "report", "compensation"}
+    assert (outcome["verdict"], outcome["n_used"], outcome["n_rejected"]) == ("ok", 4 * 13, 0)
+    assert set(outcome["files"]) == {"bag", "result", "truth", "report"}  # no ECC
     return folder
 
 
@@ -99,23 +104,24 @@ def test_the_live_result_is_true_within_its_uncertainty(session):
     result, truth = (
         json.loads((session / name).read_text()) for name in ("result.json", "truth.json")
     )
-    error = np.array(result["deviations"]["ECC"]) - truth["deviations"]["ECC"][:N]
-    whitened = np.linalg.solve(np.array(result["covariance"]["ECC"])[1:, 1:], error[1:])
-    assert error[1:] @ whitened < 34.0  # chi-squared with 11: one run in 3000
-    assert np.ptp(truth["deviations"]["ECC"]) > 100.0 * max(result["std"]["ECC"])
-    assert result["dof"] == 3 * 13 - (2 * N - 1 + 2)
+    for name in ("EAC", "EBC"):
+        true = np.array(truth["deviations"][name])
+        error = np.array(result["deviations"][name]) - true
+        square = error @ np.linalg.pinv(result["covariance"][name], rcond=1e-6) @ error
+        assert square < 34.0  # chi-squared with 11: one run in 3000
+        assert np.ptp(true) > 30.0 * max(result["std"][name])
+    assert result["dof"] == 4 * 13 - (2 * N + 4 - 2)
+    assert result["zeros"]["counts_from"] == "mean"
 
 
 @pytest.mark.ros
-def test_the_live_run_finds_the_faces_of_the_simulated_polygon(session):
-    details = json.loads((session / "result.json").read_text())["details"]
-    text = yaml.safe_load(DEMO.read_text())["/**"]["ros__parameters"]["simulation"]
-    settings = load(PolygonSimulationSettings, text, "simulation")
-    table = SimulatedTable(settings.table, 1, 0)
-    true = SimulatedAutocollimator(settings, table, None, 0).face_errors
-    faces = details["also"]["face error"]
-    error = np.array(faces["value"]) - (true - true.mean())
-    assert np.abs(error / faces["std"]).max() < 4.5
+def test_the_live_run_finds_how_the_levels_and_the_axis_really_stand(session):
+    also = json.loads((session / "result.json").read_text())["details"]["also"]
+    placed = SimulatedLevels(SIMULATION, SimulatedTable(SIMULATION.table, 1, 0), None, 0).placed
+    lean = np.array(SIMULATION.table.axis_tilt_arcsec) * ARCSEC
+    for name, true in (("azimuth error", placed), ("lean of the axis", lean)):
+        error = np.array(also[name]["value"]) - true
+        assert np.abs(error / also[name]["std"]).max() < 4.5
 
 
 @pytest.mark.ros
@@ -125,8 +131,8 @@ def test_bag_and_report_tell_the_same_as_the_live_run(session, rotcal):
     rotcal("report", session / "bag", "-o", session / "again.html")
     page = (session / "again.html").read_text()
     for words in (
-        "Optical polygon and autocollimator",
-        "Face errors of the polygon",
+        "Electronic levels on the table",
+        "Azimuth error",
         "Harmonic content",
     ):
         assert words in page
@@ -141,37 +147,34 @@ def test_trials_confirm_the_uncertainty(session, rotcal):
 
 @pytest.mark.ros
 def test_it_agrees_with_a_ball_plate_on_the_same_table(session, rotcal, tmp_path):
-    """The ball plate measures the same injected table, at three times as many angles."""
-    settings = load(TableSettings, {"ecc": HARMONICS}, "table")
-    angles = 2.0 * np.pi * np.arange(36) / 36
-    true = np.stack(list(deviations(settings, angles).values()), axis=1)
-    rng = np.random.default_rng(12)
-    problem = by_ball_plate(true, rng, balls=(0, 2, 5, 9, 11, 15, 17, 21, 24, 26, 29, 33))
+    """Both take off the mean and what turns with the table; the plate tells ECC beside."""
+    true = np.stack(list(deviations(SIMULATION.table, 2.0 * np.pi * np.arange(N) / N).values()), 1)
     other = tmp_path / "ball_plate.json"
+    problem = by_ball_plate(true, np.random.default_rng(12), balls=tuple(range(N)))
     other.write_text(ball_plate.solve(problem).to_json())
-    answer = rotcal("compare", session / "result.json", other, "--json").stdout
-    (pair,) = json.loads(answer)["pairs"]
-    assert pair["agree"]
-    assert len(pair["angles"]) == N
-    assert pair["rms"] < 0.3 * ARCSEC
+    for name in ("EAC", "EBC"):
+        answer = rotcal("compare", session / "result.json", other, "--component", name, "--json")
+        (pair,) = json.loads(answer.stdout)["pairs"]
+        assert pair["agree"]
+        assert len(pair["angles"]) == N
+        assert pair["rms"] < 0.3 * ARCSEC
+    both = json.loads(rotcal("combine", session / "result.json", other, "--json").stdout)
+    one = json.loads((session / "result.json").read_text())
+    assert {"EAC", "EBC", "ECC"} <= set(both["deviations"])
+    assert max(both["std"]["EAC"]) < max(one["std"]["EAC"])
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("controller", ["csv", "linuxcnc"])
-def test_controllers_take_the_result(session, rotcal, tmp_path, controller):
-    for source in ("bag", "result.json"):
-        out = tmp_path / source
-        done = rotcal(
-            "export", session / source, "--to", controller, "--replace", "-o", out, "--json"
-        )
-        residual = json.loads(done.stdout)["provenance"]
-        assert "polygon" in json.dumps(residual)
-        assert len(list(out.iterdir())) >= 2
+def test_controllers_are_not_given_what_was_not_measured(session, rotcal, tmp_path):
+    out = tmp_path / "tables"
+    done = rotcal("export", session / "result.json", "--to", "csv", "-o", out, code=3)
+    assert "holds no ECC, only EAC, EBC" in done.stderr
+    assert not out.exists()
 
 
 @pytest.mark.long
 @pytest.mark.ros
-def test_an_interrupted_plan_goes_on_in_the_same_mounting(rotcal, environment, tmp_path):
+def test_an_interrupted_plan_goes_on_in_the_same_setting(rotcal, environment, tmp_path):
     pytest.importorskip("rclpy")
     folder = tmp_path / "session"
     slowly = ("--set", "simulation.time_scale=80.0")
@@ -180,29 +183,28 @@ def test_an_interrupted_plan_goes_on_in_the_same_mounting(rotcal, environment, t
     command = [*run, "--output", str(folder)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=env, cwd=ROOT) as first:
         for line in first.stderr:
-            step = re.match(r"(\d+) of 39 steps, table position", line)
-            if step and int(step[1]) > 13:
+            step = re.match(r"(\d+) of 52 steps, table position", line)
+            if step and int(step[1]) > 26:
                 break
         first.send_signal(signal.SIGINT)
         assert "interrupted; the bag is closed" in first.stderr.read()
         assert first.wait(patient(DEADLINE_S)) == 130
     done = rotcal("run", DEMO, *slowly, "--resume", folder, "--json")
     assert json.loads(done.stdout)["verdict"] == "ok"
-    assert "mounting 1 of 3" not in done.stderr
-    assert "mounting 2 of 3" in done.stderr
+    assert "setting 0 of 2" not in done.stderr
     again = rotcal("solve", folder / "bag", "--json").stdout
     assert again.strip() == (folder / "result.json").read_text().strip()
 
 
 UNSHOWN = """
 from dataclasses import replace
-from rotcal_polygon.method import METHOD as POLYGON
+from rotcal_level.method import METHOD as LEVEL
 
 def plan(configuration):
-    whole = POLYGON.plan(configuration)
+    whole = LEVEL.plan(configuration)
     return replace(whole, pauses=tuple(replace(p, last=p.first - 1) for p in whole.pauses))
 
-METHOD = replace(POLYGON, name="unshown", plan=plan)
+METHOD = replace(LEVEL, name="unshown", plan=plan)
 """
 
 
@@ -217,7 +219,7 @@ def test_work_that_no_step_shows_is_asked_for_once(environment, tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: unshown\nVersion: 1\n")
     (info / "entry_points.txt").write_text("[rotcal_ros.methods]\nunshown = unshown:METHOD\n")
     demo = tmp_path / "demo.yaml"
-    demo.write_text(DEMO.read_text().replace("method: polygon", "method: unshown"))
+    demo.write_text(DEMO.read_text().replace("method: level", "method: unshown"))
     path = os.pathsep.join([str(tmp_path), environment["PYTHONPATH"]])
     done = subprocess.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", "run", demo, "--output", tmp_path / "out"],
@@ -228,7 +230,7 @@ def test_work_that_no_step_shows_is_asked_for_once(environment, tmp_path):
         env={**environment, "PYTHONPATH": path, "ROS_DOMAIN_ID": str(free_domain())},
     )
     assert done.returncode == 0, done.stderr
-    assert [done.stderr.count(f"mounting {m} of 3") for m in range(3)] == [1, 1, 1]
+    assert [done.stderr.count(f"setting {m} of 2") for m in range(2)] == [1, 1]
 
 
 @pytest.mark.parametrize(
@@ -236,9 +238,8 @@ def test_work_that_no_step_shows_is_asked_for_once(environment, tmp_path):
     [
         ("solver.sgima=1", "solver: unknown setting 'sgima'; known: sigma_arcsec"),
         ("solver.sgima_arcsec=1", "did you mean 'sigma_arcsec'?"),
-        ("plan.first_faces=[0, 12, 5]", "expected different faces from 0 to 11"),
-        ("plan.first_faces=[0, 4, 8]", "turn the polygon by 1 face"),
-        ("solver.face_errors_arcsec=[0.5, 0.1]", "2 values for a polygon with 12 faces"),
+        ("plan.azimuths_deg=[0, 90, 180]", "3 azimuths for 2 levels"),
+        ("plan.azimuths_deg=[0, 180]", "add a second level at 90 deg to the first"),
     ],
 )
 def test_settings_that_cannot_work_are_refused_before_anything_starts(
@@ -250,128 +251,77 @@ def test_settings_that_cannot_work_are_refused_before_anything_starts(
     assert not (tmp_path / "none").exists()
 
 
-def ecc(position):
-    """Return the demonstration's ECC, rad, counted from position 0."""
-    orders = np.arange(1, 5)
-    phases = np.array(HARMONICS["phases_deg"]) * DEGREE
-    amplitudes = np.array(HARMONICS["amplitudes_arcsec"]) * ARCSEC
-    values = [np.cos(orders * i * 30 * DEGREE + phases) @ amplitudes for i in (0, position)]
-    return values[1] - values[0]
-
-
-def rows_of(first_faces, faces=None, stops=N + 1):
-    """Return exact rows of the plain table."""
-    faces = np.zeros(N) if faces is None else faces
-    return [
-        [i, m, float(ecc(i) + faces[(first + i) % N] + (m + 1) * 20 * ARCSEC)]
-        for m, first in enumerate(first_faces)
-        for i in range(stops)
-    ]
-
-
-def write(path, rows):
-    lines = [f"{position},{mounting},{reading!r}" for position, mounting, reading in rows]
-    path.write_text("\n".join(["position,mounting,reading_rad", *lines]) + "\n")
+def write(path, world, value, times=()):
+    """Write readings as a plain table."""
+    columns = [world.position, world.level, value, *times]
+    rows = (",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns), strict=True))
+    header = ",".join(["position", "level", "reading_rad", *["time_s"] * len(times)])
+    path.write_text("\n".join([header, *rows]) + "\n")
     return path
 
 
-def setup(path, plan="", solver=""):
-    path.write_text(
-        f"/**: {{ros__parameters: {{method: polygon, plan: {{{plan}}}, solver: {{{solver}}}}}}}\n"
-    )
+@pytest.fixture
+def setup(tmp_path):
+    path = tmp_path / "setup.yaml"
+    path.write_text("/**: {ros__parameters: {method: level, plan: {}}}\n")
     return path
-
-
-FACES = 2.0 * ARCSEC * np.random.default_rng(1).standard_normal(N)
 
 
 def test_what_it_marked_is_told_first(rotcal):
-    groups = json.loads(rotcal("settings", "polygon", "--json").stdout)["groups"]
+    groups = json.loads(rotcal("settings", "level", "--json").stdout)["groups"]
     first = [s["name"] for group in groups for s in group["settings"] if s["first"]]
     assert [name for name in first if name.startswith(("plan.", "solver."))] == [
-        "plan.faces", "plan.first_faces", "plan.table_start_deg",
-        "solver.sigma_arcsec", "solver.face_errors_arcsec", "solver.face_std_arcsec",
+        "plan.table_start_deg", "plan.table_step_deg", "plan.table_positions",
+        "plan.azimuths_deg", "solver.sigma_arcsec", "solver.azimuth_std_deg",
     ]  # fmt: skip
-    told = rotcal("settings", "polygon").stdout
+    told = rotcal("settings", "level").stdout
     assert all(f"  {name} " in told for name in first)
 
 
-def test_a_plain_table_of_exact_readings_gives_the_truth(rotcal, tmp_path):
-    table = write(tmp_path / "readings.csv", rows_of((0, 1, 5), FACES))
-    done = rotcal("solve", table, "--setup", setup(tmp_path / "setup.yaml"), "--json")
-    result = json.loads(done.stdout)
+def test_a_plain_table_of_exact_readings_gives_the_truth(rotcal, tmp_path, setup):
+    world = World(PLAN, off_deg=0.0)
+    table = write(tmp_path / "readings.csv", world, world.value)
+    result = json.loads(rotcal("solve", table, "--setup", setup, "--json").stdout)
     assert result["verdict"] == "ok"
-    assert result["deviations"]["ECC"] == pytest.approx([ecc(i) for i in range(N)], abs=1e-16)
-    found = result["details"]["also"]["face error"]["value"]
-    assert found == pytest.approx(FACES - FACES.mean(), abs=1e-16)
+    for name, true in zip(("EAC", "EBC"), world.true, strict=True):
+        assert result["deviations"][name] == pytest.approx(true, abs=1e-5 * ARCSEC)
 
 
-def test_one_mounting_says_that_the_polygon_is_in_the_result(rotcal, tmp_path):
-    table = write(tmp_path / "readings.csv", rows_of((0,), FACES))
-    alone = setup(tmp_path / "alone.yaml", "first_faces: [0]")
-    done = json.loads(rotcal("solve", table, "--setup", alone, "--json", code=1).stdout)
-    assert done["verdict"] == "suspect"
-    assert done["warnings"][0].startswith("the errors of the polygon are in the result")
-    errors = (FACES / ARCSEC).tolist()
-    known = setup(tmp_path / "known.yaml", "first_faces: [0]", f"face_errors_arcsec: {errors}")
-    done = json.loads(rotcal("solve", table, "--setup", known, "--json").stdout)
-    assert done["deviations"]["ECC"] == pytest.approx([ecc(i) for i in range(N)], abs=1e-16)
-
-
-def test_a_turn_that_does_not_close_is_suspect(rotcal, tmp_path):
-    rows = rows_of((0, 1, 5), FACES)
-    for row in rows:
-        row[2] += 0.5 * ARCSEC * row[0] / N  # drifts by ten standard deviations a turn
-    table = write(tmp_path / "readings.csv", rows)
-    done = rotcal("solve", table, "--setup", setup(tmp_path / "s.yaml"), "--json", code=1)
-    result = json.loads(done.stdout)
-    assert result["verdict"] == "suspect"
-    assert result["warnings"][0].startswith("it looks as if the autocollimator drifts, by 0.5")
-    error = np.array(result["deviations"]["ECC"]) - [ecc(i) for i in range(N)]
-    assert np.abs(error).max() < 0.01 * ARCSEC  # the drift was taken off
-
-
-def test_a_mounting_turned_by_another_number_of_faces_is_suspect(rotcal, tmp_path):
-    table = write(tmp_path / "readings.csv", rows_of((0, 1, 6), FACES))
-    done = rotcal("solve", table, "--setup", setup(tmp_path / "s.yaml"), "--json", code=1)
-    assert any("of mounting 2" in words for words in json.loads(done.stdout)["warnings"])
-
-
-def test_a_column_of_times_tells_what_came_before_what(rotcal, tmp_path):
-    """The second mounting was read backwards: a drift in time is one that falls by position."""
-    rows = rows_of((0, 1, 5), FACES)
-    stops = N + 1
-    for row in rows:
-        position, mounting, _ = row
-        when = stops - 1 - position if mounting == 1 else position
-        row[2] += 0.5 * ARCSEC * when / N
-        row.insert(3, 60.0 * when + 3600.0 * mounting)
-    lines = [",".join(map(repr, row)) for row in rows]
-    header = "position,mounting,reading_rad"
-    table = tmp_path / "timed.csv"
-    table.write_text("\n".join([f"{header},time_s", *lines]) + "\n")
-    s = setup(tmp_path / "s.yaml")
-    result = json.loads(rotcal("solve", table, "--setup", s, "--json", code=1).stdout)
-    error = np.array(result["deviations"]["ECC"]) - [ecc(i) for i in range(N)]
-    assert np.abs(error).max() < 0.01 * ARCSEC
-    plain = write(tmp_path / "plain.csv", [row[:3] for row in rows])
-    other = json.loads(rotcal("solve", plain, "--setup", s, "--json", code=1).stdout)
-    for found, backwards in ((result, 1.0), (other, -1.0)):
-        (drift,) = found["details"]["effects_found"]
+def test_a_column_of_times_tells_what_came_before_what(rotcal, tmp_path, setup):
+    """The second setting was read backwards: a drift in time is one that falls by position."""
+    world = World(PLAN, off_deg=0.0)
+    when = np.where(world.level < 2, world.order, 12 - world.order)
+    value = world.noisy(np.random.default_rng(4)) + 2.0 * ARCSEC * when / 12
+    times = 60.0 * when + 3600.0 * (world.level >= 2) + 20.0 * (world.level % 2)
+    for name, given, backwards in (("timed", [times], 1.0), ("plain", [], -1.0)):
+        table = write(tmp_path / f"{name}.csv", world, value, given)
+        done = rotcal("solve", table, "--setup", setup, "--json", code=1)
+        (drift,) = json.loads(done.stdout)["details"]["effects_found"]
         sizes = np.array(drift["size"]) / ARCSEC
-        assert sizes == pytest.approx([0.5, 0.5 * backwards, 0.5], abs=0.01)
+        assert sizes == pytest.approx([2.0, 2.0, 2.0 * backwards, 2.0 * backwards], abs=0.5)
 
 
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ([2, 3, 0.0], "which has positions 0 to 12 and mountings 0 to 2"),
-        ([13, 0, 0.0], "row 2: position 13, mounting 0 is not in the plan"),
+        ([2, 4, 0.0], "which has positions 0 to 11 and levels 0 to 3"),
+        ([12, 0, 0.0], "row 2: position 12, level 0 is not in the plan"),
         ([1, 0, 1.7], "are these arcseconds? State the unit in the head of the column"),
         ([1, 0, float("nan")], "reading_rad must be a finite number"),
     ],
 )
-def test_rows_that_cannot_be_are_named(rotcal, tmp_path, row, words):
-    table = write(tmp_path / "readings.csv", [row])
-    done = rotcal("solve", table, "--setup", setup(tmp_path / "s.yaml"), code=3)
+def test_rows_that_cannot_be_are_named(rotcal, tmp_path, setup, row, words):
+    table = tmp_path / "readings.csv"
+    table.write_text(f"position,level,reading_rad\n{','.join(map(repr, row))}\n")
+    done = rotcal("solve", table, "--setup", setup, code=3)
     assert words in done.stderr
+
+
+def test_what_the_page_shows_without_ros_runs(warm_stranger):
+    (shown,) = (block.text for block in blocks(EXAMPLE / "README.md") if block.kind == PYTHON)
+    done = warm_stranger.run("python", "-c", shown, folder=EXAMPLE)
+    assert done.returncode == 0, done.stderr
+    line, *errors = done.stdout.splitlines()
+    assert line.startswith("ok (SIMULATED)")
+    found = np.array(" ".join(errors).strip("[]").split(), float)
+    assert (np.abs(found) < 0.2).all()  # arcsec, of 1.6

@@ -1,9 +1,11 @@
 """Two circles beside each other: signs, truth, uncertainty by order, what cannot be solved."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rotcal_ros.adjust import engine
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
@@ -21,9 +23,10 @@ from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonPlanSettings,
     ComparisonSolverSettings,
 )
+from rotcal_ros.methods.angle_comparison.simulation import SimulatedComparison
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.simulated_run import simulated_run
-from rotcal_ros.methods.simulation.table import deviations
+from rotcal_ros.methods.simulation.table import SimulatedTable, deviations
 from rotcal_ros.planning.readings import Readings
 
 SIGMA = 0.05 * ARCSEC
@@ -109,6 +112,26 @@ def test_a_table_that_turns_too_far_reads_more_and_a_reference_that_does_reads_l
     assert found.also[REFERENCE][0][7] == pytest.approx(11 / 12 * 4.0 * ARCSEC)
 
 
+def test_a_polygon_is_such_a_reference():
+    """Faces in the order in which they come, their normals turned by matrices before the x axis.
+
+    A face that is turned counter-clockwise comes early: its error is negative.
+    """
+    world = World(planned((0, -30, -150)))  # at table angle 0 face 0, 1, 5 is seen
+    face = 2.0 * ARCSEC * np.random.default_rng(4).standard_normal(12)
+    value = []
+    for first, position in zip(np.array([0, 1, 5])[world.station], world.position, strict=True):
+        seen = Rotation.from_euler("z", (face - 30.0 * DEGREE * np.arange(12))[:, None])
+        turned = Rotation.from_euler(
+            "z", 30.0 * DEGREE * (position + first) + world.true[position]
+        )
+        x, y, _ = (turned * seen).apply([1.0, 0.0, 0.0]).T
+        value.append(np.arctan2(y, x)[np.argmax(x)])
+    found = engine.adjust(world.model(np.array(value)))
+    assert found.value == pytest.approx(world.true, abs=1e-9 * ARCSEC)
+    assert found.also[REFERENCE][0] == pytest.approx(face.mean() - face, abs=1e-9 * ARCSEC)
+
+
 def test_readings_that_count_against_the_table_are_turned_round():
     world = World(planned((0, 30, 150)))
     found = engine.adjust(world.model(-world.value, readings_count="against the table"))
@@ -127,6 +150,8 @@ def test_the_uncertainty_of_each_order_is_that_of_the_closed_form(steps):
     orders = np.arange(1, n)
     sums = np.abs(np.exp(2j * np.pi * np.outer(orders, steps) / n).sum(axis=1)) ** 2
     expected = k / (k**2 - sums) * SIGMA**2 / n
+    assert found.fit.dof == k * n - (2 * n - 1 + k - 1)
+    assert (found.verdict, len(found.doubts)) == (("ok", 0) if found.fit.dof else ("suspect", 1))
     scale = found.scale**2 if found.fit.dof else 1.0
     assert by_order[1:] / scale == pytest.approx(expected, rel=1e-9)
     assert covariance.std == pytest.approx(np.sqrt(found.covariance.diagonal() / scale), rel=1e-9)
@@ -147,7 +172,9 @@ def test_the_same_as_dense_least_squares_with_constraints():
     x = inverse @ design.T @ value
     found = engine.adjust(world.model(value))
     assert found.value == pytest.approx(x[:n][circles.table], abs=1e-16)
-    assert found.also[REFERENCE][0] == pytest.approx(x[n:], abs=1e-16)
+    error, std = found.also[REFERENCE]
+    assert error == pytest.approx(x[n:], abs=1e-16)
+    assert (std / SIGMA) ** 2 == pytest.approx(inverse.diagonal()[n:], abs=1e-9)
     assert found.covariance[:n, :n] / SIGMA**2 == pytest.approx(inverse[:n, :n], abs=1e-9)
 
 
@@ -174,6 +201,9 @@ def test_which_angle_is_called_zero_changes_nothing():
     turned = World(planned((47, 77, 197)))
     two = engine.adjust(turned.model(value))
     assert two.value == pytest.approx(one.value, abs=1e-17)
+    mark = np.argmin(np.abs(turned.circles.marks - (-47.0 % 360.0) * DEGREE))
+    same = np.roll(two.also[REFERENCE][0], -mark)
+    assert same == pytest.approx(one.also[REFERENCE][0], abs=1e-17)
     back = engine.adjust(world.model(value, keep=slice(None, None, -1)))
     assert back.value == pytest.approx(one.value, abs=1e-17)
 
@@ -210,6 +240,72 @@ def test_a_wrong_reading_is_left_out_alone():
     value = world.noisy()
     value[17] += 40.0 * SIGMA
     assert list(engine.adjust(world.model(value)).why) == [17]
+
+
+def test_a_contested_cause_widens_the_reference_and_what_trials_draw():
+    """A knock that nobody can tell from its neighbours moves the reference, too."""
+    world = World(planned((0, 30, 150)))
+    knocked = 0.2 * ARCSEC * ((world.station == 1) & (world.position >= 6))
+    found = engine.adjust(world.model(world.noisy(20) + knocked))
+    assert found.diagnosis.open_contests
+    certain = np.linalg.norm(found.fit.response, axis=1)
+    assert (found.also[REFERENCE][1] > 1.001 * certain[13:]).any()
+    drawn = pickle.loads(pickle.dumps(found.trials))(np.random.default_rng(1), 20000)
+    assert np.cov(drawn.T)[1:12, 1:12] == pytest.approx(
+        found.covariance[1:12, 1:12], abs=0.06 * found.covariance.max()
+    )
+
+
+def solved(world, *changes):
+    """Return what the method makes of the readings of a world."""
+    calibration = prepare(changed(read_configuration(CONFIG / "angle_comparison.yaml"), changes))
+    steps = zip(calibration.plan.steps, world.value.tolist(), strict=True)
+    return calibration.solve([step.observed((value, 0.0, 0.0)) for step, value in steps])
+
+
+@pytest.mark.parametrize(
+    ("shifts", "changes", "more"),
+    [
+        ((0, 30, 150), (), ()),
+        ((0, 30, 150), ("plan.table_positions=12",), ("axis noise",)),
+        ((0,), ("plan.shifts_deg=[0.0]",), ("axis noise", "gauge")),
+        (
+            (0,),
+            ("plan.shifts_deg=[0.0]", f"solver.reference_errors_arcsec={[0.0] * 12}"),
+            ("axis noise",),  # one residual, of the closure
+        ),
+    ],
+)
+def test_what_the_readings_cannot_show_is_named(shifts, changes, more):
+    turns = int("plan.table_positions=12" not in changes)
+    bare = {"drift", "knock", "repeatability", "scale", "one place", "sign of readings", *more}
+    assert set(solved(World(planned(shifts, turns=turns)), *changes).unprotected) == bare
+
+
+def test_one_shift_alone_takes_the_reference_for_perfect_and_says_so():
+    world = World(planned((0,)))
+    result = solved(world, "plan.shifts_deg=[0.0]")
+    assert result.verdict == "suspect"
+    assert result.warnings[0].startswith("the errors of the reference are in the result")
+    assert result.deviations["ECC"] == pytest.approx(world.value - world.value[0], abs=1e-17)
+    assert not result.details["also"]
+
+
+def test_a_drift_that_a_turn_shows_is_taken_off_and_told():
+    world = World(planned((0, 30, 150)))
+    world.value += 0.5 * ARCSEC * world.position / 12  # ten standard deviations a turn
+    result = solved(world)
+    assert result.verdict == "suspect"
+    assert result.warnings[0].startswith("it looks as if the instrument drifts, by 0.5")
+    assert np.abs(result.deviations["ECC"] - world.true).max() < 0.01 * ARCSEC
+
+
+def test_a_reference_shifted_by_another_step_than_stated_is_not_ok():
+    world, stated = World(planned((0, 30, 180))), World(planned((0, 30, 150)))
+    stated.value = world.value
+    result = solved(stated)
+    assert result.verdict != "ok"
+    assert any("of setting 2" in words for words in result.warnings)
 
 
 def configured(**settings):
@@ -261,6 +357,11 @@ def test_the_simulated_cell_is_solved_to_its_truth_and_says_all_nine_effects():
     assert result.verdict == "ok"
     assert (np.abs(error[1:12]) < 3.0 * result.std["ECC"][1:12]).all()
     assert [p.effect for p in result.protections if p.effect in EFFECTS] == list(EFFECTS)
+    table = SimulatedTable(configuration.simulation.table, 1, 0)
+    reference = SimulatedComparison(configuration.simulation, table, None, 0)
+    true = np.array([reference.reference_error(a) for a in result.details["reference_angles"]])
+    found = result.details["also"][REFERENCE]
+    assert np.abs((found["value"] - true + true.mean()) / found["std"]).max() < 4.5
 
 
 def test_play_of_the_table_is_found_by_both_directions():
@@ -285,9 +386,12 @@ def test_a_first_reading_beyond_the_alignment_is_told():
     calibration = prepare_to_measure(configuration)
     plan = calibration.plan
     seen = [plan.steps[k].observed((v * ARCSEC, 0.0, 0.0)) for k, v in ((0, 70.0), (13, -61.0))]
-    assert calibration.method.check(configuration, plan, seen) == (
+    check = calibration.method.check
+    assert check(configuration, plan, seen) == (
         "setting 1 reads -61 arcsec at 0 deg, more than 60: align it again",
     )
+    good = plan.steps[13].observed((59.0 * ARCSEC, 0.0, 0.0))
+    assert check(configuration, plan, [seen[0], good]) == check(configuration, plan, ()) == ()
 
 
 def table_of(world, path, unit="rad", factor=1.0):

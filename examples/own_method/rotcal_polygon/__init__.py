@@ -1,1 +1,0 @@
-"""Optical polygon and autocollimator: a method for rotcal_ros that lives in its own package."""
