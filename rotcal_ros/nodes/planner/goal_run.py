@@ -330,7 +330,7 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, operator: Operato
     await _have_topics(calibration, watch, operator)
     _, wished = expected_air(calibration)
     unheard = [
-        without_air(role, name, configuration) for role, name in links.missing_air(wished).items()
+        without_air(role, name, configuration) for role, name in links.unpublished(wished).items()
     ]
     links.warn(
         PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration, calibration)
@@ -357,7 +357,8 @@ async def _have_topics(
         roles, publishers = calibration.method.topics, links.graph.publishers
         await watch.stands_still(lambda: [publishers(links.instrument(r)) for r in roles])
     # What is missing may be there but undiscovered; what is not there is waited for below.
-    await watch.is_found(lambda: [] if _halted(watch) else missing())
+    if not await watch.is_found(lambda: [] if _halted(watch) else missing()):
+        links.warn(PREFLIGHT, links.elsewhere(calibration.method.topics))
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
         if not _halted(watch):
@@ -378,7 +379,7 @@ def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
     needed, _ = expected_air(calibration)
     air = [
         f"nobody publishes {name}, without which the index of refraction is unknown"
-        for name in links.missing_air(needed).values()
+        for name in links.unpublished(needed).values()
     ]
     wrong = faults(links.health.values("capture"), configuration, calibration.plan)
     silent, stop = single_shots(configuration.topics), configuration.safety.emergency_stop
