@@ -11,6 +11,7 @@ from typing import Any, Final
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.sheets.layout import TableColumn
 from rotcal_ros.foundation.sheets.reading import (
     AS_IT_STANDS,
     Known,
@@ -156,7 +157,9 @@ def _targets(
     """Return the table of targets: the one given, beside the table, or in its own workbook."""
     if not header:
         return None
-    own = replace(settings, name="")  # that is the sheet of the measurements
+    wanted = {TableColumn.of(name).name for name in header}
+    columns = tuple(f"{n}={text}" for n, text in settings.named().items() if n in wanted)
+    own = replace(settings, name="", columns=columns)  # those are of the measurements
     if given is not None:
         return read_targets(given, header, own)
     if isinstance(source, Table):
