@@ -57,6 +57,10 @@ class PlannedMeasurements:
     observations: tuple[Observation, ...]
     sha256: Mapping[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Return in one line what was measured."""
+        return measured_in_words(self, f"{len(self.observations)} observations")
+
     @property
     def configuration(self) -> Configuration:
         """What it is solved with."""
@@ -69,6 +73,12 @@ class PlannedMeasurements:
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""
         return self.calibration.trials(self.observations)
+
+
+def measured_in_words(measured: Measurements, what: str) -> str:
+    """Return in one line, for a person at a prompt, what a method was given."""
+    files = ", ".join(measured.sha256) or "no file"
+    return f"{what} of {measured.configuration.method.name} ({files}): solve() gives the result"
 
 
 def read_measurements(

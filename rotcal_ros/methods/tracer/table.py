@@ -57,6 +57,10 @@ class StationTable:
     problem: StationProblem
     sha256: Mapping[str, str]
 
+    def __repr__(self) -> str:
+        """Return in one line what was measured."""
+        return measurements.measured_in_words(self, f"{len(self.problem.positions)} stations")
+
     def solve(self) -> Result:
         """Return the result, under the circumstances that the set-up states."""
         stated = stated_circumstances(self.configuration)
@@ -142,9 +146,9 @@ def read_lengths(
 ) -> PlannedMeasurements:
     """Return the lengths of ``table``, each as the one step of the plan that its row tells.
 
-    By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan to the targets
-    of the table ``targets``; without it they are the set-up's. Raises ConfigurationError for
-    targets without places, DataError for a length that cannot be one in metres.
+    By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan of the set-up
+    to the targets of the table ``targets``, or to its own without it. Raises ConfigurationError
+    for targets without places, DataError for a length that cannot be one in metres.
     """
     rows = list(table.rows())
     if targets is None and not any(f"plan.{name}" in configuration.given for name in PLACES):
@@ -153,11 +157,11 @@ def read_lengths(
             f"none: give --targets TARGETS.csv with the columns {','.join(TARGETS)} (in Python "
             "targets=), or state plan.targets_m or plan.box_centre_m, box_size_m and box_points"
         )
-    tables, calibration = [table], prepare(configuration)
+    planned = prepare(configuration).plan
+    tables, places = [table], planned.targets
     if targets is not None:
-        tables.append(targets)
-        plan = replanned(calibration.plan, _points(targets))
-        calibration = Calibration(configuration, plan)
+        tables, places = [table, targets], _points(targets)
+    calibration = Calibration(configuration, replanned(planned, places))
     find, check = RowStepFinder(calibration.plan, columns), LengthCheck(calibration.plan)
     in_segments = SEGMENT in table.header
     observations = []
