@@ -92,8 +92,7 @@ class GoalRun:
         if self.bag.folder is not None:
             outcome.bag_folder = str(self.bag.folder.bag)
         progress = self.watch.progress
-        earlier = {o.step for o in self._continuation.observations}
-        outcome.n_used = len(earlier.union(progress.accepted))
+        outcome.n_used = len(self._continuation.done.union(progress.accepted))
         outcome.n_rejected = progress.rejected
         outcome.skipped_steps = progress.skipped
         return outcome
@@ -187,8 +186,7 @@ class GoalRun:
         except RotcalError as error:
             raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
         self._continuation, self.watch.progress.left = left, len(left.steps)
-        text = f"run {recorded.run}: {len(left.steps)} steps, {len(left.again)} of them once more"
-        self.watch.links.node.get_logger().info(text)
+        self.watch.links.node.get_logger().info(self._calibration.left_in_words(left))
 
     async def _announce(self) -> None:
         """Publish the plan and wait until all nodes have taken it."""
