@@ -150,7 +150,8 @@ def _tolerance(identity: Identity) -> str:
 def _dates(circumstances: Circumstances) -> str:
     """Return when it was measured, to the minute; the day once where it is one.
 
-    Without stamps it is what the identity states.
+    Without stamps it is what the identity states. A simulated clock may run ahead of ours: so
+    its times are called its own.
     """
     if circumstances.begun_ns is None or circumstances.ended_ns is None:
         return circumstances.identity.measured.replace("T", " ")
@@ -159,7 +160,8 @@ def _dates(circumstances: Circumstances) -> str:
         for ns in (circumstances.begun_ns, circumstances.ended_ns)
     )
     last = f"{ended:%H:%M}" if begun.date() == ended.date() else f"{ended:%Y-%m-%d %H:%M}"
-    return phrase("{0} to {1} UTC", f"{begun:%Y-%m-%d %H:%M}", last)
+    dates = phrase("{0} to {1} UTC", f"{begun:%Y-%m-%d %H:%M}", last)
+    return phrase("{0}, simulated time", dates) if circumstances.simulated else dates
 
 
 def _joined(texts: list[str]) -> str:
