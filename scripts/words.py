@@ -22,12 +22,14 @@ from babel.messages.catalog import Catalog
 from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po, write_po
 
+from rotcal_ros.adjust.model import effect_texts
 from rotcal_ros.evaluation.budget import WHOLE
 from rotcal_ros.extensions.page.web import asked_settings
 from rotcal_ros.foundation.language import FOLDER, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
 from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.methods.angle_comparison.model import INSTRUMENT, MOVED, WORDS
 
 PACKAGE = Path(__file__).parents[1] / "rotcal_ros"
 PAGES = PACKAGE / "extensions" / "page" / "static"
@@ -41,9 +43,8 @@ UNIT = re.compile("_(deg|mm|um|arcsec)$")
 DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
     "tracker", "tracer", "laser", "mirror", "plate", "cmm", "rotary table", "machine",
-    "ball plate", "thermometer", "barometer", "hygrometer", "the instrument drifts",
-    "the instrument drifts in one run,", "reference or instrument moved",
-    "the scale of the instrument is wrong", "readings", "contradicts other readings",
+    "ball plate", "thermometer", "barometer", "hygrometer", *effect_texts(INSTRUMENT, MOVED),
+    WORDS.elements, WORDS.contradicts,
 )  # fmt: skip
 """Words that come as data."""
 

@@ -430,7 +430,7 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
         why = {
             "harmless": "moves the result by less than a tenth of its uncertainty",
             "not protected": silent,
-            "tested": f"contradicts other {found.model.words.elements}",
+            "tested": found.model.words.contradicts,
         }[hides.treatment]
         error = None if hides.treatment == "harmless" else hides.error
         yield Protection(name, hides.treatment, f"that {effect.what} {why}", error)

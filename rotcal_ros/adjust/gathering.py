@@ -41,6 +41,11 @@ class Words(NamedTuple):
     unit: str = "um"
     unit_si: float = MICROMETRE
 
+    @property
+    def contradicts(self) -> str:
+        """What is said of an effect that other elements would show."""
+        return f"contradicts other {self.elements}"
+
     def size(self, size: Floats) -> str:
         """Return a ``size`` (c,), SI, for people."""
         return " ".join(f"{x / self.unit_si:+.2g}" for x in size.tolist()) + f" {self.unit}"

@@ -142,6 +142,16 @@ def knocks(run: Ints, when: Floats) -> Floats:
     return np.column_stack([np.zeros((len(run), 0)), *found])
 
 
+def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str]:
+    """Return what :func:`instrument_effects` are called, in their order."""
+    return (
+        f"{instrument} drifts",
+        f"{instrument} drifts in one run,",
+        f"{moved or instrument} moved",
+        f"the scale of {instrument} is wrong",
+    )
+
+
 def instrument_effects(
     instrument: str,
     run: Ints,
@@ -160,11 +170,10 @@ def instrument_effects(
     may be moved.
     """
     drifting, shifted = drifts(run, when), knocks(run, when)
-    found = [Disturbing("drift", f"{instrument} drifts", drifting, largest, unit)]
+    drift, alone, moves, wrong = effect_texts(instrument, moved)
+    found = [Disturbing("drift", drift, drifting, largest, unit)]
     if drifting.shape[1] > 1:
-        alone = f"{instrument} drifts in one run,"
         found.append(Disturbing("drift", alone, drifting, largest, unit, family=True))
-    moves, wrong = f"{moved or instrument} moved", f"the scale of {instrument} is wrong"
     return (
         *found,
         Disturbing("knock", moves, shifted, largest, unit, family=True),

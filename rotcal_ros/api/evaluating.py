@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
-from rotcal_ros.api.reading import Name
+from rotcal_ros.api.reading import Frame, Name, table_of
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.combination import combine as combine_measured
 from rotcal_ros.evaluation.compare import Comparison
@@ -17,9 +18,11 @@ from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, require_runs
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
 from rotcal_ros.evaluation.monte_carlo import Propagated, propagated
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
+from rotcal_ros.evaluation.reference import read_deviations
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.tables import Table
 from rotcal_ros.methods.calibration import prepare_whole
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
@@ -33,7 +36,8 @@ from rotcal_ros.recordings.result_sources import (
     read_repeated_runs,
 )
 
-Curve = Result | MeasuredCurve | Name
+Curve: TypeAlias = "Result | MeasuredCurve | Name | Frame"
+"""``Frame``: deviations over angles, as those of ``to_dataframe()``."""
 
 
 def compare(
@@ -41,10 +45,10 @@ def compare(
 ) -> Comparison:
     """Compare two independent measurements of one table within their stated uncertainties.
 
-    Each is a result, its file, a bag, or a reference table. The offset that no method can
-    know is removed, and ``align_order`` harmonics. ``difference`` (n,) = first - second, m or rad;
-    ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises DataError for an
-    absent component and for too few common angles.
+    Each is a result, its file, a bag, or a reference table: a file or a DataFrame. The offset that
+    no method can know is removed, and ``align_order`` harmonics. ``difference`` (n,) = first -
+    second, m or rad; ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises
+    DataError for an absent component and for too few common angles.
 
     >>> import rotcal_ros as rc
     >>> folder = "examples/data"
@@ -68,7 +72,7 @@ def check(
 ) -> QuickCheck:
     """Judge from a new measurement whether an earlier curve is still within a limit of the table.
 
-    Each is a result, its file, a bag, or a reference table, measured independently.
+    Each is a result, its file, a bag, or a reference table or DataFrame.
     ``within`` and ``ageing_std``, the usual change since then of each angle (k = 1), in rad or m.
     ``verdict`` is "still valid", "changed" or "undecided"; ``miss`` and ``false_alarm`` are the
     risks that the first two are wrong, see docs/quick_check.md. Raises DataError for a result
@@ -91,7 +95,8 @@ def check(
 def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
     """Return the best estimate of one table's deviations from independent measurements.
 
-    Each is a result, its file or session, a bag, a reference curve or its table.
+    Each is a result, its file or session, a bag, a reference curve or its table
+    or DataFrame.
     Generalised least squares with all covariances; every input has its own zero, and everything in
     the result counts from its mean. ``verdict`` is suspect if an input is or if they contradict
     each other: then ``enlarge`` ("birge", "mandel-paule", "none") says what is done to the
@@ -182,16 +187,28 @@ def write_report(
 
 
 def _curve(curve: Curve, component: str) -> MeasuredCurve:
-    if isinstance(curve, str | PathLike):
-        return read_curve(Path(curve), component)
-    return measured_curve(curve, component) if isinstance(curve, Result) else curve
+    if isinstance(curve, Result):
+        return measured_curve(curve, component)
+    if isinstance(curve, MeasuredCurve):
+        return curve
+    table = table_of(curve, "DataFrame")
+    if not isinstance(table, Table):
+        return read_curve(table, component)
+    # What to_dataframe() returns is SI, and has columns of other components.
+    ours = {"angle_rad": "angle_rad", component: "deviation_rad", f"{component}_std": "u_rad"}
+    if ours.keys() <= {*table.header}:
+        at = [table.header.index(name) for name in ours]
+        lines = tuple((row, tuple(cells[k] for k in at)) for row, cells in table.lines)
+        table = replace(table, header=tuple(ours.values()), lines=lines)
+    return read_deviations(table)
 
 
 def _measured_input(number: int, source: Curve) -> CombinationInput:
     if isinstance(source, str | PathLike):
         return read_measured(Path(source))
-    name = source.method if isinstance(source, Result) else "reference"
-    return CombinationInput.of(f"{name} ({number})", source)
+    if isinstance(source, Result):
+        return CombinationInput.of(f"{source.method} ({number})", source)
+    return CombinationInput.of(f"reference ({number})", _curve(source, "ECC"))
 
 
 def _measured(source: Configuration | Recording | Measurements) -> Measurements:

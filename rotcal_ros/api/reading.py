@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from rotcal_ros import methods
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
@@ -22,7 +24,7 @@ from rotcal_ros.foundation.observations import (
 )
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Table
-from rotcal_ros.methods.configuration import Configuration, changed
+from rotcal_ros.methods.configuration import Configuration, changed, parse_configuration
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings import result_sources
@@ -34,11 +36,12 @@ from rotcal_ros.recordings.topics import Topics
 Name = str | PathLike[str]
 """A path as people give it."""
 Frame: TypeAlias = Any
-"""A DataFrame of pandas or polars; nothing here imports them."""
+"""A table in memory: a DataFrame of pandas or polars (nothing here imports them), a mapping of
+columns, or a list of rows, which are mappings or stand below a row of names."""
 
 
-def read_configuration(path: Name, *changes: str) -> Configuration:
-    """Return the configuration in the YAML file ``path``, with ``group.name=value`` changes.
+def read_configuration(setup: Name | Mapping[str, Any], *changes: str) -> Configuration:
+    """Return the configuration in a YAML file, or in a dict, with ``group.name=value`` changes.
 
     It has one typed object for each group of settings; units stand in the names (``_deg``,
     ``_m``). Raises ConfigurationError, with the nearest name, for a misspelt or impossible
@@ -51,7 +54,19 @@ def read_configuration(path: Name, *changes: str) -> Configuration:
     >>> configuration.method.name, configuration.plan.points_per_ball
     ('ball_plate', 9)
     """
-    return changed(methods.read_configuration(Path(path)), changes)
+    if isinstance(setup, Mapping):
+        text = json.dumps(setup, default=_plain)
+        return changed(parse_configuration(text, "set-up in a dict"), changes)
+    if not isinstance(setup, str | PathLike):
+        raise ConfigurationError(
+            f"a set-up is a file, a dict or a Configuration, found {type(setup).__name__}"
+        )
+    return changed(methods.read_configuration(Path(setup)), changes)
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON has no form for: values of numpy as Python's, all others as text."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def read_bag(
@@ -85,15 +100,19 @@ def read_bag(
 
 
 def read_table(
-    table: Name | Frame, setup: Configuration | Name, targets: Name | Frame | None = None
+    table: Name | Frame,
+    setup: Configuration | Name | Mapping[str, Any],
+    targets: Name | Frame | None = None,
 ) -> Measurements:
     """Read a plain table of another program: lengths, ball centres, or tracker points.
 
-    It is a file (.csv), or a DataFrame of pandas or polars; errors count the rows of this from 0.
-    ``setup`` is a configuration or its file. The columns are ``position,target,length_m``,
-    ``position,x_m,y_m,z_m``, ``position,ball_step,x_m,y_m,z_m`` or
-    ``position,tracker_station,kind,nest,x_m,y_m,z_m``;
-    metres, positions count from 0. ``targets`` (``target,x_m,y_m,z_m``) defaults to targets.csv
+    It is a file (a text or a workbook), a DataFrame of pandas or polars, a dict of columns or a
+    list of rows; errors count the rows of what is in memory from 0. ``setup`` is a configuration,
+    its file, or a dict. The columns are ``position,target,length_m``,
+    ``place,position,target,length_m``, ``position,x_m,y_m,z_m``,
+    ``position,ball_step,x_m,y_m,z_m``, ``position,tracker_station,kind,nest,x_m,y_m,z_m`` or
+    ``position,setting,reading_rad``, or others in any unit (docs/my_table.md); positions count
+    from 0. ``targets`` (``target,x_m,y_m,z_m``) defaults to targets.csv
     beside a file of lengths. ``solve()`` of the returned object gives the result. Raises BagError
     when a file cannot be read, DataError with file and row, ConfigurationError.
 
@@ -103,18 +122,38 @@ def read_table(
     'tracer_multistation'
     """
     configuration = setup if isinstance(setup, Configuration) else read_configuration(setup)
-    places = None if targets is None else _table(targets, "DataFrame of targets")
-    return read_measurements(_table(table, "DataFrame"), configuration, places)
+    places = None if targets is None else table_of(targets, "DataFrame of targets")
+    return read_measurements(table_of(table, "DataFrame"), configuration, places)
 
 
-def _table(source: Name | Frame, name: str) -> Path | Table:
-    """Return a file as its path, a DataFrame as a table called ``name``."""
+def table_of(source: Name | Frame, name: str) -> Path | Table:
+    """Return a file as its path, what is in memory as a table called ``name``.
+
+    Raises BagError for what is neither.
+    """
     if isinstance(source, str | PathLike):
         return Path(source)
-    of_polars = hasattr(source, "iter_rows")
-    rows = source.iter_rows() if of_polars else source.itertuples(index=False, name=None)
+    columns, rows = _columns_and_rows(source, name)
     lines = enumerate(tuple(map(_cell, row)) for row in rows)
-    return Table(Path(name), tuple(map(str, source.columns)), tuple(lines), in_memory=True)
+    return Table(Path(name), tuple(map(str, columns)), tuple(lines), in_memory=True)
+
+
+def _columns_and_rows(source: Any, name: str) -> tuple[Iterable[Any], Iterable[Any]]:
+    match source:
+        case _ if hasattr(source, "iter_rows"):
+            return source.columns, source.iter_rows()
+        case _ if hasattr(source, "itertuples"):
+            return source.columns, source.itertuples(index=False, name=None)
+        case Mapping() if len({len(v) for v in source.values() if isinstance(v, Sized)}) == 1:
+            return source, zip(*source.values(), strict=True)
+        case [Mapping() as first, *_] if all(isinstance(row, Mapping) for row in source):
+            return first, ([row.get(column) for column in first] for row in source)
+        case [[str(), *_] as first, *rows] if all(isinstance(r, list | tuple) for r in rows):
+            return first, rows
+    raise BagError(
+        f"{name}: {type(source).__name__} is no table: give a file, a DataFrame, a dict of "
+        "columns of one length, or a list of rows below a row of their names"
+    )
 
 
 def _cell(value: object) -> str:

@@ -99,17 +99,22 @@ def _ask(method: str, known: Known, values: dict[str, Any]) -> None:
         if name in values:
             continue
         if name == STEP and POSITIONS not in values:
-            values |= _answer(method, known, POSITIONS)
+            values |= _answer(method, known, values, POSITIONS)
             values.setdefault(POSITIONS, known[POSITIONS].default)
             even = 360.0 / values[POSITIONS]
-            values |= {STEP: even} | _answer(method, known, STEP, f"{even:g}")
+            values |= {STEP: even} | _answer(method, known, values, STEP, f"{even:g}")
         else:
-            values |= _answer(method, known, name)
+            values |= _answer(method, known, values, name)
 
 
-def _answer(method: str, known: Known, name: str, default: str = "") -> dict[str, Any]:
-    """Return what a person says to a setting; nothing: the default, or another one, is good."""
-    from rotcal_ros.methods.new_setup import given_value
+def _answer(
+    method: str, known: Known, values: dict[str, Any], name: str, default: str = ""
+) -> dict[str, Any]:
+    """Return what a person says to a setting; nothing: the default, or another one, is good.
+
+    What cannot stand beside the ``values`` so far is asked for again.
+    """
+    from rotcal_ros.methods.new_setup import check_together, given_value
     from rotcal_ros.methods.settings_reference import default_in_words
 
     declared = known[name]
@@ -117,7 +122,9 @@ def _answer(method: str, known: Known, name: str, default: str = "") -> dict[str
 
     def read(text: str) -> dict[str, Any]:
         try:
-            return dict([given_value(method, known, f"{name}={text}")]) if text else {}
+            found = dict([given_value(method, known, f"{name}={text}")]) if text else {}
+            check_together(method, known, {**values, **found})
+            return found
         except ConfigurationError as error:
             raise click.UsageError(str(error)) from error
 

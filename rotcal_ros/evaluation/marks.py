@@ -24,10 +24,10 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
-from rotcal_ros.foundation.gum_numbers import uncertainty
+from rotcal_ros.foundation.gum_numbers import minus, uncertainty, value_with_uncertainty
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.language import listed, noted, phrase
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import Directions, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
 Decision = Literal["within", "beyond", "undecided"]
@@ -228,6 +228,34 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
         return None
     why = listed([*map(phrase, warnings)] or [phrase("its reason is not recorded")])
     return phrase("the verdict is {0}: {1}", phrase(verdict), why)
+
+
+def reversals(result: Result, *, valid: bool) -> list[str]:
+    """Return mean and largest reversal of what was measured from both sides, in a sentence each.
+
+    B_i of ISO 230-2; with U where it is ``valid``.
+    """
+    return [_reversal(name, both, valid=valid) for name, both in result.directions.items()]
+
+
+def _reversal(name: str, both: Directions, *, valid: bool) -> str:
+    unit, label = unit_of(name)
+    share = np.repeat([1.0, -1.0], len(both.angles)) / len(both.angles)
+    mean_std = max(float(share @ both.covariance @ share), 0.0) ** 0.5
+    at = int(np.argmax(np.abs(both.reversal)))
+    mean, largest = (
+        minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
+        for number, std in (
+            (float(np.mean(both.reversal)), mean_std),
+            (float(both.reversal[at]), float(both.reversal_std[at])),
+        )
+    )
+    if not valid:
+        mean, largest = mean.split(" ")[0], largest.split(" ")[0]
+    return phrase(
+        "Reversal of {0} (↑ − ↓, ISO 230-2): mean {1} {2}; largest {3} {2}, at {4}°.",
+        name, mean, label, largest, f"{both.angles[at] / DEGREE:.6g}",
+    )  # fmt: skip
 
 
 def not_covered(result: Result) -> tuple[str, ...]:

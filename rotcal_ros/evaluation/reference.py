@@ -21,7 +21,7 @@ from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.sheets.layout import TableColumn
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
 from rotcal_ros.foundation.sheets.words import answer
-from rotcal_ros.foundation.tables import Header, csv_rows
+from rotcal_ros.foundation.tables import Header, Table, csv_rows
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
@@ -37,17 +37,17 @@ _CAPITAL: Final = re.compile(r"U\b")
 
 
 def read_deviations(
-    path: Path,
+    source: Path | Table,
     std: float | None = None,
     sheet: SheetSettings = AS_IT_STANDS,
     announce: Callable[[Reading], object] = str,
 ) -> MeasuredCurve:
-    """Return the curve in a table of another form: deviations over angles, both in any unit.
+    """Return the curve in a table of any form: deviations over angles, both in any unit.
 
     An expanded uncertainty is taken as U with k = 2. ``sheet`` says what the table leaves open,
     ``announce`` is given how it was understood. ``std`` and errors as of :func:`read_reference`.
     """
-    reading = read_any(path, _HEADERS, sheet)
+    reading = read_any(source, _HEADERS, sheet)
     stated = reading.table.header[2:]
     if stated and not any(entry.startswith(("u=", "expanded=")) for entry in sheet.columns):
         _require_known_factor(reading)
@@ -59,7 +59,8 @@ def read_deviations(
         if u and u[0] < 0.0:
             raise DataError(f"{row.place}: the uncertainty is negative: {u[0] / ARCSEC:g} arcsec")
         rows.append((angle, deviation, u[0] * factor if u else (std or 0.0)))
-    return _curve(rows, str(path), stated=bool(stated) or std is not None)
+    name = str(reading.table.path)
+    return _curve(rows, name, stated=bool(stated) or std is not None)
 
 
 def _require_known_factor(reading: Reading) -> None:

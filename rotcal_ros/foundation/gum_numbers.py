@@ -56,6 +56,11 @@ def value_with_uncertainty(number: float, expanded: float) -> str:
     return f"{value(number, expanded)} ± {uncertainty(expanded)}"
 
 
+def minus(number: str) -> str:
+    """Return a number as typeset: with a minus sign instead of a hyphen."""
+    return number.replace("-", "\N{MINUS SIGN}")
+
+
 def value_to(number: float, place: int, *, sign: bool = False) -> str:
     """Return a number to a place of :func:`place_of`, with its sign if ``sign`` is true.
 

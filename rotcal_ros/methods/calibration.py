@@ -230,6 +230,16 @@ class Calibration:
             from_step=from_step,
         )
 
+    def left_in_words(self, left: Continuation) -> str:
+        """Say how far the plan is; with a goal only the policy knows how many steps it takes."""
+        total, done, again = len(self.plan.steps), len(left.done), len(left.again)
+        ahead = f"{len(left.steps) - again} of {total} steps are left"
+        more = f"; {again} done steps are measured again" * bool(again)
+        if self.configuration.planner.policy != AS_LISTED:
+            ahead = f"{done} steps are done, and the policy goes on choosing among {total} offered"
+            more = f"{more} if any is chosen" * bool(more)
+        return f"run {left.run}: {ahead}{more}"
+
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
         """Return in words what a person has to correct, as far as the method can tell."""
         if self.method.check is None:

@@ -39,6 +39,11 @@ class Continuation:
     steps: tuple[int, ...]
     observations: tuple[Observation, ...]
 
+    @property
+    def done(self) -> frozenset[int]:
+        """The steps that earlier runs have measured."""
+        return frozenset(observation.step for observation in self.observations)
+
     def to_json(self) -> str:
         """Return the text of the continuation file; every float round-trips to the last bit."""
         return json.dumps(asdict(self))

@@ -11,6 +11,7 @@ from typing import Any, Final
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.sheets.layout import TableColumn
 from rotcal_ros.foundation.sheets.reading import (
     AS_IT_STANDS,
     Known,
@@ -56,6 +57,10 @@ class PlannedMeasurements:
     observations: tuple[Observation, ...]
     sha256: Mapping[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Return in one line what was measured."""
+        return measured_in_words(self, f"{len(self.observations)} observations")
+
     @property
     def configuration(self) -> Configuration:
         """What it is solved with."""
@@ -68,6 +73,12 @@ class PlannedMeasurements:
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""
         return self.calibration.trials(self.observations)
+
+
+def measured_in_words(measured: Measurements, what: str) -> str:
+    """Return in one line, for a person at a prompt, what a method was given."""
+    files = ", ".join(measured.sha256) or "no file"
+    return f"{what} of {measured.configuration.method.name} ({files}): solve() gives the result"
 
 
 def read_measurements(
@@ -156,7 +167,9 @@ def _targets(
     """Return the table of targets: the one given, beside the table, or in its own workbook."""
     if not header:
         return None
-    own = replace(settings, name="")  # that is the sheet of the measurements
+    wanted = {TableColumn.of(name).name for name in header}
+    columns = tuple(f"{n}={text}" for n, text in settings.named().items() if n in wanted)
+    own = replace(settings, name="", columns=columns)  # those are of the measurements
     if given is not None:
         return read_targets(given, header, own)
     if isinstance(source, Table):

@@ -13,7 +13,12 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.identity import Instruments
 from rotcal_ros.foundation.settings import Declaration, checked_value
-from rotcal_ros.methods.configuration import SIMULATION, parsed_change, short_names
+from rotcal_ros.methods.configuration import (
+    SIMULATION,
+    parse_configuration,
+    parsed_change,
+    short_names,
+)
 from rotcal_ros.methods.method import find_method
 from rotcal_ros.methods.settings_reference import method_sections
 
@@ -52,6 +57,16 @@ def given_value(method: str, known: Known, change: str) -> tuple[str, Any]:
     return name, checked_value(value, known[name], name)
 
 
+def check_together(method: str, known: Known, values: Mapping[str, Any]) -> None:
+    """Raise ConfigurationError for values that cannot stand in one set-up; more may follow."""
+    if not _lacking(known, values):
+        parse_configuration(setup_text(method, known, values), "set-up")
+
+
+def _lacking(known: Known, values: Mapping[str, Any]) -> list[str]:
+    return [n for n, d in known.items() if d.default is MISSING and n not in values]
+
+
 def first_asked(known: Known, values: Mapping[str, Any]) -> list[str]:
     """Return the settings that a plain table cannot be solved without having looked at."""
     replaced = (START, STEP, POSITIONS) if _ANGLES in values else ()
@@ -67,8 +82,7 @@ def setup_text(method: str, known: Known, values: Mapping[str, Any]) -> str:
 
     Raises ConfigurationError that lists the settings without default and value.
     """
-    missing = [n for n, d in known.items() if d.default is MISSING and n not in values]
-    if missing:
+    if missing := _lacking(known, values):
         raise ConfigurationError(f"{method} needs more: --set {'=... --set '.join(missing)}=...")
     return "\n".join(_lines(method, known, values)) + "\n"
 

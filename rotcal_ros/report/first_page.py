@@ -16,11 +16,12 @@ import numpy as np
 
 from rotcal_ros import __version__
 from rotcal_ros.evaluation.iso230 import iso230, runs_of
-from rotcal_ros.evaluation.marks import RULE, conformities, not_covered
+from rotcal_ros.evaluation.marks import RULE, conformities, not_covered, reversals
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.gum_numbers import (
+    minus,
     place_of,
     uncertainty,
     value,
@@ -150,7 +151,8 @@ def _tolerance(identity: Identity) -> str:
 def _dates(circumstances: Circumstances) -> str:
     """Return when it was measured, to the minute; the day once where it is one.
 
-    Without stamps it is what the identity states.
+    Without stamps it is what the identity states. A simulated clock may run ahead of ours: so
+    its times are called its own.
     """
     if circumstances.begun_ns is None or circumstances.ended_ns is None:
         return circumstances.identity.measured.replace("T", " ")
@@ -159,7 +161,8 @@ def _dates(circumstances: Circumstances) -> str:
         for ns in (circumstances.begun_ns, circumstances.ended_ns)
     )
     last = f"{ended:%H:%M}" if begun.date() == ended.date() else f"{ended:%Y-%m-%d %H:%M}"
-    return phrase("{0} to {1} UTC", f"{begun:%Y-%m-%d %H:%M}", last)
+    dates = phrase("{0} to {1} UTC", f"{begun:%Y-%m-%d %H:%M}", last)
+    return phrase("{0}, simulated time", dates) if circumstances.simulated else dates
 
 
 def _joined(texts: list[str]) -> str:
@@ -185,9 +188,10 @@ class ValueBlock:
 
 
 def sentences(result: Result, withheld: str | None) -> list[str]:
-    """Return the result in words: ranges with U, and figures of ISO 230-2 if there are runs."""
+    """Return the result in words: ranges with U, reversals, figures of ISO 230-2 of runs."""
     few = len(result.components) <= FEW_SENTENCES
     texts = [_range(result, name, withheld) for name in result.components if few]
+    texts += reversals(result, valid=not withheld)
     if figures := _positioning(result, withheld):
         texts.append(figures)
     return texts
@@ -249,11 +253,6 @@ def degrees(angle: float) -> str:
     """Return an angle (rad) in degrees, with at most four decimals."""
     text = f"{angle / DEGREE:.4f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else minus(text)
-
-
-def minus(number: str) -> str:
-    """Return a number as typeset: with a minus sign instead of a hyphen."""
-    return number.replace("-", "\N{MINUS SIGN}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -247,7 +247,7 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
     session = Session(calibration, folder, continuation)
     session.log_folder.mkdir(exist_ok=True)
     write_atomically(folder.continuation(continuation.run), continuation.to_json())
-    _say_what_is_left(calibration, continuation)
+    say(calibration.left_in_words(continuation))
     return session
 
 
@@ -293,16 +293,3 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
     for text in recording.warnings():
         say(text)
     return recording.observations
-
-
-def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> None:
-    """Print how far the plan is; with a goal only the policy knows how many steps it will take."""
-    total, missing = len(calibration.plan.steps), len(continuation.steps)
-    missing -= len(continuation.again)
-    again = f"; {len(continuation.again)} done steps are measured again" * bool(continuation.again)
-    left = f"{missing} of {total} steps are left"
-    if calibration.configuration.planner.policy != AS_LISTED:
-        again = f"{again} if any is chosen" * bool(again)
-        done = len({o.step for o in continuation.observations})
-        left = f"{done} steps are done, and the policy goes on choosing among the {total} offered"
-    say(f"run {continuation.run}: {left}{again}")

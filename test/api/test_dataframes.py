@@ -146,3 +146,69 @@ def test_a_dataframe_with_other_columns_and_units_is_read_as_the_file_would_be(l
     found = rc.read_table(other, DATA / "tracer.yaml", targets).solve()
     usual = rc.read_table(lengths, DATA / "tracer.yaml", targets).solve()
     assert found.deviations["ECC"] == pytest.approx(usual.deviations["ECC"], abs=1e-12)
+
+
+def test_lists_and_dicts_are_tables_and_a_dict_is_a_set_up(lengths, targets):
+    """A list of rows, of mappings, and a dict of columns are what people hold without pandas."""
+    setup = {
+        "method": "tracer_multistation",
+        "table_positions": np.int64(12),
+        "table_step_deg": 30,
+        "length_std_m": 1e-7,
+    }
+    expected = rc.read_table(lengths, setup, targets)
+    rows = [list(lengths.columns), *lengths.values.tolist()]
+    for table in (rows, lengths.to_dict("records"), lengths.to_dict("list")):
+        assert rc.read_table(table, setup, targets.to_dict("list")).observations == (
+            expected.observations
+        )
+    assert expected.configuration.solver.length_std_m == 1e-7
+    assert rc.read_configuration(setup, "plan.table_positions=6").plan.table_positions == 6
+
+
+@pytest.mark.parametrize(
+    "table", [[], [1, 2], [["position"], 3], {"position": [0], "target": [0, 1]}, {}, None, 5]
+)
+def test_what_is_no_table_is_said_to_be_none(table):
+    with pytest.raises(rc.RotcalError, match="is no table: give a file, a DataFrame"):
+        rc.read_table(table, DATA / "tracer.yaml")
+    with pytest.raises(rc.RotcalError, match="is no table"):
+        rc.compare(DATA / "result_tracer.json", table)
+
+
+@pytest.mark.parametrize("setup", [None, 3, ["tracer.yaml"]])
+def test_what_is_no_set_up_is_said_to_be_none(setup, lengths):
+    with pytest.raises(rc.RotcalError, match="a set-up is a file, a dict or a Configuration"):
+        rc.read_table(lengths, setup)
+    with pytest.raises(rc.RotcalError, match="set-up in a dict"):
+        rc.read_table(lengths, {"method": "tracer_multistation", "length": object()})
+
+
+def test_the_dataframe_of_a_result_is_compared_checked_and_combined():
+    tracer, plate = (
+        rc.read_result(DATA / f"result_{name}.json") for name in ("tracer", "ball_plate")
+    )
+    frame = tracer.to_dataframe()
+    compared, known = rc.compare(plate, frame), rc.compare(plate, tracer)
+    np.testing.assert_allclose(compared.difference, known.difference, atol=1e-15)
+    assert compared.agree == known.agree
+    assert rc.check(frame, plate, within=3 * rc.ARCSEC).verdict == "still valid"
+    assert rc.combine(plate, frame).components == rc.combine(plate, tracer).components
+    other = rc.compare(plate.to_dataframe(), plate, "EXC")
+    assert not other.difference.any()
+    with pytest.raises(rc.RotcalError, match=r"^DataFrame: the column 'ECC' .* states no unit"):
+        rc.compare(plate, frame[["angle_rad", "ECC"]])
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_what_was_read_shows_itself_in_a_line(name):
+    shown = repr(rc.read_table(DATA / name, DATA / TABLES[name]))
+    assert len(shown.splitlines()) == 1
+    assert len(shown) < 200
+    assert Path(name).name in shown
+
+
+def test_targets_of_the_same_places_change_no_verdict(lengths, targets):
+    """The order of the default plan counted as that of the table where no targets were given."""
+    found = [rc.read_table(lengths, DATA / "tracer.yaml", t).solve() for t in (None, targets)]
+    assert found[0].verdict_line == found[1].verdict_line

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -159,8 +160,8 @@ def test_a_reference_of_another_form_is_read_and_said(pair, tmp_path):
     path.write_text(f"Winkel [°];Abweichung [Winkelsekunden];U [Winkelsekunden]\n{rows}")
     asked = run("compare", pair[0], path)
     assert asked.exit_code == 3
-    assert "--set 'sheet.columns=[expanded=U Winkelsekunden]'" in asked.stderr
-    given = ("--set", "sheet.columns=[expanded=U Winkelsekunden]")
+    given = ("--set", 'sheet.columns=["expanded=U [Winkelsekunden]"]')
+    assert shlex.join(given) in asked.stderr
     read, expected = (
         run("compare", pair[0], path, *given, "--json"),
         run("compare", *pair, "--json"),
@@ -276,7 +277,7 @@ def test_iso230_explains_a_table_and_stops(tmp_path):
     ("text", "given", "code", "words"),
     [
         ("Winkel [°];Abweichung\n0;1\n90;2\n", (), 3, "Write the unit behind its name"),
-        ("Position;Deviation [arcsec]\n0;1\n90;2\n", (), 3, "[angle=Position]"),
+        ("Position;Deviation [arcsec]\n0;1\n90;2\n", (), 3, '["angle=Position"]'),
         ("Position;Deviation [arcsec]\n0;1\n90;2\n", ("--set", "sheet.columns=[angle=Position]"),
          3, "--set sheet.angle_unit=UNIT"),
         ("Angle [deg];Deviation [arcsec]\n0;1\n90;2\n0;1\n90;2\n", (), 3, "one direction"),

@@ -90,6 +90,15 @@ def test_what_is_not_given_is_asked_for_until_it_can_be(here):
     assert made.identity.measured == "2026-03-31"
 
 
+def test_a_bad_date_is_asked_for_again(here):
+    """By its type it is any text: it was refused when all had been answered."""
+    answers = [""] * 13 + ["yesterday", "31.3.2026", "2026-03-31", ""]
+    done = run("--method=tracer_multistation", answers="\n".join(answers))
+    assert done.exit_code == 0, done.output
+    assert done.stderr.count("is not a date: expected one like 2026-03-31 or") == 2
+    assert rc.read_configuration("setup.yaml").identity.measured == "2026-03-31"
+
+
 def test_explicit_angles_take_the_place_of_steps(here):
     done = run("--yes", "--set=plan.table_angles_deg=[0, 10, 35, 100]")
     assert done.exit_code == 0

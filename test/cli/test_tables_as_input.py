@@ -43,6 +43,21 @@ def test_a_table_is_known_by_its_content(lengths, name):
     assert solved(other, "--setup", TRACER)["deviations"] == expected
 
 
+@pytest.mark.parametrize(
+    ("method", "place"), [("tracer_multistation", ""), ("tracer_six", "place,")]
+)
+def test_targets_without_places_are_asked_for_by_their_option(tmp_path, method, place):
+    """They counted as the block of the default plan, in which nothing fitted."""
+    (setup := tmp_path / "setup.yaml").write_text(f"{{method: {method}, table_positions: 12}}\n")
+    (table := tmp_path / "table.csv").write_text(
+        f"{place}position,target,length_m\n{place and '0,'}0,0,0.3\n"
+    )
+    done = run("solve", table, "--setup", setup)
+    assert done.exit_code == 2
+    assert "give --targets TARGETS.csv with the columns target,x_m,y_m,z_m" in done.stderr
+    assert str(setup) in done.stderr
+
+
 @pytest.mark.parametrize("name", ["lengths.xlsx", "lengths.csv", "lengths.ods"])
 @pytest.mark.parametrize("verb", ["solve", "report", "uncertainty"])
 def test_a_damaged_workbook_is_told_how_to_be_saved(tmp_path, verb, name):

@@ -59,9 +59,9 @@ def read(path, head, **settings):
     [
         (
             "Angle [deg],Deviation [arcsec],U [arcsec]",
-            r"k = 1.* or .*k = 2.*\[expanded=U arcsec\]",
+            r'k = 1.* or .*k = 2.*\["expanded=U \[arcsec\]"\]',
         ),
-        ("Angle [deg],Deviation [arcsec],Uncertainty [arcsec]", r"\[u=Uncertainty arcsec\]"),
+        ("Angle [deg],Deviation [arcsec],Uncertainty [arcsec]", r'\["u=Uncertainty \[arcsec\]"\]'),
         ("Angle [deg],Deviation,u [arcsec]", r"states no unit.*as 'Deviation \[arcsec\]'"),
         ("Angle [deg],Deviation [arcsec],Error [arcsec]", "may both be the column deviation"),
         ("Angle [deg],Deviation [arcsec],Remark", "states no uncertainty"),
@@ -79,7 +79,7 @@ def test_names_with_the_units_of_si_leave_nothing_open(tmp_path):
 
 
 def test_a_correction_is_no_deviation(tmp_path):
-    with pytest.raises(BagError, match=r"no column deviation_rad: .*\[deviation=ITS NAME\]"):
+    with pytest.raises(BagError, match=r'no column deviation_rad: .*\["deviation=ITS NAME"\]'):
         read(tmp_path, "Angle [deg],Correction [arcsec],u [arcsec]")
 
 

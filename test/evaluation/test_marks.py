@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.console import print_outcome
-from rotcal_ros.evaluation.marks import COLOURS, Mark, marks
+from rotcal_ros.evaluation.marks import COLOURS, Mark, marks, reversals
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import Directions, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.report.terminal.tables import print_result
@@ -57,6 +57,27 @@ def test_a_good_measurement_says_nothing_of_the_tolerance_and_the_other_way(
     assert (about.name, about.kind) == ("measurement", "partly")
     assert against.words == words
     assert (against.name, against.kind) == ("tolerance", kind)
+
+
+def test_the_reversal_of_what_was_measured_from_both_sides_is_told_by_page_terminal_and_figure(
+    capsys,
+):
+    """B_i = 1, 1, 4 arcsec, each with U = 2 sqrt(2) 0.1; the mean 2 with that by sqrt(3)."""
+    forward = np.array([1.0, 2.0, 5.0]) * ARCSEC
+    both = Directions(
+        np.radians([0.0, 90.0, 180.0]), forward, np.array([0.0, 1.0, 1.0]) * ARCSEC,
+        (0.1 * ARCSEC) ** 2 * np.eye(6),
+    )  # fmt: skip
+    given = result(0.0, directions={"ECC": both})
+    told = "mean +2.00 ± 0.16 arcsec; largest +4.00 ± 0.28 arcsec, at 180°."
+    assert told in render_report(ReportInput(given, "method"))
+    print_result(given)
+    assert told in capsys.readouterr().err
+    assert "mean +2.00 arcsec; largest +4.00 arcsec" in reversals(given, valid=False)[0]
+    of_ecc = next(ax for ax in given.plot().axes if ax.get_ylabel() == "ECC / arcsec")
+    lines = {line.get_label(): line.get_ydata() for line in of_ecc.lines}
+    np.testing.assert_allclose(lines["↑ forward"], forward / ARCSEC)
+    np.testing.assert_allclose(lines["↓ reverse"], both.reverse / ARCSEC)
 
 
 @pytest.mark.parametrize("verdict", ["suspect", "failed"])

@@ -57,6 +57,13 @@ def bare():
     return render_report(report(result(circumstances=Circumstances(), protections=()), issued=""))
 
 
+def test_the_time_of_a_simulated_clock_is_called_so(whole):
+    """It runs faster than ours, and the report ended after it was written."""
+    simulated = result(circumstances=replace(CIRCUMSTANCES, simulated=True))
+    assert "10:00 UTC, simulated time" in text_of(render_report(report(simulated)))
+    assert "simulated time" not in text_of(whole)
+
+
 @pytest.mark.parametrize(("clause", "words"), [*COMMON.items(), *CALIBRATION.items()])
 def test_every_item_of_the_standard_is_on_the_page(whole, clause, words):
     texts = [" ".join(text.split()) for text in Clauses(whole).texts[clause]]

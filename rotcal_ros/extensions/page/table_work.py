@@ -17,8 +17,8 @@ from signal import SIG_IGN, SIGINT, signal
 from typing import Any, Final
 
 from rotcal_ros.cli.console import in_lines
-from rotcal_ros.cli.export import ExportRequest, write_export
 from rotcal_ros.compensation.agreement import UNVERIFIED
+from rotcal_ros.compensation.request import ExportRequest, write_export
 from rotcal_ros.evaluation.marks import marks, withheld
 from rotcal_ros.extensions.page.state import Curve, Deviations, PageMark, plain
 from rotcal_ros.foundation import plugins
@@ -232,7 +232,6 @@ def for_controller(asked: Asked) -> Reply:
     spacing, accepted = options["spacing"], set(map(str, options["accept"]))
     shutil.rmtree(folder, ignore_errors=True)
     request = ExportRequest(
-        result,
         str(options["controller"]),
         folder,
         spacing=None if spacing is None else float(spacing),

@@ -12,6 +12,7 @@ from rotcal_ros.foundation.sheets.files import Cell, Sheet
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
     DIRECTION,
+    IN_BRACKETS,
     LENGTH,
     RUN,
     TABLE_ANGLE,
@@ -21,6 +22,7 @@ from rotcal_ros.foundation.sheets.words import (
     columns_of,
     folded,
     label_of,
+    plain,
     quantity_of,
     units_of,
 )
@@ -29,8 +31,10 @@ from rotcal_ros.foundation.tables import Header
 _SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 TEXTS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
-_BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
+BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 """What may stand for a position, or beside it."""
+CORNER: Final = re.compile(r"[\\|/]")
+"""What stands in the corner of a matrix between the names of its rows and columns."""
 _NO_UNIT: Final = ("", "-", "1")
 """What stands for none in a line of units."""
 _LOOKED_AT: Final = 100
@@ -233,13 +237,30 @@ def _meant(
     """Return which of the wanted columns, or of those beside a position, a heading means."""
     chosen = [name for name, text in named.items() if folded(text) == folded(head.text)]
     if chosen:
-        return [name for name in chosen if name in wanted or name in _BESIDE]
-    own = [name for name in wanted if folded(name) == folded(head.name)]
+        return [name for name in chosen if name in wanted or name in BESIDE]
+    quantities = {quantity_of(unit) for unit in head.units}
+    own = [
+        name
+        for name, column in wanted.items()
+        if folded(name) == folded(head.name) and (not quantities or column.quantity in quantities)
+    ]
     known = [name for name in (*own, *columns_of(head)) if name not in named]
     if "ball" in known:
         known.append("ball_step")
-    beside = _BESIDE if "position" in wanted else ()
+    beside = BESIDE if "position" in wanted else ()
     return [name for name in known if name in wanted or name in beside]
+
+
+def strange_unit(layout: Layout) -> tuple[str, str, str] | None:
+    """Return heading, unit and quantity of a missing column that has no unit of its quantity."""
+    wanted = {column.name: column for column in map(TableColumn.of, layout.missing)}
+    for text in layout.aside:
+        if found := IN_BRACKETS.fullmatch(plain(text)):
+            for name in _meant(Heading(text, found[1]), wanted, {}):
+                quantity = wanted[name].quantity if name in wanted else ANGLE
+                if quantity and name not in (DIRECTION, RUN):
+                    return text, found[2], quantity
+    return None
 
 
 def _corner(
@@ -250,7 +271,7 @@ def _corner(
     As in Target / Angle [deg]; with the unit of the columns' labels if these are angles.
     """
     first = heads[min(heads)]
-    rows, apart, across = re.sub(r"[\\|]", "/", first.name).partition("/")
+    rows, apart, across = CORNER.sub("/", first.name).partition("/")
     names = _meant(Heading(rows, rows.strip()), wanted, named) if apart else []
     if not names:
         return None

@@ -16,9 +16,19 @@ from typing import Final, TypeAlias
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, Question
 from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.plugins import nearest
 from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
-from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
+from rotcal_ros.foundation.sheets.layout import (
+    BESIDE,
+    CORNER,
+    TEXTS,
+    Layout,
+    TableColumn,
+    Use,
+    best_layout,
+    strange_unit,
+)
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, is_repeated, passes
 from rotcal_ros.foundation.sheets.words import (
@@ -31,12 +41,14 @@ from rotcal_ros.foundation.sheets.words import (
     TIME,
     UNITS,
     Heading,
+    answer,
     columns_of,
     folded,
     is_down,
     is_nothing,
     is_summary,
     kind_of,
+    known_columns,
     label_of,
 )
 from rotcal_ros.foundation.tables import Header, Table, own_table
@@ -81,6 +93,18 @@ class SheetSettings:
         (), doc="columns by the text at their head where that tells nothing, as length=Messwert"
     )
     name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
+
+    def named(self) -> dict[str, str]:
+        """Return column of ours -> text at its head; ConfigurationError for an entry without."""
+        found = {}
+        for entry in self.columns:
+            name, _, text = (part.strip() for part in entry.partition("="))
+            if not name or not text:
+                raise ConfigurationError(
+                    f"sheet.columns: {entry!r}: expected COLUMN=TEXT, as length=Weg"
+                )
+            found[TableColumn.of(name).name] = text
+        return found
 
 
 AS_IT_STANDS: Final = SheetSettings()
@@ -178,7 +202,7 @@ def read_any(
     own = own_table(source, headers)
     if own is not None:
         return Reading(own)
-    named = dict(_named(entry) for entry in settings.columns)
+    named = settings.named()
     if isinstance(source, Table):
         path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
     else:
@@ -190,6 +214,7 @@ def read_any(
             f"{', '.join(names)}"
         )
     layout = best_layout(found, headers, named, str(path))
+    _require_named(path, headers, named, layout.head if layout else _likely_head(found))
     if layout is None or layout.missing:
         raise _not_understood(path, headers, layout, found)
     reading = _Rows(path, layout, settings, known()).read()
@@ -197,11 +222,20 @@ def read_any(
     return replace(reading, table=replace(reading.table, in_memory=in_memory))
 
 
-def _named(entry: str) -> tuple[str, str]:
-    name, equals, text = entry.partition("=")
-    if not (name.strip() and equals and text.strip()):
-        raise ConfigurationError(f"sheet.columns: {entry!r}: expected COLUMN=TEXT, as length=Weg")
-    return TableColumn.of(name.strip()).name, text.strip()
+def _require_named(
+    path: Path, headers: Sequence[Header], named: Mapping[str, str], head: Sequence[str]
+) -> None:
+    """Raise ConfigurationError for a column that nobody knows, BagError for a heading too few."""
+    ours = {TableColumn.of(name).name for header in headers for name in header}
+    ours |= BESIDE if "position" in ours else set()
+    there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
+    for name, text in named.items():
+        if name not in ours.union(known_columns()):
+            raise ConfigurationError(f"sheet.columns: no column {name!r}{nearest(name, ours)}")
+        if name in ours and folded(text) not in there:
+            raise BagError(
+                f"{path}: sheet.columns: no column is called {text!r}{nearest(text, head)}"
+            )
 
 
 def _not_understood(
@@ -214,13 +248,20 @@ def _not_understood(
             "add a line of names above the numbers",
             question=_which_column(headers[0][0], _likely_head(grids)),
         )
+    if strange := strange_unit(layout):
+        text, unit, quantity = strange
+        return BagError(
+            f"{path}: {unit!r} in the heading {text!r} is an unknown unit: known for "
+            f"{quantity} are {', '.join(UNITS[quantity])}: write one of these there, and convert "
+            "the numbers if need be"
+        )
     found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
     name = TableColumn.of(layout.missing[0]).name
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
         f"'{','.join(layout.header)}', in any unit and order. Tell a column with another name by "
-        f"--set 'sheet.columns=[{name}=ITS NAME]'",
+        f"{answer(name, 'ITS NAME')}",
         question=_which_column(layout.missing[0], layout.aside),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import unicodedata
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -47,7 +48,8 @@ _QUANTITIES: Final = {
 """TableColumn -> what it measures; all others are numbers from 0, or words."""
 _LABEL: Final = re.compile(r"(?:(\D*[^\W\d_])[\W_]*|#\s*)?([0-9]{1,9})(?:\.0*)?")
 _APART: Final = re.compile(r"[\W_]+")
-_IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
+IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
+"""A name with a unit, or something else, behind it."""
 _BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOTALL)
 
 
@@ -68,7 +70,7 @@ class Heading:
         >>> Heading.of("length_m").units, Heading.of("angle_deg").units
         (('m',), ('deg',))
         """
-        for pattern in (_IN_BRACKETS, _BEHIND):
+        for pattern in (IN_BRACKETS, _BEHIND):
             found = pattern.fullmatch(plain(text))
             if found and (units := units_of(found[2])):
                 return cls(text, found[1].removesuffix(" in").strip(), units)
@@ -97,10 +99,19 @@ def columns_of(head: Heading) -> tuple[str, ...]:
 def answer(column: str, text: str) -> str:
     """Return the setting by which a person says that a heading means a column.
 
-    >>> answer("length", "Weg [mm]")
-    "--set 'sheet.columns=[length=Weg mm]'"
+    >>> print(answer("length", "Weg [mm]"))
+    --set 'sheet.columns=["length=Weg [mm]"]'
     """
-    return f"--set 'sheet.columns=[{column}={' '.join(filter(None, _APART.split(plain(text))))}]'"
+    value = yaml.safe_dump(
+        [f"{column}={text}"], default_flow_style=True, default_style='"', allow_unicode=True,
+        width=float("inf"),
+    )  # fmt: skip
+    return f"--set {shlex.quote(f'sheet.columns={value.strip()}')}"
+
+
+def known_columns() -> tuple[str, ...]:
+    """Return the columns that have names in our words."""
+    return tuple(_words()["columns"])
 
 
 def units_of(text: str) -> tuple[str, ...]:

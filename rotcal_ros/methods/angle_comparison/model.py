@@ -43,6 +43,11 @@ from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
 
 TURN: Final = 2.0 * np.pi
+INSTRUMENT, MOVED = "the instrument", "reference or instrument"
+"""What effects are called after."""
+WORDS: Final = Words(
+    "readings", "a draught, heat or a person", "at the reference", "at the reference"
+)
 SAME_DIGITS: Final = 9
 """Digits of a turn to which angles are compared: 1.3 milliarcsec."""
 LOST: Final = 1e-9
@@ -154,9 +159,7 @@ def model_of(
         equations=linear(design),
         outputs=positions - positions[0],
         also=reference,
-        words=Words(
-            "readings", "a draught, heat or a person", "at the reference", "at the reference"
-        ),
+        words=WORDS,
         components=("the readings",),
         groupings=(
             Grouping("setting", read.station, along=read.when),
@@ -164,11 +167,11 @@ def model_of(
             Grouping("position", read.position),
         ),
         effects=instrument_effects(
-            "the instrument",
+            INSTRUMENT,
             read.station,
             read.when,
             solver.largest_shift_arcsec * ARCSEC,
-            moved="reference or instrument",
+            moved=MOVED,
         ),
     )
     if not certified:

@@ -84,7 +84,13 @@ def _draw_curve(
     factor, unit = unit_of(name)
     band = COVERAGE_FACTOR * result.std[name] / factor
     angles, values = result.angles / DEGREE, result.deviations[name] / factor
-    style.curve_with_band(ax, angles, values, band, MEASURED, valid=valid)
+    both = result.directions.get(name)
+    label = MEASURED if both is None else f"mean of ↑ and ↓, {MEASURED}"
+    style.curve_with_band(ax, angles, values, band, label, valid=valid)
+    if both is not None:
+        x = both.angles / DEGREE
+        ax.plot(x, both.forward / factor, color=style.GREEN, lw=0.9, label="↑ forward")
+        ax.plot(x, both.reverse / factor, color=style.INK, lw=0.9, label="↓ reverse")
     _draw_truth(ax, name, truth)
     ax.set_ylabel(f"{name} / {unit}")
 

@@ -19,6 +19,7 @@ from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes
 from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.measurements import measured_in_words
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.plane_mirror.calibration import configured, solve_points
 from rotcal_ros.methods.plane_mirror.plan import position_angles
@@ -44,6 +45,10 @@ class TrackerPoints:
     configuration: Configuration
     table: Table
     sha256: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return in one line what was measured."""
+        return measured_in_words(self, f"{len(self.table.lines)} points")
 
     def solve(self) -> Result:
         """Return the result."""

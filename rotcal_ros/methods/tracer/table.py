@@ -44,6 +44,8 @@ STATIONS: Final[tuple[Header, ...]] = (
     ("position", "x_m", "y_m", "z_m", DISTANCE),
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
+PLACES: Final = ("targets_m", "box_centre_m", "box_size_m", "box_points")
+"""Settings of a plan that say where the targets are."""
 PAIRS: Final = ("step", "table_position", "target")
 
 
@@ -54,6 +56,10 @@ class StationTable:
     configuration: Configuration
     problem: StationProblem
     sha256: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return in one line what was measured."""
+        return measurements.measured_in_words(self, f"{len(self.problem.positions)} stations")
 
     def solve(self) -> Result:
         """Return the result, under the circumstances that the set-up states."""
@@ -140,19 +146,26 @@ def read_lengths(
 ) -> PlannedMeasurements:
     """Return the lengths of ``table``, each as the one step of the plan that its row tells.
 
-    By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan to the targets
-    of the table ``targets``; without it they are the set-up's. Raises DataError for a length that
-    cannot be one in metres.
+    By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan of the set-up
+    to the targets of the table ``targets``, or to its own without it. Raises ConfigurationError
+    for targets without places, DataError for a length that cannot be one in metres.
     """
-    tables, calibration = [table], prepare(configuration)
+    rows = list(table.rows())
+    if targets is None and not any(f"plan.{name}" in configuration.given for name in PLACES):
+        raise ConfigurationError(
+            f"{table.path} needs the places of its targets, and {configuration.source} states "
+            f"none: give --targets TARGETS.csv with the columns {','.join(TARGETS)} (in Python "
+            "targets=), or state plan.targets_m or plan.box_centre_m, box_size_m and box_points"
+        )
+    planned = prepare(configuration).plan
+    tables, places = [table], planned.targets
     if targets is not None:
-        tables.append(targets)
-        plan = replanned(calibration.plan, _points(targets))
-        calibration = Calibration(configuration, plan)
+        tables, places = [table, targets], _points(targets)
+    calibration = Calibration(configuration, replanned(planned, places))
     find, check = RowStepFinder(calibration.plan, columns), LengthCheck(calibration.plan)
     in_segments = SEGMENT in table.header
     observations = []
-    for row in table.rows():
+    for row in rows:
         step, segment = find(row), row.index(SEGMENT) if in_segments else 0
         observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:

@@ -57,7 +57,6 @@ from rotcal_ros.nodes.check.snapshot import (
     brought_line,
     cell_lines,
     driver_lines,
-    namesakes,
     table_behind_driver,
     watch_headers,
 )
@@ -431,7 +430,7 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
     required, wished = preflight.expected_air(planned) if planned else ([], [])
     if topic in snapshot.topics or topic in required:
         why = snapshot.unusable(topic) or ""
-        todo = namesakes(snapshot.graph, topic, name, kind) or f"publish {kind} on {name}"
+        todo = snapshot.graph.elsewhere(topic, name) or f"publish {kind} on {name}"
         return CheckLine(part, topic, "missing", why, todo)
     if topic in wished:
         why = preflight.without_air(topic, name, snapshot.configuration)

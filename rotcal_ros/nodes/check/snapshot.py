@@ -252,25 +252,6 @@ def _nobody(snapshot: CellSnapshot) -> CheckLine:
     return CheckLine("cell", "nodes", "missing", f"no node in domain {domain}", todo)
 
 
-def namesakes(graph: CellGraph, topic: str, own: str, kind: str) -> str | None:
-    """Return what to do if another topic has the same last name or type; None: none has."""
-    found = []
-    for name, types in graph.node.get_topic_names_and_types():
-        alike = name.rpartition("/")[2] == topic or kind in types
-        if name != own and alike and graph.node.get_publishers_info_by_topic(name):
-            found.append((name.rpartition("/")[2] != topic, name, types[0]))
-    if not found:
-        return None
-    other, name, of_type = min(found)
-    if other:
-        return f"is it {name} ({of_type})? Remap it: --ros-args -r {name}:={own}"
-    place = name.rpartition("/")[0] or "/"
-    return (
-        f"such topics are in {place}: set cell.namespace (rotcal cell check --namespace {place} "
-        f"looks there), or start their nodes with --ros-args -r __ns:={own.rpartition('/')[0]}"
-    )
-
-
 def read_header(data: bytes) -> tuple[int, str]:
     """Return stamp (ns) and frame of a serialised message; (0, "") where it has no header."""
     try:

@@ -173,12 +173,19 @@ class CellLinks:
                 name, topic in silent or heard.get(f"valid.{topic}", "0") != "0"
             )
         ]
+        lacking += self.elsewhere(topics)
         here = [] if all(map(graph.publishers, measured)) else [discovery_in_words(os.environ)]
         lacking += [text for topic in ORDERS for text in graph.without_machine(topic)]
         stops = [stop] if stop and graph.publishers(stop) else []
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
         unheard = (graph.resolve(topic) for topic in recorded if not self._is_recorded(topic))
         return lacking + here + [self._unrecorded(name) for name in unheard]
+
+    def elsewhere(self, topics: Iterable[str]) -> list[str]:
+        """Return where instrument topics that nobody publishes may be instead, in words."""
+        absent = self.unpublished(topics).items()
+        hints = ((name, self.graph.elsewhere(role, name)) for role, name in absent)
+        return [f"{name}: {hint}" for name, hint in hints if hint]
 
     def _is_recorded(self, topic: str) -> bool:
         """Return whether the recorder listens to a topic, by its own word or by the graph.
@@ -264,7 +271,7 @@ class CellLinks:
             < len(self.health.present().intersection(self.graph.listeners(topic)))
         ]
 
-    def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
+    def unpublished(self, expected: Iterable[str]) -> dict[str, str]:
         """Return role -> absolute name of those ``expected`` topics that nobody publishes."""
         called = {role: self.instrument(role) for role in expected}
         return {role: name for role, name in called.items() if not self.graph.publishers(name)}

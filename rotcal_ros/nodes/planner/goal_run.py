@@ -92,8 +92,7 @@ class GoalRun:
         if self.bag.folder is not None:
             outcome.bag_folder = str(self.bag.folder.bag)
         progress = self.watch.progress
-        earlier = {o.step for o in self._continuation.observations}
-        outcome.n_used = len(earlier.union(progress.accepted))
+        outcome.n_used = len(self._continuation.done.union(progress.accepted))
         outcome.n_rejected = progress.rejected
         outcome.skipped_steps = progress.skipped
         return outcome
@@ -187,8 +186,7 @@ class GoalRun:
         except RotcalError as error:
             raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
         self._continuation, self.watch.progress.left = left, len(left.steps)
-        text = f"run {recorded.run}: {len(left.steps)} steps, {len(left.again)} of them once more"
-        self.watch.links.node.get_logger().info(text)
+        self.watch.links.node.get_logger().info(self._calibration.left_in_words(left))
 
     async def _announce(self) -> None:
         """Publish the plan and wait until all nodes have taken it."""
@@ -330,7 +328,7 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, operator: Operato
     await _have_topics(calibration, watch, operator)
     _, wished = expected_air(calibration)
     unheard = [
-        without_air(role, name, configuration) for role, name in links.missing_air(wished).items()
+        without_air(role, name, configuration) for role, name in links.unpublished(wished).items()
     ]
     links.warn(
         PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration, calibration)
@@ -357,7 +355,8 @@ async def _have_topics(
         roles, publishers = calibration.method.topics, links.graph.publishers
         await watch.stands_still(lambda: [publishers(links.instrument(r)) for r in roles])
     # What is missing may be there but undiscovered; what is not there is waited for below.
-    await watch.is_found(lambda: [] if _halted(watch) else missing())
+    if not await watch.is_found(lambda: [] if _halted(watch) else missing()):
+        links.warn(PREFLIGHT, links.elsewhere(calibration.method.topics))
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
         if not _halted(watch):
@@ -378,7 +377,7 @@ def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
     needed, _ = expected_air(calibration)
     air = [
         f"nobody publishes {name}, without which the index of refraction is unknown"
-        for name in links.missing_air(needed).values()
+        for name in links.unpublished(needed).values()
     ]
     wrong = faults(links.health.values("capture"), configuration, calibration.plan)
     silent, stop = single_shots(configuration.topics), configuration.safety.emergency_stop

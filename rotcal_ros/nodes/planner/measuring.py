@@ -36,6 +36,7 @@ class GoalMeasurement:
         self._calibration = calibration
         self._continuation = continuation
         self._watch = watch
+        watch.progress.earlier = continuation.done
         self.operator = OperatorRequests(
             watch, calibration.configuration.plan_id, continuation.run
         )
@@ -176,7 +177,7 @@ class GoalMeasurement:
         if self._watch.settings.policy == AS_LISTED:
             progress.step = index
         else:
-            progress.step, progress.total = progress.done, progress.done + progress.left
+            progress.step, progress.total = progress.ended, progress.ended + progress.left
 
     async def _observed(self, key: Attempt, number: int) -> bool:
         """Order an attempt; return whether an observation has come and is accepted."""

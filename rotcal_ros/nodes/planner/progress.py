@@ -16,7 +16,8 @@ BEGINNING: Final = Reason(Why.PREFLIGHT)
 class GoalProgress:
     """The progress of a goal, and what it is ``doing``.
 
-    ``uncertainty`` and ``goal`` are those of the policy, rad.
+    ``uncertainty`` and ``goal`` are those of the policy, rad; ``earlier`` are the steps that were
+    accepted before this goal.
 
     ``started_s`` and ``paused_s`` are monotonic; None: no pause is on.
     """
@@ -29,6 +30,7 @@ class GoalProgress:
     rejected: int = 0
     done: int = 0
     left: int = 0
+    earlier: frozenset[int] = frozenset()
     uncertainty: float = math.nan
     goal: float = math.nan
     started_s: float = field(default_factory=time.monotonic)
@@ -43,6 +45,11 @@ class GoalProgress:
             return math.nan
         now_s = time.monotonic() if self.paused_s is None else self.paused_s
         return (now_s - self.started_s) / self.done * self.left
+
+    @property
+    def ended(self) -> int:
+        """How many steps were accepted or given up, each counted once, in all runs."""
+        return len(self.earlier.union(self.accepted, self.skipped))
 
     def counts(self) -> dict[str, int]:
         """Return how many steps were accepted and how many attempts rejected."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from typing import Any, Final
 
 from rclpy.duration import Infinite
@@ -11,6 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.foundation.node_names import VIEWERS
 from rotcal_ros.nodes.runtime.qos import EVENT
 
@@ -84,6 +86,32 @@ class CellGraph:
         elif not has_delivered:
             yield f"{name} has not delivered a valid message (node {publishers[0]})"
         yield from incompatible_listeners(self.node, name, {"capture", "recorder"}.__contains__)
+
+    def elsewhere(self, role: str, own: str) -> str:
+        """Return what to do if ``own`` lacks a publisher, but another topic may be that of a role.
+
+        Of several the one whose name is nearest; empty if there is none.
+        """
+        place, _, last = own.rpartition("/")
+        found = [
+            (name.endswith(f"/{last}"), SequenceMatcher(None, name, own).ratio(), name, types[0])
+            for name, types in self.node.get_topic_names_and_types()
+            if name.endswith(f"/{role}") or OWN[role] in types
+            if name != own and self.offers(name)
+        ]
+        if not found:
+            return ""
+        same, _, name, kind = max(found)
+        if not same:
+            return (
+                f"is it {name} ({kind})? Set topics.{role}: {name}, or remap it: "
+                f"--ros-args -r {name}:={own}"
+            )
+        there = name.rpartition("/")[0] or "/"
+        return (
+            f"such topics are in {there}: set cell.namespace (rotcal cell check --namespace "
+            f"{there} looks there), or start their nodes with --ros-args -r __ns:={place}"
+        )
 
     def crowded(self, topic: str) -> Iterator[str]:
         """Yield a complaint if an instrument's ``topic`` has several publishers."""

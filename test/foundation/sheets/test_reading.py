@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
 from decimal import Decimal
 from math import pi
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_ros.foundation.sheets.reading import Known, Reading, SheetSettings, read_any
-from rotcal_ros.foundation.sheets.words import ANGLE, TIME, Heading, columns_of, units_of
+from rotcal_ros.foundation.sheets.words import ANGLE, TIME, Heading, answer, columns_of, units_of
 
 HEADERS = (("position", "target", "length_m"),)
 BALLS = (("position", "ball_step", "x_m", "y_m", "z_m"),)
@@ -119,6 +122,45 @@ def test_headings(text: str, columns: tuple[str, ...], units: tuple[str, ...]) -
     assert head.units == units
     assert columns_of(head)[: len(columns)] == columns
     assert bool(columns_of(head)) == bool(columns)
+
+
+@given(st.text(min_size=1))
+@pytest.mark.parametrize("text", [None, "Weg [mm]", "d, gemessen", "it's", "Länge: {x}", "# 1"])
+def test_an_answer_can_be_pasted_as_an_error_shows_it(text: str | None, any_text: str) -> None:
+    text = text or any_text
+    option, change = shlex.split(printable(answer("length", text)))
+    assert option == "--set"
+    assert yaml.safe_load(change.removeprefix("sheet.columns=")) == [f"length={text}"]
+
+
+WEG = "position;target;Weg [mm]\n0;0;312.5\n"
+
+
+def test_an_answer_with_brackets_is_understood_and_one_that_names_nothing_is_not(tmp_path) -> None:
+    assert rows(read(tmp_path, WEG, columns=("length=Weg [mm]",))) == [("0", "0", "0.3125")]
+    assert rows(read(tmp_path, WEG, columns=("length_m=weg MM",))) == [("0", "0", "0.3125")]
+    with pytest.raises(
+        BagError, match=r"table.csv: .* called 'Weg mn'; did you mean 'Weg \[mm\]'\?"
+    ):
+        read(tmp_path, WEG, columns=("length=Weg mn",))
+    with pytest.raises(BagError, match="no column is called 'Lauf'; known: position, target"):
+        read(tmp_path, WEG, columns=("length=Weg [mm]", "run=Lauf"))
+    with pytest.raises(ConfigurationError, match="no column 'lenght'; did you mean 'length'"):
+        read(tmp_path, WEG, columns=("lenght=Weg [mm]",))
+
+
+@pytest.mark.parametrize(
+    ("heads", "text"),
+    [
+        ("position;target;Length [furlong]", "'furlong' in the heading 'Length [furlong]' is an "
+         "unknown unit: known for length are m, cm, mm, um, nm, in, ft: write"),
+        ("Winkel (Strich);target;Länge [mm]", "'Strich' .* known for angle are rad, mrad"),
+        ("position;target;Length [deg]", "'deg' .* is an unknown unit: known for length"),
+    ],
+)  # fmt: skip
+def test_an_unknown_unit_is_no_unknown_column(tmp_path, heads: str, text: str) -> None:
+    with pytest.raises(BagError, match=text.replace("[", r"\[")):
+        read(tmp_path, f"{heads}\n0;0;312.5\n")
 
 
 def test_grad_is_degrees_in_german_and_gons_elsewhere() -> None:

@@ -48,6 +48,17 @@ def test_a_stop_that_somebody_publishes_is_recorded_before_anything_moves(
     assert cell.missing_topics((), (), "") == []
 
 
+def test_where_an_instrument_may_be_that_is_not_under_its_name_is_told():
+    cell = links(publishers=[], recorded=True)
+    cell.instrument = lambda role: f"/cell/{role}"
+    cell.graph.without_instrument = lambda name, _: [f"nobody publishes {name}"]
+    cell.graph.elsewhere = lambda role, name: f"is it /lab/{role}?" * (role == "tracer_length")
+    told, hint, *_ = cell.missing_topics(["tracer_length"])
+    assert told == "nobody publishes /cell/tracer_length"
+    assert hint == "/cell/tracer_length: is it /lab/tracer_length?"
+    assert cell.elsewhere(["joint_states"]) == []
+
+
 def test_why_a_recorder_never_listens_is_told():
     cell = links(publishers=["plc"], recorded=False, refused="its type is not installed")
     told = f"the recorder does not listen to {STOP}: its type is not installed"
@@ -67,7 +78,7 @@ def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
     asked = SimpleNamespace(
         node=None,
         health=SimpleNamespace(values=lambda _: {}),
-        missing_air=lambda _: {},
+        unpublished=lambda _: {},
         missing_topics=lambda _topics, _silent, stop: [f"asked for {stop}"],
     )
     assert goal_run._missing(calibration, asked) == [f"asked for {STOP}"]

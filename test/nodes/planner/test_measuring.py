@@ -70,7 +70,7 @@ class Watch(SimpleNamespace):
     wait_for_machine = wait
 
 
-def measured(failing, steps=range(STEPS), earlier=()):
+def measured(failing, steps=range(STEPS), earlier=(), **planner):
     """Measure ``steps`` after the observations of ``earlier`` steps; return the cell, the goal."""
     observed = tuple(CALIBRATION.plan.steps[k].observed((0.1,)) for k in earlier)
     run = int(bool(observed))
@@ -79,7 +79,7 @@ def measured(failing, steps=range(STEPS), earlier=()):
         CALIBRATION.configuration.plan_id, run, left[0], (), left, observed
     )
     cell, progress = Cell(failing), GoalProgress(STEPS)
-    watch = Watch(settings=PlannerSettings(), links=cell, progress=progress, owed=None)
+    watch = Watch(settings=PlannerSettings(**planner), links=cell, progress=progress, owed=None)
     asyncio.run(GoalMeasurement(CALIBRATION, continuation, watch).measure_all())
     return cell, progress
 
@@ -95,6 +95,15 @@ def test_a_resumed_goal_whose_few_steps_fail_again_keeps_what_the_first_one_meas
     failing = range(STEPS - LIMIT, STEPS)
     _, progress = measured(failing, failing, earlier=range(STEPS - LIMIT))
     assert progress.skipped == list(failing)
+
+
+def test_the_steps_of_earlier_runs_count_on_the_screen_as_in_the_outcome():
+    """A policy's progress began anew with 0 of those that were left, beside a log with all."""
+    left = range(STEPS - 3, STEPS)
+    _, progress = measured((), left, earlier=range(STEPS - 3), policy="until_goal")
+    assert (progress.ended, len(progress.accepted)) == (STEPS, 3)
+    assert progress.step == progress.total >= progress.ended
+    assert len(progress.earlier.union(progress.accepted)) == STEPS
 
 
 @pytest.mark.parametrize("first", [0, 7])

@@ -414,7 +414,8 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
         before = squared
     raise DataError(
         f"stations and targets do not settle together in {MAX_ITERATIONS} iterations: the lengths "
-        f"do not fit the targets; check the order of the targets{or_prior(free=grid.free)}"
+        "do not fit the targets; check places and order of the targets (of a table: --targets)"
+        f"{or_prior(free=grid.free)}"
     )
 
 

@@ -477,7 +477,8 @@ def relax(
         here, before = slopes(grid, layout, scatter, state), squared
     raise DataError(
         f"table, places and targets do not settle together in {MAX_ITERATIONS} iterations: the "
-        "lengths do not fit the targets or the places; check their order and units"
+        "lengths do not fit the targets or the places; check their order and units (of a "
+        "table: --targets)"
     )
 
 
