@@ -252,7 +252,6 @@ def _short(value: Any) -> str | None:
 
 
 DIGITS: Final = 10
-SHOWN: Final = 16
 
 
 def fingerprint(result: Result) -> str:
@@ -287,10 +286,7 @@ def write_recorded(
         recording.calibration.method.title,
         observations=recording.observations,
         configuration_text=configuration.text,
-        inputs=[
-            *recording.sha256.items(),
-            (PLAN_ID, configuration.plan_id),
-        ],
+        inputs=[*recording.sha256.items(), (PLAN_ID, configuration.plan_id)],
         versions=_versions(recording.attachments),
         truth=truth,
         extra=extra or acting_section(result, in_force),  # that of verify says it itself
@@ -318,10 +314,7 @@ def write_measured(
         configuration.method.title,
         observations=measured.observations if isinstance(measured, PlannedMeasurements) else (),
         configuration_text=configuration.text,
-        inputs=[
-            *measured.sha256.items(),
-            (PLAN_ID, configuration.plan_id),
-        ],
+        inputs=[*measured.sha256.items(), (PLAN_ID, configuration.plan_id)],
         versions=_versions({}),
         truth=truth,
         extra=acting_section(result, in_force),

@@ -68,8 +68,7 @@ def test_the_order_in_which_the_streams_follow_does_not_matter(early_ms):
     """The tracer's messages come a little before or behind those of the others."""
     scene = make_scene(PLAN, 9)
     records = sorted(
-        scene.by_stamp(),
-        key=lambda r: r.stamp_ns - early_ms * MS * hasattr(r, "length"),
+        scene.by_stamp(), key=lambda r: r.stamp_ns - early_ms * MS * hasattr(r, "length")
     )
     at_ns = 3 * SECOND - 200 * MS
     usual, _ = captured(shifted(scene.by_stamp(), at_ns, -45 * SECOND))

@@ -7,12 +7,7 @@ import pytest
 from capture_scenes import MS, SECOND, make_plan
 
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.stamp_offsets import (
-    DOUBT_S,
-    OffsetLimits,
-    StampOffsets,
-    is_of_clocks,
-)
+from rotcal_ros.capture.stamp_offsets import DOUBT_S, OffsetLimits, StampOffsets, is_of_clocks
 
 ACCEPTED = make_plan().steps[0].observed((0.1,))
 START = 1_700_000_000 * SECOND

@@ -82,8 +82,7 @@ def tracer():
 def plate_calibration():
     return prepare(
         changed(
-            read_configuration(EXAMPLES / "ball_plate.yaml"),
-            ("solver.sigma_centre_m=0.0000002",),
+            read_configuration(EXAMPLES / "ball_plate.yaml"), ("solver.sigma_centre_m=0.0000002",)
         )
     )
 

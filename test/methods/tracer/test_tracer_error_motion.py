@@ -1,7 +1,5 @@
 """Error motion that nobody stated: the circle of the stations tells how much there is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chances import LONG
