@@ -23,14 +23,9 @@ if TYPE_CHECKING:
     from rotcal_ros.recordings.missing_data import PlacedDropout
 
 
-def _limits(
-    context: click.Context, option: click.Parameter, changes: tuple[str, ...]
-) -> ReadingLimits:
-    return changed_limits(changes)
-
-
 limits_option = click.option(
-    "--set", "limits", multiple=True, callback=_limits, metavar="reading.NAME=VALUE",
+    "--set", "limits", multiple=True, metavar="reading.NAME=VALUE",
+    callback=lambda _context, _option, changes: changed_limits(changes),
     help="Change a limit of reading; docs/settings.md lists them.",
 )  # fmt: skip
 

@@ -112,11 +112,10 @@ def _answer(method: str, known: Known, name: str, default: str = "") -> dict[str
             raise click.UsageError(str(error)) from error
 
     shown = "" if required else f" [{default or default_in_words(declared)}]"
-    found: dict[str, Any] = click.prompt(
+    return click.prompt(
         f"{name}: {declared.info.description}{shown}",
         default=None if required else "",
         show_default=False,
         value_proc=read,
         err=True,
     )
-    return found

@@ -195,7 +195,7 @@ def _figures(report: ReportInput) -> list[Figure]:
     """Return the figures that all methods show besides the curve, and those of the method."""
     result = report.result
     installed = result.method in method_names()
-    draw = find_method(result.method).figures if installed else _residuals_alone
+    own = find_method(result.method).figures(result, report.truth) if installed else ()
     return [
         Figure(
             phrase("Adjacent deviations"),
@@ -205,7 +205,7 @@ def _figures(report: ReportInput) -> list[Figure]:
             ),
             curves.adjacent(result),
         ),
-        *draw(result, report.truth),
+        *(own if installed else residual_figures(result)),
         Figure(
             phrase("Temperature"),
             phrase("Temperature at each observation."),
@@ -214,21 +214,13 @@ def _figures(report: ReportInput) -> list[Figure]:
     ]
 
 
-def _residuals_alone(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
-    """Return the figures of a method that is not installed here."""
-    return residual_figures(result)
-
-
 def _zero(result: Result) -> Sequence[str]:
     """Return what the curves count from, in words."""
     if result.method in method_names():
         return [phrase(text) for text in find_method(result.method).zero(result)]
-    counts_from = result.zeros.counts_from
-    return (
-        ()
-        if counts_from == UNKNOWN
-        else (phrase("Every deviation counts from: {0}.", phrase(counts_from)),)
-    )
+    if result.zeros.counts_from == UNKNOWN:
+        return ()
+    return (phrase("Every deviation counts from: {0}.", phrase(result.zeros.counts_from)),)
 
 
 def _details(result: Result) -> list[tuple[str, str]]:
