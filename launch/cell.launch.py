@@ -134,10 +134,7 @@ def cell_arguments():
             choices=YES_NO,
         ),
         argument(
-            "page",
-            "false",
-            "Serve the operator's page; its address is logged.",
-            choices=YES_NO,
+            "page", "false", "Serve the operator's page; its address is logged.", choices=YES_NO
         ),
         argument("scene", "false", "Publish markers for RViz and Foxglove.", choices=YES_NO),
     ]

@@ -85,10 +85,7 @@ def experiment(
 
 
 def result_of(
-    plan: Plan,
-    per_segment: bool,
-    error_motion: float | None,
-    observations: Sequence[Observation],
+    plan: Plan, per_segment: bool, error_motion: float | None, observations: Sequence[Observation]
 ) -> Stated:
     """Return what the solver states of ``observations``, with the noise as planned."""
     last = {(o.segment if per_segment else 0, o.step): o for o in observations}.values()

@@ -151,11 +151,7 @@ def _identity() -> dict[str, Any]:
 
 
 def _group(cls: type[Any]) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "properties": dict(_settings(cls)),
-    }
+    return {"type": "object", "additionalProperties": False, "properties": dict(_settings(cls))}
 
 
 def _settings(cls: type[Any]) -> Iterator[tuple[str, dict[str, Any]]]:

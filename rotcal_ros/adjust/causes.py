@@ -19,13 +19,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.distributions import normal_isf, t_isf
-from rotcal_ros.adjust.effects import (
-    EffectTest,
-    Seen,
-    effect_test,
-    family_test,
-    member_squares,
-)
+from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import CHECKED, Group, SolutionView
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame

@@ -49,10 +49,7 @@ class Seen:
     def part(self, which: slice) -> Seen:
         """Return what is seen of some of the columns."""
         return Seen(
-            self.moved[which],
-            self.information[which, which],
-            self.score[which],
-            self.whole[which],
+            self.moved[which], self.information[which, which], self.score[which], self.whole[which]
         )
 
 

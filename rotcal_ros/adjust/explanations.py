@@ -106,15 +106,6 @@ class Hypotheses:
         """
         return total([self.moment(weights, sizes)], self.sensitivity.outputs)
 
-    def sizes_of(self, k: int, sizes: Floats = SIZES) -> Floats:
-        """Return the expected sizes (d,) of explanation ``k`` along its axes."""
-        weights = np.zeros((len(self.values), len(sizes)))
-        each = self.log_bayes(sizes)[k]
-        weights[k] = np.exp(each - log_sum(each))
-        variance = sizes**2
-        at = variance * self.along[k, :, None] / (1.0 + variance * self.values[k, :, None])
-        return np.asarray(at @ weights[k])
-
 
 def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
     """Return ln B (q, t) of ``values`` and ``along`` (q, d), for prior deviations ``sizes``."""

@@ -194,11 +194,7 @@ def group_test(group: Group | Undivided, rest: tuple[float, float] | None = None
     checked, rows = group.checks
     whole = group.size + group.lost
     return GroupTest(
-        squares,
-        rank,
-        probability,
-        checked / max(rows, 1),
-        group.lost / whole if whole else 0.0,
+        squares, rank, probability, checked / max(rows, 1), group.lost / whole if whole else 0.0
     )
 
 

@@ -92,10 +92,7 @@ def read_bag(
     'ok'
     """
     return read_recording(
-        Path(path),
-        source,
-        configuration=configuration,
-        topics=Topics.of(configuration, namespace),
+        Path(path), source, configuration=configuration, topics=Topics.of(configuration, namespace)
     )
 
 

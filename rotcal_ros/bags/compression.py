@@ -125,10 +125,7 @@ def stated_compression(metadata: bytes) -> tuple[str, str]:
 
 
 def looks_packed(message: bytes) -> bool:
-    """Return whether ``message`` is compressed, declared or not.
-
-    CDR begins with 00, unlike any frame of zstd.
-    """
+    """Return whether ``message`` is compressed: CDR begins with 00, unlike any frame of zstd."""
     return message.startswith(zstandard.FRAME_HEADER) or bool(SKIPPABLE.match(message))
 
 

@@ -434,10 +434,7 @@ _PARSING_FACTOR: Final = 4
 
 
 class MemoryBudget:
-    """Counts the bytes that stay in memory, by key.
-
-    An entry replaces the previous one of its key.
-    """
+    """Counts the bytes in memory by key; an entry replaces the previous one of its key."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

@@ -17,11 +17,9 @@ class WriterSettings:
     """When chunks are closed and files are split."""
 
     sync_interval_s: float = setting(
-        0.5,
+        0.5, minimum=0.01, maximum=1.0,
         doc="s, longest time that data wait in memory before they are on disk",
-        minimum=0.01,
-        maximum=1.0,
-    )
+    )  # fmt: skip
     chunk_bytes: int = setting(
         262144, doc="bytes, size at which a chunk is closed early", minimum=1024, maximum=67108864
     )
@@ -47,12 +45,10 @@ class RecorderSettings:
         "", doc="name of the session folder; empty: UTC time and the start of the plan's hash"
     )
     run: int = expert(
-        0,
+        0, minimum=0, maximum=1_000_000,
         doc="number of this run of an interrupted session; 0 begins a session, later runs "
         "continue its bag in a new file",
-        minimum=0,
-        maximum=1_000_000,
-    )
+    )  # fmt: skip
     queue_bytes: int = expert(
         67_108_864,
         doc="bytes, largest amount that waits for the disk; beyond that messages are lost and "
@@ -60,12 +56,10 @@ class RecorderSettings:
         minimum=65_536,
     )
     silence_s: float = expert(
-        30.0,
+        30.0, minimum=0.1, maximum=3600.0,
         doc="s, time without a message after which tracer_length, joint_states or a topic of the "
         "air counts as silent",
-        minimum=0.1,
-        maximum=3600.0,
-    )
+    )  # fmt: skip
     writer: WriterSettings = group(WriterSettings, expert=True)
 
 
@@ -120,12 +114,10 @@ class TopicSettings:
         "clockwise",
     )
     angle_span_s: float = expert(
-        0.1,
+        0.1, minimum=1e-3, maximum=10.0,
         doc="s, time over which the speed is taken from angles that come without a velocity; "
         "longer: rest is seen that much later; shorter: noise looks like motion",
-        minimum=1e-3,
-        maximum=10.0,
-    )
+    )  # fmt: skip
     position_unit: Length = setting("m", doc="unit of the probe's positions")
     temperature_unit: Literal["degC", "K", "degF"] = expert("degC", doc="unit of the temperatures")
     pressure_unit: Literal["Pa", "hPa", "kPa"] = expert("Pa", doc="unit of the air pressure")
@@ -153,31 +145,23 @@ class TopicSettings:
     table_clock: Clock = expert("stamp", doc=_CLOCK_DOC.format("an angle"))
     probe_clock: Clock = expert("stamp", doc=_CLOCK_DOC.format("a point"))
     length_clock_offset_s: float = expert(
-        0.0,
+        0.0, minimum=-_MAX_OFFSET_S, maximum=_MAX_OFFSET_S,
         doc=f"s, {_OFFSET_DOC.format('the lengths')}",
-        minimum=-_MAX_OFFSET_S,
-        maximum=_MAX_OFFSET_S,
-    )
+    )  # fmt: skip
     table_clock_offset_s: float = expert(
-        0.0,
+        0.0, minimum=-_MAX_OFFSET_S, maximum=_MAX_OFFSET_S,
         doc=f"s, {_OFFSET_DOC.format('the table')}",
-        minimum=-_MAX_OFFSET_S,
-        maximum=_MAX_OFFSET_S,
-    )
+    )  # fmt: skip
     probe_clock_offset_s: float = expert(
-        0.0,
+        0.0, minimum=-_MAX_OFFSET_S, maximum=_MAX_OFFSET_S,
         doc=f"s, {_OFFSET_DOC.format('the probe')}",
-        minimum=-_MAX_OFFSET_S,
-        maximum=_MAX_OFFSET_S,
-    )
+    )  # fmt: skip
     clock_bound_s: float = expert(
-        0.0,
+        0.0, minimum=0.0, maximum=10.0,
         doc="s, by which the clocks of table, probe and instrument may differ all the same; "
         "multiplied by the creep of a table at rest (capture.velocity_tolerance_deg_s) it is "
         "part of the uncertainty of ECC",
-        minimum=0.0,
-        maximum=10.0,
-    )
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         """Refuse names that no topic can bear, units that are none, and two for one."""
@@ -231,14 +215,10 @@ class ReadingLimits:
     """What a bag may cost to read; what goes beyond is left out and said."""
 
     record_bytes: int = setting(
-        50_331_648,
-        doc="bytes, largest record of a file that is taken into memory",
-        minimum=65_536,
+        50_331_648, doc="bytes, largest record of a file that is taken into memory", minimum=65_536
     )
     chunk_bytes: int = setting(
-        50_331_648,
-        doc="bytes, largest chunk or message that is unpacked",
-        minimum=65_536,
+        50_331_648, doc="bytes, largest chunk or message that is unpacked", minimum=65_536
     )
     unpacked_bytes: int = setting(
         268_435_456,
@@ -252,9 +232,7 @@ class ReadingLimits:
         minimum=1,
     )
     other_records: int = setting(
-        200_000,
-        doc="largest number of records in a chunk that are no messages",
-        minimum=1000,
+        200_000, doc="largest number of records in a chunk that are no messages", minimum=1000
     )
     kept_bytes: int = setting(
         33_554_432,

@@ -253,10 +253,7 @@ class SqliteScan(Scan):
         self._packed = False
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the messages in the order of their log times.
-
-        Those of a damaged file by their ids.
-        """
+        """Yield the messages in the order of log times, those of a damaged file by their ids."""
         with opened(self.path, self._limits) as database:
             self._size = self.path.stat().st_size
             self._plain_size = database.file.stat().st_size

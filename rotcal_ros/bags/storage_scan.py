@@ -218,8 +218,6 @@ class Scan(StorageContents, ABC):
             name = channel.topic if channel else f"(unknown channel {number})"
             known = topics.get(name, TopicCount(channel.type_name if channel else "", 0))
             topics[name] = TopicCount(
-                known.type_name,
-                known.messages + self._counts[number],
-                known.lost + lost[number],
+                known.type_name, known.messages + self._counts[number], known.lost + lost[number]
             )
         return topics

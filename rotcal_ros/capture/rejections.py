@@ -118,7 +118,11 @@ class FailedSteps:
 
     def check(self) -> None:
         """Raise TooManyFailedError if the calibration is to be given up."""
-        hidden = [step for step, reasons in self._steps if all(map(_in_the_beam, reasons))]
+        hidden = [
+            step
+            for step, reasons in self._steps
+            if all(BEAM_BROKEN in reason for reason in reasons)
+        ]
         failed = len(self._steps)
         if not self.limit or max(failed - len(hidden), failed / HIDDEN) < self.limit:
             return
@@ -130,8 +134,3 @@ class FailedSteps:
             "then go on with 'rotcal run --resume', which measures these steps again "
             f"(planner.max_failed_steps = {self.limit} says how many may fail in a row)"
         )
-
-
-def _in_the_beam(reason: str) -> bool:
-    """Return whether an attempt was rejected because something stood in the beam."""
-    return BEAM_BROKEN in reason

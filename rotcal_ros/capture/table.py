@@ -28,8 +28,7 @@ _CHUNK: Final = 512
 def offset(angles: Floats, commanded: float) -> Floats:
     """Return measured - commanded angle, in [-pi, pi], without full turns."""
     difference = angles - commanded
-    centred: Floats = difference - 2 * pi * np.round(difference / (2 * pi))
-    return centred
+    return difference - 2 * pi * np.round(difference / (2 * pi))
 
 
 def at_rest(feedback: Floats, commanded: float, settings: CaptureSettings) -> Bools:

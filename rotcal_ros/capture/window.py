@@ -126,8 +126,7 @@ def classify(status: Floats, length: Floats, max_length: float) -> Ints:
 
 def sequence_steps(sequence: Floats, before: float) -> Ints:
     """Return the steps (n,) of a sequence that follows ``before``, modulo 32 bits."""
-    steps: Ints = steps_from(before, sequence).astype(np.int64) % WRAP
-    return steps
+    return steps_from(before, sequence).astype(np.int64) % WRAP
 
 
 def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -> ReducedWindow:

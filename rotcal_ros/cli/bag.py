@@ -23,20 +23,11 @@ if TYPE_CHECKING:
     from rotcal_ros.recordings.missing_data import PlacedDropout
 
 
-def _limits(
-    context: click.Context, option: click.Parameter, changes: tuple[str, ...]
-) -> ReadingLimits:
-    return changed_limits(changes)
-
-
 limits_option = click.option(
-    "--set",
-    "limits",
-    multiple=True,
-    callback=_limits,
-    metavar="reading.NAME=VALUE",
+    "--set", "limits", multiple=True, metavar="reading.NAME=VALUE",
+    callback=lambda _context, _option, changes: changed_limits(changes),
     help="Change a limit of reading; docs/settings.md lists them.",
-)
+)  # fmt: skip
 
 
 @click.group()
@@ -172,11 +163,9 @@ def choices(bag: Path, as_json: bool) -> int:
 @command.command()
 @click.argument("bag", type=path_type)
 @click.option(
-    "-o",
-    "--output",
-    type=path_type,
+    "-o", "--output", type=path_type,
     help="New folder for the sound bag; default: BAG's name with _repaired.",
-)
+)  # fmt: skip
 @limits_option
 @json_option
 def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool) -> int:

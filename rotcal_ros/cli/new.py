@@ -24,27 +24,17 @@ _GRID: Final = "plan.plate.grid"
 @click.command()
 @click.option("--method", shell_complete=installed(plugins.METHODS), help="How it is measured.")
 @click.option(
-    "--positions",
-    type=click.IntRange(min=2),
-    metavar="N",
+    "--positions", type=click.IntRange(min=2), metavar="N",
     help="Number of table angles, evenly over a turn.",
-)
+)  # fmt: skip
 @set_option
 @click.option("-y", "--yes", is_flag=True, help="Ask nothing; what is not given has its default.")
 @click.option(
-    "-o",
-    "--output",
-    type=NamedFile(".yaml", ".yml"),
-    default="setup.yaml",
-    show_default=True,
+    "-o", "--output", type=NamedFile(".yaml", ".yml"), default="setup.yaml", show_default=True,
     help="The file to write.",
-)
+)  # fmt: skip
 def command(
-    method: str | None,
-    positions: int | None,
-    changes: tuple[str, ...],
-    yes: bool,
-    output: Path,
+    method: str | None, positions: int | None, changes: tuple[str, ...], yes: bool, output: Path
 ) -> int:
     """Write a set-up for measurements of your own, and say what comes next.
 
@@ -129,11 +119,10 @@ def _answer(
             raise click.UsageError(str(error)) from error
 
     shown = "" if required else f" [{default or default_in_words(declared)}]"
-    found: dict[str, Any] = click.prompt(
+    return click.prompt(
         f"{name}: {declared.info.description}{shown}",
         default=None if required else "",
         show_default=False,
         value_proc=read,
         err=True,
     )
-    return found

@@ -28,10 +28,7 @@ _HEADINGS: Final = ("setting", "unit", "default", "meaning")
 
 @click.command()
 @click.argument(
-    "names",
-    nargs=-1,
-    metavar="[METHOD] [GROUP]...",
-    shell_complete=installed(plugins.METHODS),
+    "names", nargs=-1, metavar="[METHOD] [GROUP]...", shell_complete=installed(plugins.METHODS)
 )
 @click.option(
     "--all", "--expert", "everything", is_flag=True, help="Every setting, those for experts too."

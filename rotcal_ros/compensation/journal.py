@@ -115,10 +115,7 @@ class Journal:
             ) from error
 
     def kept_before(self, entry: Entry) -> dict[str, str | None]:
-        """Return the contents from before ``entry``.
-
-        ControllerError if they were changed since.
-        """
+        """Return the contents from before ``entry``; ControllerError if changed since."""
         files = self.kept(entry.backup)
         if entry.before_hash != contents_hash(files):
             raise ControllerError(

@@ -212,10 +212,7 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class Ini:
-    """The text of the ini file at ``path``.
-
-    Raises ConfigurationError when it cannot be read.
-    """
+    """The text of the ini file at ``path``; ConfigurationError when it cannot be read."""
 
     path: Path
     text: str

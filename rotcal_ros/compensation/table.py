@@ -403,10 +403,7 @@ def _check_angles(angles: Floats, period: float) -> None:
 
 
 def resample(
-    table: CompensationTable,
-    spacing: float | None = None,
-    *,
-    reference_angle: float | None = None,
+    table: CompensationTable, spacing: float | None = None, *, reference_angle: float | None = None
 ) -> CompensationTable:
     """Return ``table`` with rows every ``spacing`` rad, zero at ``reference_angle`` (rad).
 

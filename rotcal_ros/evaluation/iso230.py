@@ -366,9 +366,7 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
 
 
 def read_any_runs(
-    path: Path,
-    sheet: SheetSettings = AS_IT_STANDS,
-    announce: Callable[[Reading], object] = str,
+    path: Path, sheet: SheetSettings = AS_IT_STANDS, announce: Callable[[Reading], object] = str
 ) -> BidirectionalRuns:
     """Return the runs in a table of another form: deviations at table angles, in any unit.
 

@@ -135,11 +135,7 @@ def _judge(
 ) -> tuple[CheckVerdict, str]:
     """Return the verdict, and the angle that decides or what would decide."""
     unit, name = shown
-    size, acceptance, alarm = (
-        np.abs(difference),
-        rule.acceptance(std),
-        rule.alarm(std, expected),
-    )
+    size, acceptance, alarm = (np.abs(difference), rule.acceptance(std), rule.alarm(std, expected))
     worst = int(np.argmax(size - acceptance))
     at = f"{angles[worst] / DEGREE:.6g} deg"
     found = f"{size[worst] / unit:.3g} {name} at {at}"
@@ -155,10 +151,7 @@ def _judge(
             f"{name} that is explained"
         )
     if size[worst] >= rule.limit:
-        return (
-            "undecided",
-            f"{found} is beyond the limit, perhaps by chance: measure all again",
-        )
+        return ("undecided", f"{found} is beyond the limit, perhaps by chance: measure all again")
     enough = COVERAGE_FACTOR * (rule.limit - size[worst]) / normal_isf(rule.miss)
     return "undecided", (
         f"{found} needs U <= {enough / unit:.3g} {name} (k = 2) to be within for sure, it has "

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
-Effect = Literal[
+Common = Literal[
     "drift",
     "knock",
     "axis noise",
@@ -21,6 +21,8 @@ Effect = Literal[
     "scale",
     "tilt",
     "gauge",
+]
+Particular = Literal[
     "growth",
     "slip",
     "tangential motion",
@@ -30,16 +32,8 @@ Effect = Literal[
     "sign of z",
     "sign of readings",
 ]
-PARTICULAR: Final[tuple[Effect, ...]] = (
-    "growth",
-    "slip",
-    "tangential motion",
-    "uneven drift",
-    "one place",
-    "numbering",
-    "sign of z",
-    "sign of readings",
-)
+Effect = Literal[Common, Particular]
+PARTICULAR: Final[tuple[Effect, ...]] = get_args(Particular)
 """Effects that only those methods list whose instruments have them: an artefact that warms and
 grows while it is measured; counted fringes; an instrument on the table, which its mount or cable
 may shift along its circle; one that drifts between two measurements of its nests; an error that
@@ -47,7 +41,7 @@ gathers in one place among many; table positions that are all numbered wrong; a 
 down, and readings of the other sign, where no measurement would show it."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
-EFFECTS: Final[tuple[Effect, ...]] = tuple(e for e in ALL_EFFECTS if e not in PARTICULAR)
+EFFECTS: Final[tuple[Effect, ...]] = get_args(Common)
 """Effects that every method lists."""
 Treatment = Literal["estimated", "tested", "bounded", "harmless", "not protected"]
 TREATMENTS: Final[tuple[Treatment, ...]] = get_args(Treatment)

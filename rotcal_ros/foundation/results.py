@@ -777,10 +777,7 @@ def _optional(data: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Flo
 
 
 def _floats(values: Any, where: str) -> Floats:
-    """Return numbers as an array, with NaN for null.
-
-    ValueError for texts, which numpy would accept.
-    """
+    """Return numbers as an array, null as NaN; ValueError for texts, which numpy would take."""
     try:
         found = np.asarray(values)
         if found.dtype.kind in "US":

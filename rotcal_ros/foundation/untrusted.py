@@ -80,10 +80,7 @@ def require_plain(path: Path) -> None:
 
 
 def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return the content of a plain file.
-
-    OSError if it is not one or has more than ``largest`` bytes.
-    """
+    """Return the content of a plain file; OSError: it is none, or larger than ``largest``."""
     data = bytearray()
     with open_plain(path) as file:
         while part := file.read(_PART):

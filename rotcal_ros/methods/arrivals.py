@@ -158,9 +158,7 @@ def _with_steps(result: Result) -> Result:
     step = np.diff(np.eye(len(ecc)), axis=0)
     variance = np.diag(step @ covariance @ step.T)
     return replace(
-        result,
-        adjacent_deviations=np.diff(ecc),
-        adjacent_std=np.sqrt(np.maximum(variance, 0.0)),
+        result, adjacent_deviations=np.diff(ecc), adjacent_std=np.sqrt(np.maximum(variance, 0.0))
     )
 
 

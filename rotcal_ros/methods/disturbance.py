@@ -24,6 +24,8 @@ ALL_AXES: Final = np.full(3, 1.0 / np.sqrt(3.0))
 
 Sizes = Mapping[Effect, float]
 """How large each effect is, in the SI unit of its :class:`Disturbance`; absent: not there."""
+Streams = tuple[np.random.Generator, np.random.Generator]
+"""Random numbers of the stated noise, and of what is beside it."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def table_deviations(count: int, sizes: Sizes, other: np.random.Generator) -> di
     }  # fmt: skip
 
 
-def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+def streams(seed: int) -> Streams:
     """Return the random numbers of the noise and, apart from them, those of the effects."""
     return np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
 

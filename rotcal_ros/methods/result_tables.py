@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
@@ -95,6 +96,12 @@ def _shown(head: str, cell: Any) -> str:
     return f"{cell:.7g}" if digits is None else f"{cell:.{digits}f}"
 
 
+def by_axis(head: str, values: Any, unit: float = 1.0) -> dict[str, Floats]:
+    """Return the columns x, y, z of ``values`` (n, 3) in ``unit``; ``head`` as ``{}_mm``."""
+    columns = np.asarray(values, dtype=np.float64).T / unit
+    return {head.format(axis): column for axis, column in zip("xyz", columns, strict=True)}
+
+
 def deviations_table(result: Result, *, stated: bool) -> ResultTable:
     """Return the deviations by angle, with U where it may be ``stated``."""
     columns: dict[str, Any] = {"angle_deg": result.angles / DEGREE}
@@ -134,7 +141,6 @@ def corrections_table(details: Mapping[str, Any]) -> list[ResultTable]:
         ("", "target_corrections", 1.0),
         (EXPANDED, "target_corrections_std", COVERAGE_FACTOR),
     ):
-        values = factor * np.asarray(details[key], dtype=np.float64) / MICROMETRE
-        columns |= {f"{head}{axis}_um": values[:, k] for k, axis in enumerate("xyz")}
+        columns |= by_axis(f"{head}{{}}_um", factor * np.asarray(details[key]), MICROMETRE)
     title = f"Corrections of the targets, {GAUGE[details['datum']]}"
     return [ResultTable.of("target_corrections", title, **columns)]

@@ -16,12 +16,7 @@ from rotcal_ros.capture.air import AirSample
 from rotcal_ros.capture.capture import Observations, Record
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.observations import (
-    PointKind,
-    ProbeSample,
-    TableSample,
-    TracerSample,
-)
+from rotcal_ros.foundation.observations import PointKind, ProbeSample, TableSample, TracerSample
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
 from rotcal_ros.methods.simulation.cell import SimulatedCell

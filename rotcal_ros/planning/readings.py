@@ -1,4 +1,4 @@
-"""What an instrument read at the steps of a plan, column by column."""
+"""What an instrument read at the steps of a plan, column by column, and in what order."""
 
 from __future__ import annotations
 
@@ -9,7 +9,21 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.planning.time_order import time_order
+
+
+def time_order(observations: Sequence[Observation]) -> Ints:
+    """Return the rank (k,) in time of each observation: by run, then by the end of its window.
+
+    Observations without a time (plain tables) are in the order of the plan.
+    """
+    keys = (
+        [o.step for o in observations],
+        [o.window_end_ns for o in observations],
+        [o.run for o in observations],
+    )
+    rank = np.empty(len(observations), dtype=np.int64)
+    rank[np.lexsort(np.array(keys, dtype=np.int64))] = np.arange(len(observations))
+    return rank
 
 
 @dataclass(frozen=True, eq=False)

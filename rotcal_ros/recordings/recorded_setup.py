@@ -220,9 +220,7 @@ def _first_difference(
 
 
 def _outcome(
-    recorded: RecordedChoice,
-    later: Sequence[RecordedChoice],
-    observations: Sequence[Observation],
+    recorded: RecordedChoice, later: Sequence[RecordedChoice], observations: Sequence[Observation]
 ) -> StepOutcome:
     """Return the outcome of a chosen step: the last accepted one of its attempts."""
     step = recorded.choice.step

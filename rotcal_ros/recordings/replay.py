@@ -43,11 +43,7 @@ from rotcal_ros.foundation.in_force import contradiction, of_axis
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.geometry.frames import StaticFrame
-from rotcal_ros.methods.configuration import (
-    Configuration,
-    parse_configuration,
-    read_policy,
-)
+from rotcal_ros.methods.configuration import Configuration, parse_configuration, read_policy
 from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.choices import UNTIL_GOAL

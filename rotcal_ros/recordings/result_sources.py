@@ -121,9 +121,7 @@ def solved(measured: Recording | Measurements) -> ResultSource:
 
 
 def read_repeated_runs(
-    path: Path,
-    sheet: SheetSettings = AS_IT_STANDS,
-    announce: Callable[[Reading], object] = str,
+    path: Path, sheet: SheetSettings = AS_IT_STANDS, announce: Callable[[Reading], object] = str
 ) -> BidirectionalRuns:
     """Return the repeated runs in a table, a result or a bag; DataError without any.
 

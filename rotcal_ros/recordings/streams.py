@@ -211,8 +211,7 @@ class StreamFeeder:
         """Return when messages were sent, or recorded if the bag does not say that."""
         sent = block.headers["publish_time"][rows].astype(np.int64)
         arrived = block.headers["log_time"][rows].astype(np.int64)
-        times: Ints = np.where(sent > 0, sent, arrived)
-        return times
+        return np.where(sent > 0, sent, arrived)
 
     def _numbers(self, block: Block, part: RoleMessages, form: Form) -> NDArray[np.void]:
         """Return the records of a topic of plain numbers, in file order."""

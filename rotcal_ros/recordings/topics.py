@@ -142,10 +142,7 @@ class Topics:
         return role
 
     def split(
-        self,
-        block: Block,
-        scan: StorageContents,
-        decoders: dict[ChannelDefinition, Decoder],
+        self, block: Block, scan: StorageContents, decoders: dict[ChannelDefinition, Decoder]
     ) -> list[RoleMessages]:
         """Return the parts of a block of ``scan`` that belong to the cell."""
         noted = scan.metadata.get(names.TOPICS, {})

@@ -195,7 +195,7 @@ def _figures(report: ReportInput) -> list[Figure]:
     """Return the figures that all methods show besides the curve, and those of the method."""
     result = report.result
     installed = result.method in method_names()
-    draw = find_method(result.method).figures if installed else _residuals_alone
+    own = find_method(result.method).figures(result, report.truth) if installed else ()
     return [
         Figure(
             phrase("Adjacent deviations"),
@@ -205,7 +205,7 @@ def _figures(report: ReportInput) -> list[Figure]:
             ),
             curves.adjacent(result),
         ),
-        *draw(result, report.truth),
+        *(own if installed else residual_figures(result)),
         Figure(
             phrase("Temperature"),
             phrase("Temperature at each observation."),
@@ -214,21 +214,13 @@ def _figures(report: ReportInput) -> list[Figure]:
     ]
 
 
-def _residuals_alone(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
-    """Return the figures of a method that is not installed here."""
-    return residual_figures(result)
-
-
 def _zero(result: Result) -> Sequence[str]:
     """Return what the curves count from, in words."""
     if result.method in method_names():
         return [phrase(text) for text in find_method(result.method).zero(result)]
-    counts_from = result.zeros.counts_from
-    return (
-        ()
-        if counts_from == UNKNOWN
-        else (phrase("Every deviation counts from: {0}.", phrase(counts_from)),)
-    )
+    if result.zeros.counts_from == UNKNOWN:
+        return ()
+    return (phrase("Every deviation counts from: {0}.", phrase(result.zeros.counts_from)),)
 
 
 def _details(result: Result) -> list[tuple[str, str]]:
@@ -252,7 +244,6 @@ def _short(value: Any) -> str | None:
 
 
 DIGITS: Final = 10
-SHOWN: Final = 16
 
 
 def fingerprint(result: Result) -> str:
@@ -287,10 +278,7 @@ def write_recorded(
         recording.calibration.method.title,
         observations=recording.observations,
         configuration_text=configuration.text,
-        inputs=[
-            *recording.sha256.items(),
-            (PLAN_ID, configuration.plan_id),
-        ],
+        inputs=[*recording.sha256.items(), (PLAN_ID, configuration.plan_id)],
         versions=_versions(recording.attachments),
         truth=truth,
         extra=extra or acting_section(result, in_force),  # that of verify says it itself
@@ -318,10 +306,7 @@ def write_measured(
         configuration.method.title,
         observations=measured.observations if isinstance(measured, PlannedMeasurements) else (),
         configuration_text=configuration.text,
-        inputs=[
-            *measured.sha256.items(),
-            (PLAN_ID, configuration.plan_id),
-        ],
+        inputs=[*measured.sha256.items(), (PLAN_ID, configuration.plan_id)],
         versions=_versions({}),
         truth=truth,
         extra=acting_section(result, in_force),

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotcal_ros.adjust.noise import (
-    PRIOR,
-    NoiseEvidence,
-    bent_squares,
-    estimate_factors,
-)
+from rotcal_ros.adjust.noise import PRIOR, NoiseEvidence, bent_squares, estimate_factors
 
 
 def evidence_of(squares, factors, dof):

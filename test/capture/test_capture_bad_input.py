@@ -1,7 +1,5 @@
 """Bad input: counted, or rejected with the reason in words and numbers; never a wrong number."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

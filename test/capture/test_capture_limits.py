@@ -1,7 +1,5 @@
 """The capture at its limits, to the nanosecond, and all that it counts and says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

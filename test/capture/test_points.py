@@ -1,7 +1,5 @@
 """Steps that only the probe measures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import permutations
 

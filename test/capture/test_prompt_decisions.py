@@ -1,7 +1,5 @@
 """Whichever stream comes last: the decision comes with the very record that makes it possible."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -7,12 +7,7 @@ import pytest
 from capture_scenes import MS, SECOND, make_plan
 
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.stamp_offsets import (
-    DOUBT_S,
-    OffsetLimits,
-    StampOffsets,
-    is_of_clocks,
-)
+from rotcal_ros.capture.stamp_offsets import DOUBT_S, OffsetLimits, StampOffsets, is_of_clocks
 
 ACCEPTED = make_plan().steps[0].observed((0.1,))
 START = 1_700_000_000 * SECOND
@@ -59,14 +54,19 @@ def test_an_offset_is_told_with_what_to_state(off, setting):
     assert told(**off).endswith(setting)
 
 
-def test_a_clock_that_drifts_is_told_with_its_rate():
-    offsets, rate = StampOffsets(OffsetLimits(1.0)), 0.02
-    text = ""
+def drifting(table, tracer):
+    """Return what is told of a minute whose stamps drift by such shares of the time."""
+    offsets, text = StampOffsets(OffsetLimits(1.0)), ""
     for k in range(60 * 50):
         now = START + k * 20 * MS
-        offsets.note("joint_states", now, now)
-        offsets.note("tracer_length", now + round((now - START) * rate), now)
+        offsets.note("joint_states", now + round((now - START) * table), now)
+        offsets.note("tracer_length", now + round((now - START) * tracer), now)
         text = offsets.reason_to_reject() if k % 25 == 0 else text
+    return text
+
+
+def test_a_clock_that_drifts_is_told_with_its_rate():
+    text = drifting(0.0, 0.02)
     assert "constantly 1.2 s ahead" in text
     assert "it drifts, by +20 ms in a second" in text
     assert "topics.length_clock: sent" in text
@@ -132,12 +132,7 @@ def test_of_streams_that_are_all_off_every_process_names_the_same(others):
 
 def test_a_table_whose_clock_drifts_is_told_the_rate_of_its_own_clock():
     """The table's stamps run 2 % slow: its clock falls behind by 20 ms in a second."""
-    offsets, text = StampOffsets(OffsetLimits(1.0)), ""
-    for k in range(60 * 50):
-        now = START + k * 20 * MS
-        offsets.note("joint_states", now - round((now - START) * 0.02), now)
-        offsets.note("tracer_length", now, now)
-        text = offsets.reason_to_reject() if k % 25 == 0 else text
+    text = drifting(-0.02, 0.0)
     assert "the stamps of joint_states" in text
     assert "it drifts, by -20 ms in a second" in text
     assert "topics.table_clock: sent" in text

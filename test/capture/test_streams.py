@@ -1,7 +1,5 @@
 """A stream against its rules in a plain loop: what is kept, counted, forgotten; when to look."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Table at rest, and a window of readings: limits that are met exactly, rows, and words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Balls that are touched: the capture fits the sphere itself, and says what speaks against it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

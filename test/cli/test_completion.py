@@ -56,10 +56,7 @@ def test_it_knows_the_verbs_below_plan():
     assert offered("rotcal plan re") == ["reliability"]
 
 
-@pytest.mark.parametrize(
-    "before",
-    ["export bag", "verify config/verify_demo.yaml"],
-)
+@pytest.mark.parametrize("before", ["export bag", "verify config/verify_demo.yaml"])
 def test_it_knows_the_controllers(before):
     assert offered(f"rotcal {before} --to li") == ["linuxcnc"]
 

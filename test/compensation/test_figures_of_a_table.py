@@ -11,9 +11,7 @@ from compensation_examples import TAU, d4_table, even, result_of, two_ways, wavy
 from scipy.interpolate import CubicSpline
 
 from rotcal_ros.compensation.controller import Controller
-from rotcal_ros.compensation.controller_files import (
-    mean_deg,
-)
+from rotcal_ros.compensation.controller_files import mean_deg
 from rotcal_ros.compensation.export import residual_budget, simulate
 from rotcal_ros.compensation.table import (
     CompensationTable,

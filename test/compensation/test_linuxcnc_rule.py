@@ -116,9 +116,7 @@ def test_every_turn_has_the_same_trim():
     at = np.array([10.0, 100.0]) * DEGREE
     for turn in range(-1, 9):
         np.testing.assert_allclose(
-            loaded.correction(at + turn * TAU, UP),
-            loaded.correction(at, UP),
-            atol=1e-7 * ARCSEC,
+            loaded.correction(at + turn * TAU, UP), loaded.correction(at, UP), atol=1e-7 * ARCSEC
         )
 
 

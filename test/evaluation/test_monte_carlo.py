@@ -2,11 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from rotcal_ros.evaluation.monte_carlo import (
-    compare_with_linear,
-    numerical_tolerance,
-    propagate,
-)
+from rotcal_ros.evaluation.monte_carlo import compare_with_linear, numerical_tolerance, propagate
 from rotcal_ros.foundation.errors import ConfigurationError
 
 

@@ -82,8 +82,7 @@ def tracer():
 def plate_calibration():
     return prepare(
         changed(
-            read_configuration(EXAMPLES / "ball_plate.yaml"),
-            ("solver.sigma_centre_m=0.0000002",),
+            read_configuration(EXAMPLES / "ball_plate.yaml"), ("solver.sigma_centre_m=0.0000002",)
         )
     )
 
@@ -124,27 +123,20 @@ def both_ways(pairs):
 
 
 @pytest.mark.slow
-def test_lengths_evaluated_with_fewer_targets_vary_together_as_their_noise_says(tracer):
-    rng = np.random.default_rng(24)
-    pairs = []
+@pytest.mark.parametrize(
+    ("seed", "fewer_targets", "changes", "slack"),
+    [(24, True, (), SLACK), (25, False, ("solver.variant=station",), 1.25 * SLACK)],
+)
+def test_evaluations_of_the_same_lengths_vary_together_as_their_noise_says(
+    tracer, seed, fewer_targets, changes, slack
+):
+    rng, pairs = np.random.default_rng(seed), []
     for _ in range(60 if LONG else 12):
         every = tracer.observations(rng)
-        some = [o for o in every if o.target % 3]
-        pairs.append((tracer.solve(every), tracer.solve(some)))
+        some = [o for o in every if o.target % 3] if fewer_targets else every
+        pairs.append((tracer.solve(every), tracer.solve(some, *changes)))
     told, apart = both_ways(pairs)
-    assert told == pytest.approx(1.0, abs=SLACK)  # 60 x 11 contrasts: 0.055 as one std, and slack
-    assert apart < 0.5
-
-
-@pytest.mark.slow
-def test_two_variants_of_the_same_lengths_vary_together_as_their_noise_says(tracer):
-    rng = np.random.default_rng(25)
-    pairs = []
-    for _ in range(60 if LONG else 12):
-        every = tracer.observations(rng)
-        pairs.append((tracer.solve(every), tracer.solve(every, "solver.variant=station")))
-    told, apart = both_ways(pairs)
-    assert told == pytest.approx(1.0, abs=1.25 * SLACK)
+    assert told == pytest.approx(1.0, abs=slack)  # 60 x 11 contrasts: 0.055 as one std, and slack
     assert apart < 0.5
 
 

@@ -5,12 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.foundation.session_folder import (
-    REQUEST,
-    SessionFolder,
-    resume_command,
-    unfinished,
-)
+from rotcal_ros.foundation.session_folder import REQUEST, SessionFolder, resume_command, unfinished
 
 FOLDER = SessionFolder(Path("/data/out"))
 

@@ -7,14 +7,7 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.settings import (
-    declarations,
-    expert,
-    group,
-    load,
-    setting,
-    to_mapping,
-)
+from rotcal_ros.foundation.settings import declarations, expert, group, load, setting, to_mapping
 
 
 @dataclass(frozen=True)

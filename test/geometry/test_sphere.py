@@ -119,11 +119,7 @@ def test_wrong_shapes_are_refused():
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    st.tuples(*[st.floats(-2, 2)] * 3),
-    st.floats(0.002, 0.05),
-    st.integers(0, 1000),
-)
+@given(st.tuples(*[st.floats(-2, 2)] * 3), st.floats(0.002, 0.05), st.integers(0, 1000))
 def test_exact_spheres_are_found_anywhere(centre, radius, seed):
     rng = np.random.default_rng(seed)
     direction = rng.normal(size=(12, 3))

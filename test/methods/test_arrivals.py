@@ -7,12 +7,7 @@ import pytest
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.arrivals import (
-    Arrivals,
-    mean_curve,
-    mean_of_runs,
-    repeatability_std,
-)
+from rotcal_ros.methods.arrivals import Arrivals, mean_curve, mean_of_runs, repeatability_std
 
 # target, run, upward: target 2 has no way down in the second run, target 1 none at all
 CAME = [(0, 0, 1), (1, 0, 1), (3, 0, 1), (3, 0, 0), (0, 0, 0), (0, 1, 1), (1, 1, 1), (3, 1, 1)]

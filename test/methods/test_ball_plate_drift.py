@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from chances import LONG, share
 from plate_data import RADIUS, rotate_z
-from plate_disturbed import (
-    DEMO_PLATE,
-    ORDERS,
-    drifted,
-    measured,
-    on_plate,
-)
+from plate_disturbed import DEMO_PLATE, ORDERS, drifted, measured, on_plate
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError

@@ -15,11 +15,7 @@ from scipy.optimize import lsq_linear
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve
-from rotcal_ros.methods.ball_plate.solver.estimate import (
-    WithGaps,
-    factored_with_drift,
-    gap_cells,
-)
+from rotcal_ros.methods.ball_plate.solver.estimate import WithGaps, factored_with_drift, gap_cells
 from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
 from rotcal_ros.methods.ball_plate.solver.general_least_squares import GeneralFit
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, TABLE_COMPONENTS
@@ -93,9 +89,7 @@ def test_spectral_solution_corrected_for_gaps_agrees_with_dense(grid, count, mis
     gaps = gap_cells(part)
     assert gaps.tolist() == sorted(gone.tolist())
     assert_same(
-        solve_dense(part),
-        WithGaps(part, gaps).solve(part.deviations),
-        covariance=grid < 72,
+        solve_dense(part), WithGaps(part, gaps).solve(part.deviations), covariance=grid < 72
     )
     assert solve_exactly(part)[1].way == "spectral with gaps"
 

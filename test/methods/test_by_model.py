@@ -166,10 +166,7 @@ def test_a_column_of_times_makes_the_order(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        (
-            (6, 0, 0.0),
-            "place 6, run 0 is not in .* places 0 to 5 and runs 0 to 2",
-        ),
+        ((6, 0, 0.0), "place 6, run 0 is not in .* places 0 to 5 and runs 0 to 2"),
         ((1, 0, 1.7), "are these arcseconds"),
         ((-1, 0, 0.0), "place must be a whole number from 0"),
     ],

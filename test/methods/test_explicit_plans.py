@@ -8,12 +8,7 @@ import yaml
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods import (
-    changed,
-    parse_configuration,
-    prepare_to_measure,
-    read_configuration,
-)
+from rotcal_ros.methods import changed, parse_configuration, prepare_to_measure, read_configuration
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.tracer.table import read_pairs, write_pairs, write_targets
 

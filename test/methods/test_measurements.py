@@ -161,12 +161,7 @@ def test_bad_targets(tmp_path: Path, rows: list[str], text: str) -> None:
         read_targets(path)
 
 
-PLATE = {
-    "grid": 12,
-    "ball_steps": [0, 1, 5],
-    "circle_radius_m": 0.1,
-    "ball_diameter_m": 0.01,
-}
+PLATE = {"grid": 12, "ball_steps": [0, 1, 5], "circle_radius_m": 0.1, "ball_diameter_m": 0.01}
 
 
 def test_ball_plate_table(tmp_path: Path) -> None:

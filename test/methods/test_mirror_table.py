@@ -80,10 +80,7 @@ def test_every_row_is_read_to_the_last_bit(tmp_path_factory, rows):
         (HEAD + ",A,nest,R1,1,2,3\n", "row 2: nest must be a whole number from 0, found 'R1'"),
         (HEAD + "\n0,A,direct,1,1,2,three\n", "row 3: z_m must be a finite number, found 'three'"),
         (HEAD + "0,A,direct,1,1,2,nan\n", "row 2: z_m must be a finite number, found 'nan'"),
-        (
-            HEAD + "0,A,direct,1,1,2,3040.5\n",
-            "row 2: z_m is 3040.5 m, more than 1000 m",
-        ),
+        (HEAD + "0,A,direct,1,1,2,3040.5\n", "row 2: z_m is 3040.5 m, more than 1000 m"),
         (HEAD + "7,A,direct,1,1,2,3\n", "line 2 names position 7, but there are 2"),
     ],
 )

@@ -12,11 +12,7 @@ from rotcal_ros.capture.window import Beam
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.configuration import (
-    Configuration,
-    dump_configuration,
-    parse_configuration,
-)
+from rotcal_ros.methods.configuration import Configuration, dump_configuration, parse_configuration
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.tracer.calibration import problem
 from rotcal_ros.methods.tracer.settings import FaultSettings, SimulatedTracerSettings

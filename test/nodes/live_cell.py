@@ -16,7 +16,9 @@ import warm
 from rotcal_ros.foundation.machine_load import Patience, in_words, patient
 from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
 from rotcal_ros.foundation.plugins import node_module
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import changed, read_configuration
+from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.sessions.processes import Processes, node_environment
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
@@ -85,6 +87,23 @@ class LiveCell:
         """Run a whole calibration and return its outcome."""
         self.start(*SUITE, "simulated_cell")
         return self.client().result()
+
+    def calibrate_with_a_person(self):
+        """Run a calibration, resume whenever it asks; return how it ended, and what it asked."""
+        self.start(*SUITE, "simulated_cell")
+        client, asked = self.client(), []
+        while (event := client.wait_for("paused", "result"))["event"] == "paused":
+            asked.append(event["instruction"])
+            self.processes.tell("client", "resume")
+        return event, asked
+
+    def repeated(self):
+        """Return the recording, which gives the result again to the last bit, and the result."""
+        recording = read_recording(self.bag)
+        text = (self.session / "result.json").read_text()
+        assert recording.same_as_recorded
+        assert recording.solve().to_json() == text
+        return recording, Result.from_dict(json.loads(text))
 
     def kill(self, name):
         self.processes.signal(name, signal.SIGKILL)
@@ -173,20 +192,25 @@ def process_of(parent, node):
     pytest.fail(f"no process of {node}")
 
 
-@pytest.fixture
-def cell(tmp_path, monkeypatch):
-    """Return a function that makes a live cell with a short plan; all of it ends with the test."""
+def live_cells(tmp_path, monkeypatch, demo, short):
+    """Yield a function that makes a live cell of a changed file; all of it ends with the test."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     cells = []
 
     def make(*changes):
-        made = LiveCell(tmp_path, changed(read_configuration(DEMO), (*SHORT, *changes)))
+        made = LiveCell(tmp_path, changed(read_configuration(demo), (*short, *changes)))
         cells.append(made)
         return made
 
     yield make
     for made in cells:
         made.processes.end()
+
+
+@pytest.fixture
+def cell(tmp_path, monkeypatch):
+    """Return a function that makes a live cell with a short plan."""
+    yield from live_cells(tmp_path, monkeypatch, DEMO, SHORT)
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.storage_scan import FileVerdict
-from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.recordings.replay import read_recording
@@ -63,15 +62,11 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
     assert outcome["n_used"] == 59
     assert outcome["n_rejected"] >= 3
 
-    recording = read_recording(live.bag)
-    text = (live.session / "result.json").read_text()
-    assert recording.same_as_recorded
-    assert recording.solve().to_json() == text
+    recording, result = live.repeated()
     assert all(
         v.state == "complete" and not any(v.losses_recorded.values()) for v in recording.verdicts
     )
 
-    result = Result.from_dict(json.loads(text))
     settings = parse_configuration(live.file.read_text()).simulation
     truth = true_deviations(settings.table, result.angles)["ECC"]
     error = result.deviations["ECC"] - truth

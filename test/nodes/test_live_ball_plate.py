@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_cell import SUITE, LiveCell
+from live_cell import SUITE, live_cells
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import prepare
-from rotcal_ros.methods.configuration import changed, read_configuration
+from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.recordings.replay import read_recording
 
@@ -35,19 +35,7 @@ SHORT = (
 @pytest.fixture
 def plate_cell(tmp_path, monkeypatch):
     """Return a function that makes a live cell with a small plate."""
-    import os
-    import sys
-
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    cells = []
-
-    def make(*changes):
-        cells.append(LiveCell(tmp_path, changed(read_configuration(DEMO), (*SHORT, *changes))))
-        return cells[-1]
-
-    yield make
-    for made in cells:
-        made.processes.end()
+    yield from live_cells(tmp_path, monkeypatch, DEMO, SHORT)
 
 
 def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
@@ -57,11 +45,7 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     assert outcome["n_used"] == 78  # the first position again at the end
     assert outcome["skipped_steps"] == []
 
-    recording = read_recording(live.bag)
-    text = (live.session / "result.json").read_text()
-    assert recording.same_as_recorded
-    assert recording.solve().to_json() == text
-    result = Result.from_dict(json.loads(text))
+    recording, result = live.repeated()
     calibration = prepare(read_configuration(live.file))
     settings = calibration.configuration.simulation
     truth = calibration.method.gauge(result.angles, true_deviations(settings.table, result.angles))

@@ -1,20 +1,15 @@
 """Six deviations over DDS: a person fixes the tracer at three places, once at a wrong one."""
 
-import json
-import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_cell import SUITE, LiveCell
+from live_cell import live_cells
 
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.simulation.table import true_deviations
-from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -34,20 +29,16 @@ TARGETS = 8
 PER_PLACE = 2 * 3 * TARGETS
 
 
+@pytest.fixture
+def cell(tmp_path, monkeypatch):
+    """Return a function that makes a live cell with the tracer at three places."""
+    yield from live_cells(tmp_path, monkeypatch, DEMO, SHORT)
+
+
 @pytest.mark.slow
-def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    live = LiveCell(tmp_path, changed(read_configuration(DEMO), SHORT))
-    try:
-        live.start(*SUITE, "simulated_cell")
-        client, asked = live.client(), []
-        while (event := client.wait_for("paused", "result"))["event"] == "paused":
-            asked.append(event["instruction"])
-            live.processes.tell("client", "resume")
-    finally:
-        live.processes.end()
+def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(cell):
+    live = cell()
+    event, asked = live.calibrate_with_a_person()
     assert event["error_code"] == 0, event["error_msg"]
     assert [text.split(" (number")[0] for text in asked if text.startswith("fix")] == [
         f"fix the tracer at place {number + 1} of 3" for number in range(3)
@@ -56,15 +47,11 @@ def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
     assert asked[2].startswith("not right yet: place 2: the tracer stands ")
     assert event["n_used"] == 3 * PER_PLACE
 
-    recording = read_recording(live.bag)
-    text = (live.session / "result.json").read_text()
-    assert recording.same_as_recorded
-    assert recording.solve().to_json() == text
+    recording, result = live.repeated()
     # The first angle of the second place was measured twice; what counts is the second time.
     accepted = [o for o in recording.recorded if o.station == 1 and o.accepted]
     assert len(accepted) == PER_PLACE + TARGETS
 
-    result = Result.from_dict(json.loads(text))
     assert result.components == COMPONENTS
     settings = parse_configuration(live.file.read_text()).simulation
     method = recording.calibration.method

@@ -32,8 +32,7 @@ SENTENCES = {
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    SENTENCES if LONG else ["degrees", pytest.param("no echo", marks=pytest.mark.slow)],
+    "wrong", SENTENCES if LONG else ["degrees", pytest.param("no echo", marks=pytest.mark.slow)]
 )
 def test_what_is_wrong_is_said(cell, wrong):
     code, sentence = SENTENCES[wrong]

@@ -7,7 +7,7 @@ import numpy as np
 
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.tracer.calibration import problem
-from rotcal_ros.planning.time_order import time_order
+from rotcal_ros.planning.readings import time_order
 
 PAPER = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 

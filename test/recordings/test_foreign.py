@@ -23,11 +23,7 @@ NAMES = {
 GROUPS = yaml.safe_load(CONFIGURATION)["/**"]["ros__parameters"]
 GROUPS.pop("method")
 GROUPS["simulation"].pop("table")  # one that comes to rest slowly enough to be seen
-CAPTURE = {
-    **GROUPS["capture"],
-    "temperature_expected": False,
-    "velocity_tolerance_deg_s": 0.05,
-}
+CAPTURE = {**GROUPS["capture"], "temperature_expected": False, "velocity_tolerance_deg_s": 0.05}
 SETUP = parse_configuration(
     dump_configuration("tracer_multistation", {**GROUPS, "capture": CAPTURE, "topics": NAMES})
 )

@@ -117,8 +117,7 @@ def test_order_between_streams_does_not_matter(simulated_run: Run, tmp_path: Pat
     chance = random.Random(3)
     delays = {kind: chance.uniform(0, 40) for kind in (TracerSample,)}
     shuffled = sorted(
-        enumerate(simulated_run.records),
-        key=lambda pair: pair[0] + delays.get(type(pair[1]), 0.0),
+        enumerate(simulated_run.records), key=lambda pair: pair[0] + delays.get(type(pair[1]), 0.0)
     )
     run = Run([record for _, record in shuffled], simulated_run.observations)
     write_run(tmp_path / "other", run)

@@ -61,13 +61,7 @@ def test_who_comes_late_hears_how_it_stands():
     history = History()
     history.remember({"event": "session", "at_once": False})
     page = {"event": "page", "text": "page: http://127.0.0.1:8000"}
-    for event in (
-        page,
-        feedback(1),
-        feedback(2, Why.WORK),
-        PAUSED,
-        {"event": "alive"},
-    ):
+    for event in (page, feedback(1), feedback(2, Why.WORK), PAUSED, {"event": "alive"}):
         history.remember(event)
     assert [e["event"] for e in history.events()] == ["session", "page", "feedback", "paused"]
     assert history.events()[1:3] == [page, feedback(2, Why.WORK)]

@@ -81,10 +81,7 @@ def on_all_cores(
 
 
 def on_cluster(
-    jobs: Iterable[Job],
-    scheduler: str,
-    time_limit_s: float = TIME_LIMIT_S,
-    work: Work = solve_bag,
+    jobs: Iterable[Job], scheduler: str, time_limit_s: float = TIME_LIMIT_S, work: Work = solve_bag
 ) -> Generator[BagOutcome, None, None]:
     """Yield the outcomes as the workers of the Dask ``scheduler`` (tcp://...) deliver them.
 

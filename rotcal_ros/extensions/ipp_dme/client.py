@@ -343,10 +343,7 @@ FAR_OFF_DEG: Final = 1.0
 
 
 def way_to_turn(version: str) -> str:
-    """Return how a server of this version wants its table to be turned.
-
-    Raises DmeError for a version that cannot be read.
-    """
+    """Return how a server of this version wants its table turned; DmeError if unreadable."""
     found = re.match(r"\s*(\d+)(\.|$)", version)
     if found is None:
         raise DmeError(
@@ -567,10 +564,7 @@ class DmeLink:
             self._send(CommandLine(self._tags.event(), call("AbortE")))
 
     def _receive(self) -> bytes:
-        """Return what came, nothing at the end.
-
-        The socket's time limit applies only to sending.
-        """
+        """Return what came, nothing at the end; the socket's time limit is for sending only."""
         while True:
             with suppress(TimeoutError):
                 return self._socket.recv(RECEIVED)

@@ -114,10 +114,7 @@ class DmeAdapter(CellNode):
             return
         run = self._planners_run()
         if self._plan is None or run not in (None, self._run):
-            self._early = (
-                run,
-                command,
-            )  # of a plan that comes later, on another topic
+            self._early = (run, command)  # of a plan that comes later, on another topic
         else:
             self._driver.order(command, self._plan.step(command.step))
 

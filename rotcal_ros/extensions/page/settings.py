@@ -38,10 +38,7 @@ class PageSettings:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether ``host`` is this machine alone.
-
-    ConfigurationError if it is not an address.
-    """
+    """Return whether ``host`` is this machine alone; ConfigurationError if it is no address."""
     if host == "localhost":
         return True
     try:

@@ -447,10 +447,7 @@ def _asked(heard: HeardPlanner) -> tuple[str, str]:
         if task.again:
             return phrase("Not right yet: {0} at place {1} of {2}", *place), heard.instruction
         put = phrase("Fix the {0} at place {1} of {2} on the table", *place)
-        return (
-            put if task.rides else phrase("Put the {0} at place {1} of {2}", *place),
-            PRESS,
-        )
+        return (put if task.rides else phrase("Put the {0} at place {1} of {2}", *place), PRESS)
     for reason in heard.planner.reasons:
         if reason.code in _STOPS and reason.code is heard.doing:
             headline, detail = _STOPS[reason.code]

@@ -139,11 +139,7 @@ class Reproduction:
 
     @classmethod
     def of(
-        cls,
-        name: str,
-        values: Values,
-        tables: Iterable[PrintedTable],
-        figures: Iterable[Figure],
+        cls, name: str, values: Values, tables: Iterable[PrintedTable], figures: Iterable[Figure]
     ) -> Reproduction:
         """Return the reproduction of the paper ``name``, in the words of its file."""
         text = (files(__package__) / "templates" / f"{name}.yaml").read_text(encoding="utf-8")

@@ -17,6 +17,7 @@ from rotcal_ros.methods.disturbance import (
     Disturbances,
     DisturbedMeasurement,
     Sizes,
+    Streams,
     angle_numbers,
     arrival_errors,
     error_motion,
@@ -124,7 +125,7 @@ def _true_centres(
     position: Ints,
     sizes: Sizes,
     true: dict[str, Floats],
-    streams: tuple[np.random.Generator, np.random.Generator],
+    streams: Streams,
 ) -> Floats:
     """Return where the balls are at every step (n, 3), m, from the axis."""
     noise, other = streams

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
-from rotcal_ros.methods.result_tables import ResultTable
+from rotcal_ros.methods.result_tables import ResultTable, by_axis
 
 _DIRECTIONS: Final = ("radial", "tangential", "axial")
 _COLOURS: Final = (style.BLUE, style.ORANGE, style.GREEN)
@@ -235,10 +235,7 @@ def tables(result: Result) -> list[ResultTable]:
             ("machine", "Errors of the machine", "cmm_errors", "cmm_positions"),
         ):
             errors, std = (np.asarray(group[k]) / MICROMETRE for k in (key, f"{key}_std"))
-            columns = {f"{axis}_um": errors[:, k] for k, axis in enumerate("xyz")}
-            columns |= {
-                f"U_{axis}_um": COVERAGE_FACTOR * std[:, k] for k, axis in enumerate("xyz")
-            }
+            columns = by_axis("{}_um", errors) | by_axis("U_{}_um", COVERAGE_FACTOR * std)
             found.append(ResultTable.of(name, title, step=group[steps], **columns))
     return [*found, *_residual_table(result)]
 
@@ -256,9 +253,7 @@ def _residual_table(result: Result) -> list[ResultTable]:
             row=np.asarray(rows["row"])[order],
             position=residuals.table_position[order],
             ball_step=residuals.target[order],
-            x_um=vector[order, 0],
-            y_um=vector[order, 1],
-            z_um=vector[order, 2],
+            **by_axis("{}_um", vector[order]),
             test_value=residuals.test_value[order],
             used=["yes" if used else "no" for used in residuals.used[order]],
         )

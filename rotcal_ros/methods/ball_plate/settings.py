@@ -121,36 +121,28 @@ class BallPlateSolverSettings:
         choices=("least_squares", CLOSED_FORM),
     )
     sigma_centre_m: float = setting(
-        0.0,
+        0.0, minimum=0.0, maximum=1e-2,
         doc="m, known standard deviation of a ball centre; 0: from the residuals",
-        minimum=0.0,
-        maximum=1e-2,
-    )
+    )  # fmt: skip
     drift: str = setting(
         "none",
         doc="drift of the CMM's origin over the run that is estimated, for each axis",
         choices=DRIFTS,
     )
     drift_allowance_m: float = setting(
-        0.0,
+        0.0, minimum=0.0, maximum=1e-3,
         doc="m, drift of the CMM's origin over the run, along each axis, that the uncertainty "
         "covers where it is not estimated; 0: none stated",
-        minimum=0.0,
-        maximum=1e-3,
-    )
+    )  # fmt: skip
     group_allowance_m: float = expert(
-        0.0,
+        0.0, minimum=0.0, maximum=1e-3,
         doc="m, on the circle of the balls: largest difference between the zeros of groups of "
         "table positions (plan.plate.separate_groups); 0: none stated, the difference is unknown",
-        minimum=0.0,
-        maximum=1e-3,
-    )
+    )  # fmt: skip
     sigma_axes_m: tuple[float, ...] = expert(
-        (),
+        (), minimum=0.0, maximum=1e-2,
         doc="m, known standard deviations of a ball centre in x, y, z; empty: the same in all",
-        minimum=0.0,
-        maximum=1e-2,
-    )
+    )  # fmt: skip
     own_std: bool = expert(
         False, doc="weight every centre by the standard deviation that the machine states for it"
     )
@@ -278,12 +270,10 @@ class BallPlatePlanSettings:
         choices=get_args(Order),
     )
     rounds: int = setting(
-        0,
+        0, minimum=0, maximum=100,
         doc="turns of the table: interleaved, each for a share of the balls; table_once, each "
         "for a share of the CMM positions; 0: as many as the order asks for (4 and 1)",
-        minimum=0,
-        maximum=100,
-    )
+    )  # fmt: skip
     closing: bool = setting(True, doc="measure the first table position again at the end")
     backlash: bool = setting(True, doc="approach all angles in the positive direction")
     bidirectional: bool = setting(
@@ -292,11 +282,9 @@ class BallPlatePlanSettings:
         "approached from the other side",
     )
     measure: str = setting(
-        SURFACE,
+        SURFACE, choices=(SURFACE, CENTRE), first=True,
         doc="what the machine publishes of a ball: surface (touch points) or centre",
-        choices=(SURFACE, CENTRE),
-        first=True,
-    )
+    )  # fmt: skip
     points_per_ball: int = points_setting()
 
 

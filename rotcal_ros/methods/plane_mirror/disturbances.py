@@ -18,6 +18,7 @@ from rotcal_ros.methods.disturbance import (
     Disturbances,
     DisturbedMeasurement,
     Sizes,
+    Streams,
     arrival_errors,
     error_motion,
     repeatability,
@@ -116,7 +117,7 @@ def _places(
     plan: Plan,
     stations: list[TrackerStation],
     sizes: Sizes,
-    streams: tuple[np.random.Generator, np.random.Generator],
+    streams: Streams,
 ) -> Floats:
     """Return where the points or their images are at every step (n, 3), m, in the room."""
     noise, other = streams
@@ -140,10 +141,7 @@ def _places(
 
 
 def _table(
-    configuration: Configuration,
-    plan: Plan,
-    sizes: Sizes,
-    streams: tuple[np.random.Generator, np.random.Generator],
+    configuration: Configuration, plan: Plan, sizes: Sizes, streams: Streams
 ) -> tuple[Floats, Floats]:
     """Return rotation (n, 3, 3) and shift (n, 3) of the table at every step."""
     noise, other = streams

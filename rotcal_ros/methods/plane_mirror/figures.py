@@ -18,7 +18,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.curves import injected
 from rotcal_ros.methods.figures.residuals import residual_figures
-from rotcal_ros.methods.result_tables import ResultTable
+from rotcal_ros.methods.result_tables import ResultTable, by_axis
 
 _TURNS = ((2, style.BLUE, "azimuth"), (0, style.ORANGE, "tilt x"), (1, style.GREEN, "tilt y"))
 
@@ -206,12 +206,9 @@ def _draw_points(
     ax.plot(*np.array(list(points.values())).T, marker, color=colour, markersize=7, label=label)
     for name, point in points.items():
         ax.annotate(
-            str(name),
-            (point[0], point[1]),
-            xytext=(7, 5),
-            textcoords="offset points",
+            str(name), (point[0], point[1]), xytext=(7, 5), textcoords="offset points",
             color=colour,
-        )
+        )  # fmt: skip
 
 
 def _across(axis: Floats) -> Floats:
@@ -239,8 +236,7 @@ def tables(result: Result) -> list[ResultTable]:
     """Return the stations of the tracker, the mirror's normals, and what was measured twice."""
     details, found = result.details, list[ResultTable]()
     if stands := details.get("stations"):
-        places = np.asarray([stand["position_m"] for stand in stands]) / MILLIMETRE
-        columns = {f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")}
+        columns = by_axis("{}_mm", [stand["position_m"] for stand in stands], MILLIMETRE)
         names = [str(stand["station"]) for stand in stands]
         found.append(
             ResultTable.of("stations", "Stations of the tracker", station=names, **columns)
@@ -253,10 +249,7 @@ def tables(result: Result) -> list[ResultTable]:
                 station=[str(normal["station"]) for normal in normals],
                 angle_deg=[float(normal["angle_rad"]) / DEGREE for normal in normals],
                 incidence_deg=[float(normal["incidence_rad"]) / DEGREE for normal in normals],
-                **{
-                    axis: [float(normal["normal"][k]) for normal in normals]
-                    for k, axis in enumerate("xyz")
-                },
+                **by_axis("{}", [normal["normal"] for normal in normals]),
             )
         )
     if again := details.get("repeats"):

@@ -20,12 +20,7 @@ from rotcal_ros.methods.plane_mirror import calibration, table
 from rotcal_ros.methods.plane_mirror.disturbances import DISTURBANCES
 from rotcal_ros.methods.plane_mirror.figures import figures, tables
 from rotcal_ros.methods.plane_mirror.mirror_physics import TrackerStation
-from rotcal_ros.methods.plane_mirror.plan import (
-    check_plan,
-    nominal_mirror,
-    plan,
-    tracker_stands,
-)
+from rotcal_ros.methods.plane_mirror.plan import check_plan, nominal_mirror, plan, tracker_stands
 from rotcal_ros.methods.plane_mirror.settings import (
     MirrorPlanSettings,
     MirrorSimulationSettings,

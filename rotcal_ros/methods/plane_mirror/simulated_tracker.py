@@ -12,11 +12,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, NANOSECOND
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    FlatMirror,
-    TrackerStation,
-    on_circle,
-)
+from rotcal_ros.methods.plane_mirror.mirror_physics import FlatMirror, TrackerStation, on_circle
 from rotcal_ros.methods.plane_mirror.settings import (
     MirrorSimulationSettings,
     SimulatedMirrorSettings,

@@ -29,11 +29,7 @@ from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 COLUMNS: Final = {"position": "table_position"}
 HEADER: Final[Header] = ("position", "tracker_station", "kind", "nest", "x_m", "y_m", "z_m")
 TIMED: Final[Header] = (*HEADER, "time_s")
-KINDS: Final = {
-    "direct": PointKind.DIRECT,
-    "mirrored": PointKind.MIRRORED,
-    "nest": PointKind.NEST,
-}
+KINDS: Final = {"direct": PointKind.DIRECT, "mirrored": PointKind.MIRRORED, "nest": PointKind.NEST}
 _FARTHEST: Final = 1000.0
 """Metres; beyond any tracker."""
 

@@ -137,10 +137,7 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def problem(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> TracerProblem:
-    """Return the problem that observations of a plan pose.
-
-    Raises DataError when an observation does not fit the plan.
-    """
+    """Return the problem that observations pose; DataError when one does not fit the plan."""
     settings: TracerSolverSettings = configuration.solver
     for o in observations:
         if not (o.table_position < len(plan.table_angles) and o.target < len(plan.targets)):

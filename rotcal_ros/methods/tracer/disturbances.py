@@ -19,6 +19,7 @@ from rotcal_ros.methods.disturbance import (
     Disturbances,
     DisturbedMeasurement,
     Sizes,
+    Streams,
     arrival_errors,
     error_motion,
     repeatability,
@@ -129,11 +130,7 @@ def measure(
 
 
 def observed(
-    configuration: Configuration,
-    plan: Plan,
-    stations: Floats,
-    sizes: Sizes,
-    streams: tuple[np.random.Generator, np.random.Generator],
+    configuration: Configuration, plan: Plan, stations: Floats, sizes: Sizes, streams: Streams
 ) -> tuple[Observation, ...]:
     """Return what a tracer observes that is at ``stations`` (n, 3), m, at the steps of ``plan``.
 
@@ -196,12 +193,7 @@ def steps_of(plan: Plan) -> PlannedSteps:
     )
 
 
-def _stations(
-    configuration: Configuration,
-    plan: Plan,
-    sizes: Sizes,
-    streams: tuple[np.random.Generator, np.random.Generator],
-) -> Floats:
+def _stations(configuration: Configuration, plan: Plan, sizes: Sizes, streams: Streams) -> Floats:
     """Return where the tracer is at every step (n, 3), m."""
     noise, other = streams
     steps = steps_of(plan)

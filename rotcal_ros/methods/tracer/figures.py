@@ -14,7 +14,7 @@ from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.figures.style import name_places
-from rotcal_ros.methods.result_tables import ResultTable, corrections_table
+from rotcal_ros.methods.result_tables import ResultTable, by_axis, corrections_table
 
 MOST_NAMES: Final = 40
 """Targets whose numbers still fit into the plan view."""
@@ -103,19 +103,15 @@ def tables(result: Result) -> list[ResultTable]:
     normal, axial = _array(details["plane"]["normal"]), _array(details["axial"])
     columns: dict[str, Any] = {"position": details["station_ids"]}
     projected = places - axial[:, None] * normal
-    columns |= {f"{axis}_mm": places[:, k] / MILLIMETRE for k, axis in enumerate("xyz")}
-    columns |= {
-        f"projected_{axis}_mm": projected[:, k] / MILLIMETRE for k, axis in enumerate("xyz")
-    }
+    columns |= by_axis("{}_mm", places, MILLIMETRE)
+    columns |= by_axis("projected_{}_mm", projected, MILLIMETRE)
     if "station_std" in details:
-        expanded = COVERAGE_FACTOR * _array(details["station_std"]) / MICROMETRE
-        columns |= {f"U_{axis}_um": expanded[:, k] for k, axis in enumerate("xyz")}
+        expanded = COVERAGE_FACTOR * _array(details["station_std"])
+        columns |= by_axis("U_{}_um", expanded, MICROMETRE)
     if "distances" in details:
         columns["d_mm"] = _array(details["distances"]) / MILLIMETRE
-    columns |= {
-        "axial_um": axial / MICROMETRE,
-        "radial_um": _array(details["radial"]) / MICROMETRE,
-    }
+    columns["axial_um"] = axial / MICROMETRE
+    columns["radial_um"] = _array(details["radial"]) / MICROMETRE
     return [
         ResultTable.of(
             "stations", "Stations of the tracer, and as projected on their plane", **columns
@@ -129,8 +125,7 @@ def tables(result: Result) -> list[ResultTable]:
 def _targets(details: Mapping[str, Any]) -> list[ResultTable]:
     if "targets" not in details:
         return []
-    places = _array(details["targets"]) / MILLIMETRE
-    columns = {f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")}
+    columns = by_axis("{}_mm", details["targets"], MILLIMETRE)
     return [ResultTable.of("targets", "Targets", target=details["target_ids"], **columns)]
 
 

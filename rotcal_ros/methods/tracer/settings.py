@@ -95,11 +95,9 @@ class FaultSettings:
         minimum=0.0,
     )
     slip_probability: float = setting(
-        0.0,
+        0.0, minimum=0.0, maximum=1.0,
         doc="probability that the counter slips a fringe at a reading, and the status stays good",
-        minimum=0.0,
-        maximum=1.0,
-    )
+    )  # fmt: skip
     spike_probability: float = setting(
         0.0, doc="probability that a reading is a spike", minimum=0.0, maximum=1.0
     )
@@ -137,34 +135,24 @@ class TracerPlanSettings(TableAngleSettings):
     """Where the table turns and where the reflector goes."""
 
     box_centre_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.6),
-        doc="m, centre of the block of targets",
-        first=True,
+        (0.0, 0.0, 0.6), doc="m, centre of the block of targets", first=True
     )
     box_size_m: tuple[float, float, float] = setting(
-        (0.45, 0.6, 0.45),
-        doc="m, size of the block of targets",
-        minimum=0.0,
-        first=True,
+        (0.45, 0.6, 0.45), doc="m, size of the block of targets", minimum=0.0, first=True
     )
     box_points: tuple[int, int, int] = setting(
-        (4, 4, 4),
+        (4, 4, 4), minimum=1, maximum=1000, first=True,
         doc="number of targets along x, y and z in the block",
-        minimum=1,
-        maximum=1000,
-        first=True,
-    )
+    )  # fmt: skip
     order: str = setting(
         STATIONS_PER_TARGET,
         doc="what changes fastest: the table (the paper's order) or the target",
         choices=(STATIONS_PER_TARGET, TARGETS_PER_STATION),
     )
     runs: int = setting(
-        1,
+        1, minimum=1, maximum=100,
         doc="how often all table angles are measured; ISO 230-2 asks for 5",
-        minimum=1,
-        maximum=100,
-    )
+    )  # fmt: skip
     bidirectional: bool = setting(
         False, doc="measure every run on the way up and, from the other side, on the way down"
     )
@@ -196,12 +184,10 @@ class TracerPlanSettings(TableAngleSettings):
         first=True,
     )
     min_elevation_deg: float | None = setting(
-        None,
+        None, minimum=-90.0, maximum=90.0,
         doc="deg, lowest beam above the tracer's horizon; pairs with a lower one are left out of "
         "the plan; none: no pair is",
-        minimum=-90.0,
-        maximum=90.0,
-    )
+    )  # fmt: skip
     min_distance_m: float = setting(
         0.0, doc="m, shortest beam; pairs with a shorter one are left out of the plan", minimum=0.0
     )

@@ -20,11 +20,7 @@ from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.adjustment import locate_stations
 from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer_six.plan import LOCATING, described, places_of
-from rotcal_ros.methods.tracer_six.settings import (
-    TracerSixSolverSettings,
-    Zero,
-    ZeroSetting,
-)
+from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero, ZeroSetting
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
 from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of

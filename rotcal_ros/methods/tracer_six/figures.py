@@ -12,7 +12,7 @@ from rotcal_ros.foundation.units import MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.figures.style import name_places
-from rotcal_ros.methods.result_tables import ResultTable, corrections_table
+from rotcal_ros.methods.result_tables import ResultTable, by_axis, corrections_table
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
@@ -53,17 +53,13 @@ def places_and_targets(result: Result) -> str:
 def tables(result: Result) -> list[ResultTable]:
     """Return the places of the tracer on the table, and the targets with their corrections."""
     details, found = result.details, list[ResultTable]()
-    for name, title, number, numbers in (
-        (
-            "places",
-            "Places of the tracer, in the frame that turns with the table",
-            "place",
-            "place_ids",
-        ),
-        ("targets", "Targets", "target", "target_ids"),
+    for name, title, number in (
+        ("places", "Places of the tracer, in the frame that turns with the table", "place"),
+        ("targets", "Targets", "target"),
     ):
         if name in details:
-            at = np.asarray(details[name], dtype=np.float64) / MILLIMETRE
-            columns = {f"{axis}_mm": at[:, k] for k, axis in enumerate("xyz")}
-            found.append(ResultTable.of(name, title, **{number: details[numbers], **columns}))
+            columns = by_axis("{}_mm", details[name], MILLIMETRE)
+            found.append(
+                ResultTable.of(name, title, **{number: details[f"{number}_ids"], **columns})
+            )
     return [*found, *corrections_table(details)]

@@ -22,15 +22,7 @@ from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD
 from rotcal_ros.methods.tracer_six.solver.problem import lost_direction
-from rotcal_ros.planning.plan import (
-    TABLE_FRAME,
-    Move,
-    Pause,
-    Plan,
-    Point,
-    Step,
-    numbered_steps,
-)
+from rotcal_ros.planning.plan import TABLE_FRAME, Move, Pause, Plan, Point, Step, numbered_steps
 from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.table_angles import table_angles, visits
 

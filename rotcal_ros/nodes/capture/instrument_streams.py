@@ -221,8 +221,7 @@ class InstrumentTopics:
 
     def name(self, role: str) -> str:
         """Return the absolute name of the topic of a role."""
-        name: str = self._node.resolve_topic_name(self.settings.renamed().get(role, role))
-        return name
+        return self._node.resolve_topic_name(self.settings.renamed().get(role, role))
 
     def use(self, configuration: Configuration) -> None:
         """Use the topics that the configuration of a plan names."""

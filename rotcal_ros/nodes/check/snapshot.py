@@ -174,8 +174,7 @@ def table_behind_driver(node: Node, configuration: Configuration) -> TableBehind
     """Return the table behind a driver of the configuration; None: no driver has one."""
     for _, check in _checks(configuration):
         if check.ears is not None:
-            ears: TableBehindDriver = check.ears(node, configuration)
-            return ears
+            return check.ears(node, configuration)
     return None
 
 

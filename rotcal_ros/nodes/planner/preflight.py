@@ -172,9 +172,7 @@ def length_faults(values: Values, configuration: Configuration) -> Iterator[str]
     """Yield what is wrong with the lengths."""
     length = number_in(values.get(NOW + names.TRACER_LENGTH, ""))
     text = implausible_length(
-        0.0 if length is None else length,
-        configuration.capture.max_length_m,
-        configuration.topics,
+        0.0 if length is None else length, configuration.capture.max_length_m, configuration.topics
     )
     if text:
         yield f"{name_in(values, names.TRACER_LENGTH)} {text}"

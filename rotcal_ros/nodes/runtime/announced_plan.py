@@ -20,9 +20,7 @@ from rotcal_ros.capture.messages import stamp_ns
 from rotcal_ros.foundation.errors import DataError, PlanError, RotcalError
 from rotcal_ros.foundation.untrusted import read_text, why
 from rotcal_ros.methods import Calibration, prepare
-from rotcal_ros.methods.configuration import (
-    parse_configuration,
-)
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.method import DEFAULT, find_method
 from rotcal_ros.nodes.runtime.beat_values import FOREIGN_PLAN, show

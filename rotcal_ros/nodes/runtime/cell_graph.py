@@ -49,8 +49,7 @@ class CellGraph:
 
     def resolve(self, topic: str) -> str:
         """Return the absolute name of a topic of the cell."""
-        name: str = self.node.resolve_topic_name(topic)
-        return name
+        return self.node.resolve_topic_name(topic)
 
     def publishers(self, topic: str) -> list[str]:
         """Return the names of the nodes that publish ``topic``."""

@@ -203,8 +203,7 @@ class CellNode(ManagedNode, ABC):
 
     def now_ns(self) -> int:
         """Return the time of the node's clock."""
-        nanoseconds: int = self.get_clock().now().nanoseconds
-        return nanoseconds
+        return self.get_clock().now().nanoseconds
 
     async def answer_of(self, future: Future[T], timeout_s: float) -> T:
         """Return the result of work in a thread; the executor goes on meanwhile."""

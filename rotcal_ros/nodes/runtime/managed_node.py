@@ -121,8 +121,7 @@ class ManagedNode(LifecycleNode):
             self.judge_parameters({p.name: p.value for p in parameter_list})
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        result: SetParametersResult = super().set_parameters_atomically(parameter_list)
-        return result
+        return super().set_parameters_atomically(parameter_list)
 
     def judge_parameters(self, changes: Mapping[str, Any]) -> None:
         """Raise ConfigurationError if parameters cannot take these values (name -> value)."""

@@ -34,8 +34,7 @@ def message_type(type_name: str) -> type:
     try:
         if kind == "action" and name.endswith(_FEEDBACK):
             action = getattr(import_module(f"{package}.{kind}"), name.removesuffix(_FEEDBACK))
-            feedback: type = action.Impl.FeedbackMessage
-            return feedback
+            return action.Impl.FeedbackMessage
         found: type = getattr(import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise BagError(

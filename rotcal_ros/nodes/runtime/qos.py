@@ -6,9 +6,7 @@ from typing import Final
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 LATCHED: Final = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """Plans and results: late subscribers still get the last one."""
 
@@ -16,9 +14,7 @@ EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 """Orders, observations, receipts: none may be lost."""
 
 GOAL: Final = QoSProfile(
-    depth=10,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """Request and answer of a goal: a recorder that discovers the action only then still gets both."""
 

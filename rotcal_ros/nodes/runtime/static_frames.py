@@ -18,9 +18,7 @@ except ImportError:  # there is no wheel of it; a ROS installation has it
     TFMessage = None
 
 _QOS = QoSProfile(
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 """As in tf2: late subscribers still get what was published."""
 

@@ -218,11 +218,7 @@ def twincat(n=4, last=0, **changes):
     [
         (4, {}, None),
         (2, {}, None),
-        (
-            1,
-            {},
-            "unit 1, modulo 1 and 2 rows that cover 3600000 x 0.0001 deg; expected 1, 1 a",
-        ),
+        (1, {}, "unit 1, modulo 1 and 2 rows that cover 3600000 x 0.0001 deg; expected 1, 1 a"),
         (4, {"unit": 2}, "unit 2, modulo 1 and 5 rows that cover 3600000 x"),
         (4, {"modulo": 0}, "unit 1, modulo 0 and 5 rows that cover 3600000 x"),
         (4, {"interval": 899_999}, "5 rows that cover 3599996 x 0.0001 deg"),

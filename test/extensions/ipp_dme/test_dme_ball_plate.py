@@ -59,11 +59,7 @@ def test_both_ways_give_the_same_curves_to_the_noise(solved):
 
 
 @pytest.mark.parametrize(
-    ("version", "others"),
-    [
-        ("2.5", {}),
-        ("1.4.3", {"turn_by": "goto_r", "table_reversed": True}),
-    ],
+    ("version", "others"), [("2.5", {}), ("1.4.3", {"turn_by": "goto_r", "table_reversed": True})]
 )
 def test_a_table_turned_by_goto_measures_too(version, others, monkeypatch):
     calibration = small()

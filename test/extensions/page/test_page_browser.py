@@ -22,11 +22,7 @@ pytestmark = pytest.mark.ros
 TIMEOUT_MS = 60_000
 CONFIG = Path(__file__).parents[3] / "config"
 SLOW = "simulation.time_scale=4.0"
-SIX = (
-    "plan.table_positions=8",
-    "plan.box_points=[2, 2, 2]",
-    "planner.preflight_timeout_s=20.0",
-)
+SIX = ("plan.table_positions=8", "plan.box_points=[2, 2, 2]", "planner.preflight_timeout_s=20.0")
 
 
 @pytest.fixture

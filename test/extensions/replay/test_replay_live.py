@@ -29,8 +29,7 @@ SEEN = ("-r", "observation:=/cell/seen")
 
 def rotcal(*arguments):
     return warm.run(
-        [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)],
-        timeout=patient(100.0),
+        [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)], timeout=patient(100.0)
     )
 
 

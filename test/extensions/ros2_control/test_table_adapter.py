@@ -60,8 +60,7 @@ def adapted(cell):
 @pytest.mark.parametrize("interface", ["trajectory", "positions"])
 def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface):
     live = adapted(
-        f"table_adapter.interface={interface}",
-        nodes=(*SUITE, "simulated_cell", "table_adapter"),
+        f"table_adapter.interface={interface}", nodes=(*SUITE, "simulated_cell", "table_adapter")
     )
     outcome = live.client().result()
     assert outcome["error_code"] == 0, outcome["error_msg"]

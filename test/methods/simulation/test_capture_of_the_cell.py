@@ -1,7 +1,5 @@
 """From the plan through the simulated cell and the capture to lengths that are true."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Motion against closed forms of uniformly accelerated motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

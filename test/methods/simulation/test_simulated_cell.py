@@ -1,7 +1,5 @@
 """The cell: reproducible whatever the cut, true to its settings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -69,10 +69,7 @@ def test_the_truth_includes_what_the_control_corrects():
 
 
 def test_iso_runs_of_the_true_angle():
-    raw = {
-        "table": {"ecc": ECC, "backlash_arcsec": 3.0, "repeatability_arcsec": 0.5},
-        "seed": 7,
-    }
+    raw = {"table": {"ecc": ECC, "backlash_arcsec": 3.0, "repeatability_arcsec": 0.5}, "seed": 7}
     settings = load(TracerSimulationSettings, raw, "simulation")
     targets = np.arange(0, 360, 30) * DEGREE
     up, down = true_runs(settings, targets, 400)

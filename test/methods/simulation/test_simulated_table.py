@@ -1,7 +1,5 @@
 """The table's deviations and poses against closed forms and first-order theory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

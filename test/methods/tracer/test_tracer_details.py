@@ -227,8 +227,7 @@ def test_budget_of_stations_with_common_targets():
     felt = [np.einsum("ai,ic->aic", gain, unit[j]).reshape(3, -1) for j, gain in enumerate(gains)]
     felt = 1e-6 * np.concatenate(felt)
     assert_budget(
-        result,
-        *budget_of(result, problem.table_angles, lengths, felt @ felt.T, error_motion=2e-7),
+        result, *budget_of(result, problem.table_angles, lengths, felt @ felt.T, error_motion=2e-7)
     )
 
 

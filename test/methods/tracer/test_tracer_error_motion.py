@@ -1,7 +1,5 @@
 """Error motion that nobody stated: the circle of the stations tells how much there is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chances import LONG
@@ -87,27 +85,34 @@ def independent(noise, m):
     return StationCovariance(lengths, zero, np.zeros((3 * m, 0, 3)), 100.0)
 
 
-@pytest.mark.parametrize("m", [5, 12])
-@pytest.mark.parametrize("motion_std", [3e-7, 3e-6])
-def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
-    """Only stations and their noise: many circles, as many estimates of their error motion."""
-    rng, noise, runs = np.random.default_rng(m), 2e-7, 400 if LONG else 100
+NOISE = 2e-7
+
+
+def measured(rng, m, motion_std, runs):
+    """Yield motion, bearings and covariance of so many circles with an error motion."""
     angles = 2 * np.pi * np.arange(m) / m
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
-    known = independent(noise, m)
-    hits = []
+    known = independent(NOISE, m)
     for _ in range(runs):
-        stations = true + noise * rng.standard_normal((m, 3))
+        stations = true + NOISE * rng.standard_normal((m, 3))
         stations[:, :2] += motion_std * rng.standard_normal((m, 2))
         found = table_motion(stations, angles)
         estimate = error_motion_of(found, known, 1.0, None, contradicted=False)
         total = known.lengths.dense() + error_motion_covariance(found, estimate.used)
-        bearing = bearing_jacobian(stations, found)
+        yield found, bearing_jacobian(stations, found), total
+
+
+@pytest.mark.parametrize("m", [5, 12])
+@pytest.mark.parametrize("motion_std", [3e-7, 3e-6])
+def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
+    """Only stations and their noise: many circles, as many estimates of their error motion."""
+    rng, runs, hits = np.random.default_rng(m), 400 if LONG else 100, []
+    for found, bearing, total in measured(rng, m, motion_std, runs):
         seen = bearing - bearing[0]
         std = np.sqrt(np.einsum("ia,ia->i", seen @ total, seen))[1:]
         hits.append(np.abs(found.cumulative[1:]) <= 1.96 * std)
     assert np.mean(hits) >= (0.92 if LONG else 0.9)
-    if m > 5 or motion_std > 5 * noise:  # two residuals cannot tell so little from more
+    if m > 5 or motion_std > 5 * NOISE:  # two residuals cannot tell so little from more
         assert np.mean(hits) <= (0.98 if LONG else 0.99)
 
 
@@ -115,18 +120,10 @@ def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
 @pytest.mark.parametrize("motion_std", [0.0, 1e-7, 2e-7, 3e-7, 3e-6])
 def test_intervals_hold_neither_more_nor_less_than_95_percent(m, motion_std):
     """All sizes of error motion beside a noise of 0.2 um, and none at all: 93 to 97 % (+- 1)."""
-    rng, noise, runs = np.random.default_rng(100 + m), 2e-7, 300 if LONG else 100
-    angles = 2 * np.pi * np.arange(m) / m
-    true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
-    known = independent(noise, m)
-    hits, turn = [], np.eye(m) - 1.0 / m
-    for _ in range(runs):
-        stations = true + noise * rng.standard_normal((m, 3))
-        stations[:, :2] += motion_std * rng.standard_normal((m, 2))
-        found = table_motion(stations, angles)
-        estimate = error_motion_of(found, known, 1.0, None, contradicted=False)
-        total = known.lengths.dense() + error_motion_covariance(found, estimate.used)
-        seen = turn @ bearing_jacobian(stations, found)
+    rng, runs, hits = np.random.default_rng(100 + m), 300 if LONG else 100, []
+    turn = np.eye(m) - 1.0 / m
+    for found, bearing, total in measured(rng, m, motion_std, runs):
+        seen = turn @ bearing
         std = np.sqrt(np.einsum("ia,ia->i", seen @ total, seen))
         hits.append(np.abs(turn @ found.cumulative) <= 1.96 * std)
     assert (0.925 if LONG else 0.915) <= np.mean(hits) <= (0.98 if LONG else 0.985)
@@ -147,13 +144,7 @@ def test_without_any_error_motion_little_is_added():
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
     known = independent(noise, m)
     used = [
-        error_motion_of(
-            table_motion(true + noise * rng.standard_normal((m, 3)), angles),
-            known,
-            1.0,
-            None,
-            False,
-        ).used
-        for _ in range(100)
+        error_motion_of(table_motion(stations, angles), known, 1.0, None, False).used
+        for stations in (true + noise * rng.standard_normal((m, 3)) for _ in range(100))
     ]
     assert np.median(used) < 0.2 * noise

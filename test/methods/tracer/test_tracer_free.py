@@ -1,7 +1,5 @@
 """Free networks of weak geometry settle; targets that too few lengths reach are no bad data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy_tracer import DenseNetwork

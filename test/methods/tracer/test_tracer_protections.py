@@ -1,7 +1,5 @@
 """What a tracer result says about the effects that could spoil it, against effects put in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from chances import LONG, most

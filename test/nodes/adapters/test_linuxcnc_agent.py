@@ -44,11 +44,7 @@ class Program:
         return stat
 
     def command(self):
-        return SimpleNamespace(
-            mode=self._mode,
-            mdi=self._mdi,
-            wait_complete=lambda _seconds: 1,
-        )
+        return SimpleNamespace(mode=self._mode, mdi=self._mdi, wait_complete=lambda _seconds: 1)
 
     def _mode(self, mode):
         self.commands.append(f"mode {mode}")

@@ -88,10 +88,7 @@ def test_clocks_that_differ_are_a_fault():
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        (
-            {"joint.table": "30.0 0.0"},
-            "joint_states says 30 rad, 4.8 turns from zero: is it",
-        ),
+        ({"joint.table": "30.0 0.0"}, "joint_states says 30 rad, 4.8 turns from zero: is it"),
         ({"now.temperature": "293.15 air"}, "temperature says 293.15; degrees Celsius"),
         ({"now.air_pressure": "1013.2 air"}, "air_pressure says 1013.2; pascal"),
         ({"now.relative_humidity": "45.0 air"}, "relative_humidity says 45; a share"),

@@ -9,12 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rotcal_ros.extensions.design.settings import (
-    ANY,
-    DIRECTION,
-    PER_STATION,
-    TracerDesignSettings,
-)
+from rotcal_ros.extensions.design.settings import ANY, DIRECTION, PER_STATION, TracerDesignSettings
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import DEGREE

@@ -96,11 +96,9 @@ SPACING_M = 0.17
     "--elevation-deg", type=click.FloatRange(-90.0, 89.0), default=10.0, help="deg, lowest beam."
 )
 @shown_option(
-    "--zero",
-    type=click.Choice(("run", "station")),
-    default="run",
+    "--zero", type=click.Choice(("run", "station")), default="run",
     help="A zero of the lengths per unbroken run, or one per station.",
-)
+)  # fmt: skip
 @shown_option("--turn-s", type=positive, default=10.0, help="s, one rotation.")
 @shown_option("--length-s", type=positive, default=5.0, help="s, one length with its move.")
 @json_option
@@ -170,12 +168,7 @@ def tracer(
 @shown_option("--centre-s", type=positive, default=35.0, help="s, one centre with its moves.")
 @json_option
 def plate(
-    need_arcsec: float,
-    grid: int,
-    balls: str,
-    radius_m: float,
-    sigma_um: float,
-    centre_s: float,
+    need_arcsec: float, grid: int, balls: str, radius_m: float, sigma_um: float, centre_s: float
 ) -> TradeTable:
     """Show what a plate of so many balls gives, and how much a better plan could save."""
     from rotcal_ros.extensions.design.ball_plate.ball_layout import plate_trade

@@ -304,7 +304,7 @@ class FollowedGoal:
         return Answer(self.stopping, words)
 
     def _look(self, message: GoalStatusArray) -> None:
-        goals = sorted(message.status_list, key=lambda s: _time(s.goal_info.stamp))
+        goals = sorted(message.status_list, key=lambda s: stamp_ns(s.goal_info.stamp))
         if not goals:
             return
         latest = goals[-1]
@@ -328,10 +328,6 @@ class FollowedGoal:
     def _hear(self, message: Any) -> None:
         if self._id is not None and bytes(message.goal_id.uuid) == bytes(self._id.uuid):
             self.feedback = Feedback.of(message.feedback)
-
-
-def _time(stamp: Any) -> tuple[int, int]:
-    return stamp.sec, stamp.nanosec
 
 
 REJECTIONS: Final = 50

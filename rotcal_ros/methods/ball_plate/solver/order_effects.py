@@ -224,8 +224,7 @@ def _largest(gain: Floats, information: Floats, floor: float) -> Floats:
     seen = values > floor
     unseen = along[:, ~seen].sum(axis=1) > HARMLESS
     inside: Floats = (along[:, seen] / values[seen]).sum(axis=1)
-    largest: Floats = np.where(unseen, np.inf, inside)
-    return largest
+    return np.where(unseen, np.inf, inside)
 
 
 def drift_error(effects: OrderEffects, std: Floats, dof: int) -> float:

@@ -18,12 +18,7 @@ from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.estimate import solved
-from rotcal_ros.methods.ball_plate.solver.gathering import (
-    Taken,
-    gathered,
-    left_out,
-    suspected,
-)
+from rotcal_ros.methods.ball_plate.solver.gathering import Taken, gathered, left_out, suspected
 from rotcal_ros.methods.ball_plate.solver.growth import Growth, find_growth
 from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Solution
 from rotcal_ros.methods.ball_plate.solver.order_effects import Knock, find_knock

@@ -21,12 +21,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.solver.normals import (
-    Normals,
-    axis_frame,
-    azimuths,
-    fit_cone,
-)
+from rotcal_ros.methods.plane_mirror.solver.normals import Normals, axis_frame, azimuths, fit_cone
 from rotcal_ros.methods.plane_mirror.solver.problem import MirrorPairs, Nests
 from rotcal_ros.methods.plane_mirror.solver.registration import (
     Poses,
@@ -101,11 +96,7 @@ def start_mirror(normals: Normals, pairs: MirrorPairs, poses: Poses, angles: Flo
 
 
 def adjust_joint(
-    points: Floats,
-    normals: Normals,
-    together: Together,
-    start: Mirror,
-    steps: int = _MAX_STEPS,
+    points: Floats, normals: Normals, together: Together, start: Mirror, steps: int = _MAX_STEPS
 ) -> Mirror:
     """Return the unknowns that fit best, by Gauss-Newton."""
     mirror = _for_trials(start, normals.offset.shape[:-1])

@@ -21,11 +21,7 @@ from rotcal_ros.foundation.results import FreeDirection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.plane_mirror.solver import gathering
 from rotcal_ros.methods.plane_mirror.solver.drift import DriftCorrection, swings
-from rotcal_ros.methods.plane_mirror.solver.normals import (
-    image_response,
-    incidence,
-    tangent_frame,
-)
+from rotcal_ros.methods.plane_mirror.solver.normals import image_response, incidence, tangent_frame
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.readings import cones, islands
 from rotcal_ros.methods.plane_mirror.solver.ways import (

@@ -33,7 +33,7 @@ from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.trials import predicted
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.time_order import time_order
+from rotcal_ros.planning.readings import time_order
 
 PLACING_STEPS: Final = 8
 """Gauss-Newton steps that place the stations from nominal places, a few centimetres off."""

@@ -221,13 +221,7 @@ def _depth(count: Floats, total: Floats, products: Floats) -> Floats:
 
 
 def noisy_problem(
-    scene: Scene,
-    lengths: Lengths,
-    *,
-    one_zero: bool,
-    seed: int,
-    slip: float,
-    limits: TracerLimits,
+    scene: Scene, lengths: Lengths, *, one_zero: bool, seed: int, slip: float, limits: TracerLimits
 ) -> TracerProblem:
     """Return ``lengths`` with the stated noise as the solver would have to solve them.
 

@@ -176,7 +176,7 @@ def measuring_orders(
             progress(len(found), 1 + len(kinds))
         draws = [blocks(share) for share in _drawn(position, sweeps, rng)]
         judged = [_judged(name, _listed(block), costs, bound, forecast) for block in draws]
-        block = draws[min(range(DRAWS), key=lambda number: _badness(judged[number]))]
+        block = draws[min(range(DRAWS), key=lambda n: (judged[n].worst, judged[n].seconds))]
         trade = None if name == CLOSED or len(position) > MOST_KICKED else forecast
         sweeps_at = np.sort(block)
         block[_traded(_listed(block), position, sweeps_at, trade, SAFE * limit, rng)] = sweeps_at
@@ -293,10 +293,6 @@ def _judged(
 ) -> MeasuringOrder:
     judged = None if forecast is None else forecast(order)
     return MeasuringOrder(name, order, duration(costs, order), bound, judged)
-
-
-def _badness(way: MeasuringOrder) -> tuple[float, float]:
-    return way.worst, way.seconds
 
 
 def nearest_next(costs: Floats, first: int = 0) -> Ints:

@@ -378,9 +378,7 @@ def stations_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
         targets=LowRank(np.zeros_like(own), common, np.eye(common.shape[1])).quick(),
         sensitivity=common.reshape(3 * m, -1, 3),
         dof_effective=_effective_dof(
-            _station_rows(unit) * root[:, :, None],
-            sensitivity * root[:, :, None],
-            fit.dof,
+            _station_rows(unit) * root[:, :, None], sensitivity * root[:, :, None], fit.dof
         ),
     )
 

@@ -224,11 +224,7 @@ def _believed(runs: Runs, weight: float, left: float) -> Runs:
         problem=replace(problem, length_std=np.hypot(problem.length_std, left)),
         shift=weight * runs.shift,
         pairs=[
-            replace(
-                later,
-                shift=weight * later.shift,
-                length_std=np.hypot(later.length_std, left),
-            )
+            replace(later, shift=weight * later.shift, length_std=np.hypot(later.length_std, left))
             for later in runs.pairs
         ],
     )

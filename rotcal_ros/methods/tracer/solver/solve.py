@@ -174,11 +174,7 @@ def _network(solution: TracerSolution) -> dict[str, Any]:
         **_corrections(solution),
         "unknowns": fit.unknowns,
         "rank": fit.rank,
-        "weakest": {
-            "station": int(grid.position_ids[weak]),
-            "direction": direction,
-            "std": std,
-        },
+        "weakest": {"station": int(grid.position_ids[weak]), "direction": direction, "std": std},
     }
 
 

@@ -211,10 +211,7 @@ class _Carried:
 
     def stations(self, x: Floats) -> Floats:
         """Return where each length's station is, (k, 3); x: centre (3,), arm (2,), zeros (s,)."""
-        flat = [
-            x[0] + self.cos * x[3] - self.sin * x[4],
-            x[1] + self.sin * x[3] + self.cos * x[4],
-        ]
+        flat = [x[0] + self.cos * x[3] - self.sin * x[4], x[1] + self.sin * x[3] + self.cos * x[4]]
         return np.column_stack([*flat, np.full(len(self.cos), x[2])])
 
     def misfit(self, x: Floats) -> Floats:

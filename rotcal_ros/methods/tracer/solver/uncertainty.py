@@ -376,10 +376,7 @@ def angle_uncertainty(
         of_steps = np.hypot(of_steps, _root(steps))
         budget["gathered"] = _root(gathered.diagonal())
     return AngleUncertainty(
-        covariance=joint,
-        std=np.sqrt(joint.diagonal()),
-        adjacent_std=of_steps,
-        budget=budget,
+        covariance=joint, std=np.sqrt(joint.diagonal()), adjacent_std=of_steps, budget=budget
     )
 
 

@@ -16,11 +16,4 @@ from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.solution import SixTrials, six_trials
 from rotcal_ros.methods.tracer_six.solver.solve import METHOD, solve
 
-__all__ = [
-    "METHOD",
-    "SixProblem",
-    "SixTrials",
-    "TracerSixSolverSettings",
-    "six_trials",
-    "solve",
-]
+__all__ = ["METHOD", "SixProblem", "SixTrials", "TracerSixSolverSettings", "six_trials", "solve"]

@@ -679,8 +679,5 @@ class SixTrials:
 
 
 def six_trials(problem: SixProblem) -> SixTrials:
-    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
-
-    Rejected lengths stay rejected.
-    """
+    """Prepare trials about a measured problem, without rejected lengths; refuses as ``solve``."""
     return SixTrials(adjust(problem))
