@@ -17,9 +17,11 @@ class WriterSettings:
     """When chunks are closed and files are split."""
 
     sync_interval_s: float = setting(
-        0.5, minimum=0.01, maximum=1.0,
+        0.5,
+        minimum=0.01,
+        maximum=1.0,
         doc="s, longest time that data wait in memory before they are on disk",
-    )  # fmt: skip
+    )
     chunk_bytes: int = setting(
         262144, doc="bytes, size at which a chunk is closed early", minimum=1024, maximum=67108864
     )
@@ -45,10 +47,12 @@ class RecorderSettings:
         "", doc="name of the session folder; empty: UTC time and the start of the plan's hash"
     )
     run: int = expert(
-        0, minimum=0, maximum=1_000_000,
+        0,
+        minimum=0,
+        maximum=1_000_000,
         doc="number of this run of an interrupted session; 0 begins a session, later runs "
         "continue its bag in a new file",
-    )  # fmt: skip
+    )
     queue_bytes: int = expert(
         67_108_864,
         doc="bytes, largest amount that waits for the disk; beyond that messages are lost and "
@@ -56,10 +60,12 @@ class RecorderSettings:
         minimum=65_536,
     )
     silence_s: float = expert(
-        30.0, minimum=0.1, maximum=3600.0,
+        30.0,
+        minimum=0.1,
+        maximum=3600.0,
         doc="s, time without a message after which tracer_length, joint_states or a topic of the "
         "air counts as silent",
-    )  # fmt: skip
+    )
     writer: WriterSettings = group(WriterSettings, expert=True)
 
 
@@ -114,10 +120,12 @@ class TopicSettings:
         "clockwise",
     )
     angle_span_s: float = expert(
-        0.1, minimum=1e-3, maximum=10.0,
+        0.1,
+        minimum=1e-3,
+        maximum=10.0,
         doc="s, time over which the speed is taken from angles that come without a velocity; "
         "longer: rest is seen that much later; shorter: noise looks like motion",
-    )  # fmt: skip
+    )
     position_unit: Length = setting("m", doc="unit of the probe's positions")
     temperature_unit: Literal["degC", "K", "degF"] = expert("degC", doc="unit of the temperatures")
     pressure_unit: Literal["Pa", "hPa", "kPa"] = expert("Pa", doc="unit of the air pressure")
@@ -145,23 +153,31 @@ class TopicSettings:
     table_clock: Clock = expert("stamp", doc=_CLOCK_DOC.format("an angle"))
     probe_clock: Clock = expert("stamp", doc=_CLOCK_DOC.format("a point"))
     length_clock_offset_s: float = expert(
-        0.0, minimum=-_MAX_OFFSET_S, maximum=_MAX_OFFSET_S,
+        0.0,
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
         doc=f"s, {_OFFSET_DOC.format('the lengths')}",
-    )  # fmt: skip
+    )
     table_clock_offset_s: float = expert(
-        0.0, minimum=-_MAX_OFFSET_S, maximum=_MAX_OFFSET_S,
+        0.0,
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
         doc=f"s, {_OFFSET_DOC.format('the table')}",
-    )  # fmt: skip
+    )
     probe_clock_offset_s: float = expert(
-        0.0, minimum=-_MAX_OFFSET_S, maximum=_MAX_OFFSET_S,
+        0.0,
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
         doc=f"s, {_OFFSET_DOC.format('the probe')}",
-    )  # fmt: skip
+    )
     clock_bound_s: float = expert(
-        0.0, minimum=0.0, maximum=10.0,
+        0.0,
+        minimum=0.0,
+        maximum=10.0,
         doc="s, by which the clocks of table, probe and instrument may differ all the same; "
         "multiplied by the creep of a table at rest (capture.velocity_tolerance_deg_s) it is "
         "part of the uncertainty of ECC",
-    )  # fmt: skip
+    )
 
     def __post_init__(self) -> None:
         """Refuse names that no topic can bear, units that are none, and two for one."""

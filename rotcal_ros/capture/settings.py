@@ -18,17 +18,23 @@ class CaptureSettings:
     """
 
     position_tolerance_arcsec: float = setting(
-        20.0, minimum=0.01, maximum=36_000.0,
+        20.0,
+        minimum=0.01,
+        maximum=36_000.0,
         doc="arcsec, largest difference of the table feedback from the commanded angle",
-    )  # fmt: skip
+    )
     velocity_tolerance_deg_s: float = setting(
-        0.02, minimum=1e-6, maximum=10.0,
+        0.02,
+        minimum=1e-6,
+        maximum=10.0,
         doc="deg/s, largest speed at which the table counts as at rest",
-    )  # fmt: skip
+    )
     table_silence_s: float = expert(
-        1.0, minimum=1e-3, maximum=3600.0,
+        1.0,
+        minimum=1e-3,
+        maximum=3600.0,
         doc="s, longest gap in the table feedback while the table is at rest",
-    )  # fmt: skip
+    )
     settle_time_s: float = setting(
         0.5,
         doc="s, wait from table in position and probe at its target to the start of the window; "
@@ -36,9 +42,11 @@ class CaptureSettings:
         minimum=0.0,
     )
     window_samples: int = setting(
-        200, minimum=1, maximum=MAX_WINDOW_SAMPLES,
+        200,
+        minimum=1,
+        maximum=MAX_WINDOW_SAMPLES,
         doc="number of tracer readings in a window; 1: single readings, which show no scatter",
-    )  # fmt: skip
+    )
     max_std_m: float = setting(
         2e-6, doc="m, largest standard deviation of the readings of a window", minimum=0.0
     )
@@ -49,9 +57,11 @@ class CaptureSettings:
         0.8, doc="smallest share of usable readings in a window", minimum=0.01, maximum=1.0
     )
     spike_limit: float = expert(
-        6.0, minimum=2.0, maximum=1000.0,
+        6.0,
+        minimum=2.0,
+        maximum=1000.0,
         doc="a reading is a spike beyond this many robust standard deviations from the median",
-    )  # fmt: skip
+    )
     spike_floor_m: float = expert(
         0.1e-6, doc="m, a reading this close to the median is never a spike", minimum=0.0
     )
@@ -59,14 +69,18 @@ class CaptureSettings:
         20.0, doc="m, largest plausible reading, of either sign", minimum=1e-3, maximum=1000.0
     )
     max_length_speed_m_s: float = expert(
-        10.0, minimum=1e-3, maximum=1e6,
+        10.0,
+        minimum=1e-3,
+        maximum=1e6,
         doc="m/s, largest plausible change of the length with time; a faster one means that the "
         "tracer has lost its zero: a new segment begins",
-    )  # fmt: skip
+    )
     max_silence_s: float = expert(
-        1.0, minimum=1e-3, maximum=3600.0,
+        1.0,
+        minimum=1e-3,
+        maximum=3600.0,
         doc="s, longest gap in the tracer readings; after a longer one a new segment begins",
-    )  # fmt: skip
+    )
     probe_tolerance_m: float = setting(
         1e-3, doc="m, largest distance of the probe from its target", minimum=1e-9, maximum=10.0
     )
@@ -74,24 +88,32 @@ class CaptureSettings:
         3e-3, doc="m, largest distance of a ball from its planned place", minimum=1e-6, maximum=1.0
     )
     max_form_m: float = setting(
-        10e-6, minimum=1e-9, maximum=1e-2,
+        10e-6,
+        minimum=1e-9,
+        maximum=1e-2,
         doc="m, largest form deviation of a ball's touch points, and largest error of its radius",
-    )  # fmt: skip
+    )
     step_timeout_s: float = setting(
-        30.0, minimum=0.01, maximum=86_400.0,
+        30.0,
+        minimum=0.01,
+        maximum=86_400.0,
         doc="s, longest time from the probe at its target to the end of the window; "
         "planner.step_timeout_s must be longer",
-    )  # fmt: skip
+    )
     clock_tolerance_s: float = expert(
-        10.0, minimum=0.01, maximum=86_400.0,
+        10.0,
+        minimum=0.01,
+        maximum=86_400.0,
         doc="s, largest difference between the stamps of two streams, delays on arrival included",
-    )  # fmt: skip
+    )
     stamp_offset_s: float = expert(
-        2.0, minimum=0.01, maximum=1e9,
+        2.0,
+        minimum=0.01,
+        maximum=1e9,
         doc="s, largest constant delay of a stream, from its stamps to its arrival, beyond that "
         "of the table's feedback; more means two clocks, and nothing measured meanwhile is "
         "accepted",
-    )  # fmt: skip
+    )
     temperature_expected: bool = setting(
         True,
         doc="an observation carries a temperature and waits for it; false: without a thermometer",
@@ -103,10 +125,12 @@ class CaptureSettings:
         False, doc="an observation carries the humidity of the air and waits for it"
     )
     temperature_lag_s: float = expert(
-        3.0, minimum=0.0, maximum=3600.0,
+        3.0,
+        minimum=0.0,
+        maximum=3600.0,
         doc="s, by which temperature, pressure and humidity must have been read before the probe "
         "reached its target; so only the first observation waits for a slow sensor",
-    )  # fmt: skip
+    )
 
     def __post_init__(self) -> None:
         """Refuse settings that leave no time to measure."""

@@ -24,10 +24,13 @@ if TYPE_CHECKING:
 
 
 limits_option = click.option(
-    "--set", "limits", multiple=True, metavar="reading.NAME=VALUE",
+    "--set",
+    "limits",
+    multiple=True,
+    metavar="reading.NAME=VALUE",
     callback=lambda _context, _option, changes: changed_limits(changes),
     help="Change a limit of reading; docs/settings.md lists them.",
-)  # fmt: skip
+)
 
 
 @click.group()
@@ -163,9 +166,11 @@ def choices(bag: Path, as_json: bool) -> int:
 @command.command()
 @click.argument("bag", type=path_type)
 @click.option(
-    "-o", "--output", type=path_type,
+    "-o",
+    "--output",
+    type=path_type,
     help="New folder for the sound bag; default: BAG's name with _repaired.",
-)  # fmt: skip
+)
 @limits_option
 @json_option
 def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool) -> int:

@@ -39,9 +39,13 @@ def command() -> None:
 )  # fmt: skip
 @click.option("--namespace", default="", help="ROS namespace; default: that of CONFIG, or /cell.")
 @click.option(
-    "--time", "seconds", default=5.0, show_default=True, type=click.FloatRange(1.0, 3600.0),
+    "--time",
+    "seconds",
+    default=5.0,
+    show_default=True,
+    type=click.FloatRange(1.0, 3600.0),
     help="Seconds to listen.",
-)  # fmt: skip
+)
 @click.option(
     "--move",
     is_flag=True,

@@ -40,9 +40,11 @@ if TYPE_CHECKING:
     help="Score the results in one FOLDER against the truth.json beside each.",
 )
 @click.option(
-    "-o", "--output", type=NamedFile(".svg", ".html", bare=False),
+    "-o",
+    "--output",
+    type=NamedFile(".svg", ".html", bare=False),
     help="Draw the curves and E_n into this file: .svg or .html.",
-)  # fmt: skip
+)
 @language_option
 @json_option
 def command(

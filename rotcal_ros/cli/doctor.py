@@ -42,10 +42,12 @@ class Check:
 
 @click.command()
 @click.option(
-    "--output", type=click.Path(path_type=Path, file_okay=False), default=Path("out"),
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("out"),
     show_default=True,
     help="Folder for calibrations.",
-)  # fmt: skip
+)
 @click.option("--machine-ini", type=path_type, metavar="FILE", help="Ini file of LinuxCNC.")
 @json_option
 def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:

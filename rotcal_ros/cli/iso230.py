@@ -14,13 +14,17 @@ from rotcal_ros.foundation.units import ARCSEC
 @click.command()
 @click.argument("source", type=path_type, metavar="RUNS")
 @click.option(
-    "-o", "--output", type=NamedFile(".svg", bare=False),
+    "-o",
+    "--output",
+    type=NamedFile(".svg", bare=False),
     help="Draw the diagrams of the standard into this file (.svg).",
-)  # fmt: skip
+)
 @click.option(
-    "--device", type=click.FloatRange(min=0.0), metavar="ARCSEC",
+    "--device",
+    type=click.FloatRange(min=0.0),
+    metavar="ARCSEC",
     help="Standard uncertainty (k = 1) of the measuring device at a target, the same in all runs.",
-)  # fmt: skip
+)
 @sheet_option
 @explain_option
 @json_option

@@ -24,15 +24,21 @@ _GRID: Final = "plan.plate.grid"
 @click.command()
 @click.option("--method", shell_complete=installed(plugins.METHODS), help="How it is measured.")
 @click.option(
-    "--positions", type=click.IntRange(min=2), metavar="N",
+    "--positions",
+    type=click.IntRange(min=2),
+    metavar="N",
     help="Number of table angles, evenly over a turn.",
-)  # fmt: skip
+)
 @set_option
 @click.option("-y", "--yes", is_flag=True, help="Ask nothing; what is not given has its default.")
 @click.option(
-    "-o", "--output", type=NamedFile(".yaml", ".yml"), default="setup.yaml", show_default=True,
+    "-o",
+    "--output",
+    type=NamedFile(".yaml", ".yml"),
+    default="setup.yaml",
+    show_default=True,
     help="The file to write.",
-)  # fmt: skip
+)
 def command(
     method: str | None, positions: int | None, changes: tuple[str, ...], yes: bool, output: Path
 ) -> int:

@@ -30,9 +30,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 shown_option = partial(click.option, show_default=True)
 language_option = click.option(
-    "--language", type=click.Choice(codes()), default=ENGLISH.code,
+    "--language",
+    type=click.Choice(codes()),
+    default=ENGLISH.code,
     help="Language of the report; names, and what a person wrote, stay as they are.",
-)  # fmt: skip
+)
 set_option = click.option(
     "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
 )

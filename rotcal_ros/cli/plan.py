@@ -113,17 +113,26 @@ def order(
 @click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @set_option
 @click.option(
-    "--alpha", type=click.FloatRange(1e-9, 0.5), default=0.001, show_default=True,
+    "--alpha",
+    type=click.FloatRange(1e-9, 0.5),
+    default=0.001,
+    show_default=True,
     help="Significance of the test of one observation.",
-)  # fmt: skip
+)
 @click.option(
-    "--power", type=click.FloatRange(0.5, 0.999999), default=0.8, show_default=True,
+    "--power",
+    type=click.FloatRange(0.5, 0.999999),
+    default=0.8,
+    show_default=True,
     help="Probability that an error of the size shown is found.",
-)  # fmt: skip
+)
 @click.option(
-    "--worst", type=click.IntRange(min=1), default=8, show_default=True,
+    "--worst",
+    type=click.IntRange(min=1),
+    default=8,
+    show_default=True,
     help="How many observations to list; each is solved again.",
-)  # fmt: skip
+)
 @json_option
 def reliability(
     configuration: Path,

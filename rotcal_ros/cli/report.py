@@ -26,20 +26,24 @@ if TYPE_CHECKING:
 @setup_options
 @set_option
 @click.option(
-    "-o", "--output", type=NamedFile(".html", ".pdf", ".xml"),
+    "-o",
+    "--output",
+    type=NamedFile(".html", ".pdf", ".xml"),
     help="The page to write, .html or .pdf (printed by Chromium); default: report.html of the "
     "session, or NAME_report.html beside the source. Never overwrites, never writes into a "
     "bag.",
-)  # fmt: skip
+)
 @click.option(
     "--truth",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="truth.json of a simulation, drawn beside the result.",
 )
 @click.option(
-    "--in-force", type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="FOLDER",
+    "--in-force",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    metavar="FOLDER",
     help="Files of the table that was in force, to test whether it acts.",
-)  # fmt: skip
+)
 @language_option
 @click.option(
     "--dcc",
@@ -47,18 +51,24 @@ if TYPE_CHECKING:
     help="Write a digital calibration certificate instead: certificate.xml, or OUTPUT.",
 )
 @click.option(
-    "--sign", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="KEY",
+    "--sign",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="KEY",
     help="Sign it with this private key (RSA, PEM).",
-)  # fmt: skip
+)
 @click.option(
-    "--certificate", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="X509",
+    "--certificate",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="X509",
     help="X.509 certificate (PEM) of the signer.",
-)  # fmt: skip
+)
 @click.option(
-    "--tables", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
+    "--tables",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
     help="Also write the tables of the result, such as stations and residuals, as CSV into "
     "FOLDER.",
-)  # fmt: skip
+)
 def command(**options: Any) -> int:
     """Solve BAG, or TABLE with its --setup, and write the report.
 

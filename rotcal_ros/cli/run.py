@@ -21,9 +21,11 @@ from rotcal_ros.report.terminal.console import tell
 )
 @set_option
 @click.option(
-    "--resume", type=path_type, metavar="FOLDER",
+    "--resume",
+    type=path_type,
+    metavar="FOLDER",
     help="Continue the interrupted calibration in FOLDER from its first missing step.",
-)  # fmt: skip
+)
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @language_option
 @click.option("--no-report", is_flag=True, help="Write no report.")

@@ -32,19 +32,26 @@ if TYPE_CHECKING:
 @setup_options
 @set_option
 @click.option(
-    "--from", "taken_from", type=click.Choice(["streams", "observations"]), default="streams",
+    "--from",
+    "taken_from",
+    type=click.Choice(["streams", "observations"]),
+    default="streams",
     show_default=True,
     help="Capture the raw streams again, or use the recorded observations.",
-)  # fmt: skip
+)
 @click.option("--namespace", default="", help="Cell to solve, when the bag holds several.")
 @click.option(
-    "--balls", multiple=True, metavar="STEPS",
+    "--balls",
+    multiple=True,
+    metavar="STEPS",
     help="Ball plate: evaluate these balls only, e.g. 0,12,28,37,50,58; 'all' for all.",
-)  # fmt: skip
+)
 @click.option(
-    "--coarser", multiple=True, type=click.IntRange(min=1),
+    "--coarser",
+    multiple=True,
+    type=click.IntRange(min=1),
     help="Ball plate: evaluate every n-th step of the grid only.",
-)  # fmt: skip
+)
 @click.option(
     "--groups",
     type=click.Choice(["together", "separate"]),

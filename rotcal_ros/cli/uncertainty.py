@@ -22,13 +22,19 @@ if TYPE_CHECKING:
 @setup_options
 @set_option
 @click.option(
-    "--trials", type=click.IntRange(min=2), default=100_000, show_default=True,
+    "--trials",
+    type=click.IntRange(min=2),
+    default=100_000,
+    show_default=True,
     help="Largest number of trials; they end sooner when all figures are stable.",
-)  # fmt: skip
+)
 @click.option(
-    "--digits", type=click.IntRange(1, 4), default=2, show_default=True,
+    "--digits",
+    type=click.IntRange(1, 4),
+    default=2,
+    show_default=True,
     help="Digits of the standard uncertainty that have to be stable.",
-)  # fmt: skip
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: one per core.")
 @json_option

@@ -38,18 +38,26 @@ if TYPE_CHECKING:
 )
 @click.option("-o", "--output", "--out", type=path_type, help="New folder; default: out/NAME.")
 @click.option(
-    "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE",
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="GROUP.NAME=VALUE",
     help="Change a setting of all measurements.",
-)  # fmt: skip
+)
 @click.option(
-    "--check", multiple=True, metavar="GROUP.NAME=VALUE",
+    "--check",
+    multiple=True,
+    metavar="GROUP.NAME=VALUE",
     help="Change a setting of the measurements after compensation.",
-)  # fmt: skip
+)
 @click.option("--spacing", default=0.0, help="deg between rows of the tables; default: chosen.")
 @click.option(
-    "--to", "controllers", multiple=True, shell_complete=installed(plugins.CONTROLLERS),
+    "--to",
+    "controllers",
+    multiple=True,
+    shell_complete=installed(plugins.CONTROLLERS),
     help="Controller to write files for; may be given several times.",
-)  # fmt: skip
+)
 @click.option(
     "--accept-unverified",
     is_flag=True,

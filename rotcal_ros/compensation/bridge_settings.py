@@ -37,10 +37,12 @@ class BridgeSettings:
     )
     options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
     spacing_deg: float = expert(
-        0.0, minimum=0.0, maximum=180.0,
+        0.0,
+        minimum=0.0,
+        maximum=180.0,
         doc="deg, distance between the rows; 0: the widest that leaves less than a third of U "
         "between them",
-    )  # fmt: skip
+    )
     reference_deg: float | None = expert(
         None, doc="deg, angle at which the correction is zero; none: that of the table"
     )
@@ -64,9 +66,11 @@ class BridgeSettings:
         "the reason as output; empty: the controller's own settings decide",
     )
     max_change_arcsec: float = setting(
-        60.0, minimum=0.0, maximum=36_000.0,
+        60.0,
+        minimum=0.0,
+        maximum=36_000.0,
         doc="arcsec, largest change of the correction that may be applied",
-    )  # fmt: skip
+    )
     accept_unverified: bool = expert(
         False, doc="write files even where something about the controller is not verified"
     )
@@ -92,9 +96,11 @@ class BridgeSettings:
         minimum=1e-3,
     )
     answer_timeout_s: float = expert(
-        5.0, minimum=0.01, maximum=600.0,
+        5.0,
+        minimum=0.01,
+        maximum=600.0,
         doc="s, time without an answer after which the controller counts as silent",
-    )  # fmt: skip
+    )
 
     def __post_init__(self) -> None:
         self.accepted  # noqa: B018  raises for a misspelt word

@@ -41,9 +41,11 @@ class CellSettings:
         minimum=1e-9,
     )
     frame_tolerance_deg: float = expert(
-        1.0, minimum=1e-9, maximum=180.0,
+        1.0,
+        minimum=1e-9,
+        maximum=180.0,
         doc="deg, largest angle between the axis in tf and in the solution without a warning",
-    )  # fmt: skip
+    )
     volume_from_m: tuple[float, ...] = setting(
         (), doc="m, lowest x, y, z that the probe reaches; a dry run compares the plan with it"
     )
@@ -74,15 +76,19 @@ class HealthSettings:
     """How late a sign of life may be; a process that is gone is lost at once."""
 
     slow_after_s: float = expert(
-        1.5, minimum=0.6, maximum=3600.0,
+        1.5,
+        minimum=0.6,
+        maximum=3600.0,
         doc="s, time without a sign of life after which a node counts as slow: the measurement "
         "waits at the next safe place and continues by itself",
-    )  # fmt: skip
+    )
     lost_after_s: float = expert(
-        300.0, minimum=1.0, maximum=86_400.0,
+        300.0,
+        minimum=1.0,
+        maximum=86_400.0,
         doc="s, time after which a node that is slow, or an instrument that is silent, is given "
         "up: the session ends and can be resumed",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -103,10 +109,12 @@ class SafetySettings:
         "follows its last '/' or ': '",
     )
     silent_s: float = setting(
-        0.0, minimum=0.0, maximum=3600.0,
+        0.0,
+        minimum=0.0,
+        maximum=3600.0,
         doc="s, silence of the topic, or of one of the names, after which the cell stops too; 0: "
         "silence stops nothing",
-    )  # fmt: skip
+    )
 
     def __post_init__(self) -> None:
         """Refuse a name that no topic can have."""
@@ -125,54 +133,72 @@ class PlannerSettings:
         choices=(AS_LISTED, UNTIL_GOAL),
     )
     goal_arcsec: float = setting(
-        0.0, minimum=0.0, maximum=3600.0,
+        0.0,
+        minimum=0.0,
+        maximum=3600.0,
         doc="arcsec, expanded uncertainty (k = 2) of ECC about its mean, root mean square over "
         "the table angles, at which until_goal stops; 0: not given",
-    )  # fmt: skip
+    )
     expected_std_m: float = expert(
-        0.0, minimum=0.0, maximum=1e-2,
+        0.0,
+        minimum=0.0,
+        maximum=1e-2,
         doc="m, standard deviation of a length that until_goal assumes for its first sweep; 0: "
         "that of the solver",
-    )  # fmt: skip
+    )
     step_s: float = expert(
-        5.0, minimum=0.001, maximum=3600.0,
+        5.0,
+        minimum=0.001,
+        maximum=3600.0,
         doc="s, expected duration of a step, for predicted times and for the choices of "
         "until_goal",
-    )  # fmt: skip
+    )
     turn_s: float = expert(
-        10.0, minimum=0.0, maximum=3600.0,
+        10.0,
+        minimum=0.0,
+        maximum=3600.0,
         doc="s, expected duration of a turn of the table from one angle to the next",
-    )  # fmt: skip
+    )
 
     max_attempts: int = expert(
         3, doc="attempts at one step before it is skipped", minimum=1, maximum=100
     )
     max_failed_steps: int = expert(
-        3, minimum=0, maximum=100_000,
+        3,
+        minimum=0,
+        maximum=100_000,
         doc="consecutive steps that may fail, with all their attempts, before the planner gives "
         "up; ten times as many if something stood in the beam; 0: it never gives up",
-    )  # fmt: skip
+    )
     preflight_timeout_s: float = expert(
-        15.0, minimum=0.1, maximum=3600.0,
+        15.0,
+        minimum=0.1,
+        maximum=3600.0,
         doc="s, time within which all nodes and topics must appear",
-    )  # fmt: skip
+    )
     step_timeout_s: float = setting(
         60.0, doc="s, longest time from an order to its observation", minimum=0.1, maximum=86_400.0
     )
     receipt_timeout_s: float = expert(
-        10.0, minimum=0.1, maximum=3600.0,
+        10.0,
+        minimum=0.1,
+        maximum=3600.0,
         doc="s, longest time from an observation to the recorder's receipt that it is on disk",
-    )  # fmt: skip
+    )
     stream_timeout_s: float = expert(
-        2.0, minimum=0.1, maximum=3600.0,
+        2.0,
+        minimum=0.1,
+        maximum=3600.0,
         doc="s, silence of an instrument after which the planner waits for it; it is lost when "
         "nobody publishes its topic any more, or after health.lost_after_s",
-    )  # fmt: skip
+    )
     join_steps: int = expert(
-        8, minimum=1, maximum=1000,
+        8,
+        minimum=1,
+        maximum=1000,
         doc="finished steps that a resumed plan measures again, to find the new zero of the "
         "lengths",
-    )  # fmt: skip
+    )
     solve_timeout_s: float = expert(
         120.0, doc="s, longest time for the final solution", minimum=1.0, maximum=86_400.0
     )
@@ -206,19 +232,23 @@ class TableAdapterSettings:
         20.0, doc="deg/s^2, largest acceleration", minimum=1e-3, maximum=1e6
     )
     overshoot_deg: float = expert(
-        2.0, minimum=1e-3, maximum=180.0,
+        2.0,
+        minimum=1e-3,
+        maximum=180.0,
         doc="deg, shortest final motion to an angle, so that it is reached from the ordered "
         "side; a table that is nearer, or beyond the angle, first moves back by this much",
-    )  # fmt: skip
+    )
     lower_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
     upper_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
     many_turns: bool = expert(
         False, doc="the joint may be more than two turns away from its zero at the start"
     )
     tolerance_arcsec: float = expert(
-        5.0, minimum=1e-3, maximum=36_000.0,
+        5.0,
+        minimum=1e-3,
+        maximum=36_000.0,
         doc="arcsec, distance from the ordered angle within which the joint has arrived",
-    )  # fmt: skip
+    )
     silence_s: float = expert(
         2.0,
         doc="s, time without feedback, or without motion, after which an error is reported",

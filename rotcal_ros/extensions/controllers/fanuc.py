@@ -101,9 +101,11 @@ class Fanuc(Controller):
         0.001, doc="deg, 0.001 (IS-B) or 0.0001 (IS-C)", minimum=1e-6, maximum=0.1
     )
     magnification: int = setting(
-        0, minimum=0, maximum=LARGEST_MAGNIFICATION,
+        0,
+        minimum=0,
+        maximum=LARGEST_MAGNIFICATION,
         doc="detection units of one step (parameter 3623); 0: the smallest that fits",
-    )  # fmt: skip
+    )
     reference_slot: int = setting(
         0, doc="slot of the reference position (parameter 3620)", minimum=0, maximum=1023
     )

@@ -63,9 +63,11 @@ class Pmac(Controller):
         choices=(BLCOMP, "mean"),
     )
     take_up_rate: int = setting(
-        16, minimum=1, maximum=LARGEST,
+        16,
+        minimum=1,
+        maximum=LARGEST,
         doc="Ixx85, 1/16 count per background cycle; 0 would switch the way back off",
-    )  # fmt: skip
+    )
 
     @property
     def one_direction(self) -> bool:

@@ -51,10 +51,12 @@ class TwinCat(Controller):
     )
 
     axis_number: int = setting(
-        0, minimum=0, maximum=65535,
+        0,
+        minimum=0,
+        maximum=65535,
         doc="logical number of the axis, for the list header (kopf.achs_nr); 0: no header, the "
         "System Manager writes it",
-    )  # fmt: skip
+    )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the compensation list; raises ConfigurationError above ``max_points``."""

@@ -85,25 +85,31 @@ class TracerDesignSettings(TableAngleSettings):
         doc="direction in which the reflector looks, if reflector_faces is direction",
     )
     reflector_acceptance_deg: float = setting(
-        50.0, minimum=0.0, maximum=180.0,
+        50.0,
+        minimum=0.0,
+        maximum=180.0,
         doc="deg, largest angle between the beam and where the reflector looks",
-    )  # fmt: skip
+    )
     length_std_m: float = setting(
         0.2e-6, doc="m, standard deviation of one length", minimum=1e-9, maximum=1e-2
     )
     length_std_relative: float = setting(
-        0.0, minimum=0.0, maximum=1e-2,
+        0.0,
+        minimum=0.0,
+        maximum=1e-2,
         doc="m/m, part of the standard deviation of a length that grows with the distance",
-    )  # fmt: skip
+    )
     target_std_m: Triple = setting(
         (1e-6, 1e-6, 1e-6), doc="m, standard deviation of a target along x, y, z", minimum=0.0
     )
     error_motion_std_m: float | None = setting(
-        None, minimum=0.0, maximum=1e-2,
+        None,
+        minimum=0.0,
+        maximum=1e-2,
         doc="m, standard deviation of the table's radial error motion: part of U, and written "
         "down for the solver; 0: no such motion; none: as circle_std_m, else the solver "
         "estimates it from the circle, which takes more lengths",
-    )  # fmt: skip
+    )
     zero: str = setting(
         PER_STATION,
         doc="zeros of the lengths: of each station, or one for all (the beam is never broken)",
@@ -115,30 +121,40 @@ class TracerDesignSettings(TableAngleSettings):
         minimum=1e-9,
     )
     slip_m: float = expert(
-        TracerSolverSettings().slip_m, minimum=0.0, maximum=1e-5,
+        TracerSolverSettings().slip_m,
+        minimum=0.0,
+        maximum=1e-5,
         doc="m, if zero is one: a fringe that may slip unseen and is part of U, as solver.slip_m; "
         "0: none slips",
-    )  # fmt: skip
+    )
     confidence: float = expert(
-        0.95, minimum=0.5, maximum=0.99,
+        0.95,
+        minimum=0.5,
+        maximum=0.99,
         doc="probability with which the result's own U meets the goal",
-    )  # fmt: skip
+    )
     repeats: int = setting(
-        1, minimum=1, maximum=1000,
+        1,
+        minimum=1,
+        maximum=1000,
         doc="how often a pair of table angle and target may be measured",
-    )  # fmt: skip
+    )
     min_redundancy: float = expert(
-        LEAST_REDUNDANCY, minimum=0.0, maximum=0.9,
+        LEAST_REDUNDANCY,
+        minimum=0.0,
+        maximum=0.9,
         doc="least redundancy that every length must have",
-    )  # fmt: skip
+    )
     max_undetected: float = expert(
         1.0, doc="largest effect of an undetected error of one length, in U of ECC", minimum=0.01
     )
     rejection_significance: float = expert(
-        0.01, minimum=1e-9, maximum=0.5,
+        0.01,
+        minimum=1e-9,
+        maximum=0.5,
         doc="probability of rejecting any length at all when all are good, as "
         "solver.rejection_significance",
-    )  # fmt: skip
+    )
     power: float = expert(
         0.8, doc="probability that an error is detected", minimum=0.5, maximum=0.9999
     )

@@ -23,20 +23,31 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("sources", nargs=-1, required=True, metavar="BAG|FOLDER|GLOB|LIST...")
 @click.option(
-    "--setup", type=path_type, required=True, shell_complete=configurations,
+    "--setup",
+    type=path_type,
+    required=True,
+    shell_complete=configurations,
     help="Configuration for all bags.",
-)  # fmt: skip
+)
 @click.option(
-    "-o", "--output", type=path_type, default=Path("out/reprocessed"), show_default=True,
+    "-o",
+    "--output",
+    type=path_type,
+    default=Path("out/reprocessed"),
+    show_default=True,
     help="Folder for table, overview page and cached results.",
-)  # fmt: skip
+)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: all cores.")
 @click.option("--scheduler", metavar="tcp://...", help="Use the workers of a Dask cluster.")
 @click.option(
-    "--time-limit", "time_limit_s", type=click.FloatRange(min=1.0), default=3600.0,
-    show_default=True, metavar="SECONDS",
+    "--time-limit",
+    "time_limit_s",
+    type=click.FloatRange(min=1.0),
+    default=3600.0,
+    show_default=True,
+    metavar="SECONDS",
     help="A bag that takes longer is ended and set aside.",
-)  # fmt: skip
+)
 @click.option(
     "--verify-bytes",
     is_flag=True,

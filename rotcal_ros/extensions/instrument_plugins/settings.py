@@ -18,9 +18,11 @@ class InstrumentSettings:
     )
     options: tuple[str, ...] = setting((), doc="options of the plug-in, each name=value")
     silence_s: float = expert(
-        2.0, minimum=0.05, maximum=3600.0,
+        2.0,
+        minimum=0.05,
+        maximum=3600.0,
         doc="s, time without a length after which the connection counts as lost",
-    )  # fmt: skip
+    )
     measure_timeout_s: float = expert(
         30.0, doc="s, longest measurement of one place", minimum=0.1, maximum=3600.0
     )

@@ -46,10 +46,12 @@ class DmeSettings:
         minimum=1e-3, maximum=90.0,
     )  # fmt: skip
     settle_s: float = expert(
-        1.0, minimum=1e-3, maximum=600.0,
+        1.0,
+        minimum=1e-3,
+        maximum=600.0,
         doc="s, wait from the end of a motion to the first point; the speed of the table is "
         "averaged over it",
-    )  # fmt: skip
+    )
     clearance_m: float = expert(
         0.05, doc="m, height above the balls at which the tip travels", minimum=1e-4, maximum=1.0
     )
@@ -58,9 +60,11 @@ class DmeSettings:
         maximum=0.1,
     )  # fmt: skip
     search_m: float = expert(
-        0.003, minimum=1e-5, maximum=0.1,
+        0.003,
+        minimum=1e-5,
+        maximum=0.1,
         doc="m, how far behind the nominal surface of a ball the probe searches for it",
-    )  # fmt: skip
+    )
     tip_radius_m: float = expert(
         0.0, doc="m, radius of the probe tip; 0: ask the server for it", minimum=0.0, maximum=0.1
     )
@@ -68,19 +72,27 @@ class DmeSettings:
         0.5, doc="um, standard deviation of a point along each axis", minimum=1e-4, maximum=1e3
     )
     report_period_s: float = expert(
-        0.2, minimum=0.0, maximum=60.0,
+        0.2,
+        minimum=0.0,
+        maximum=60.0,
         doc="s, time between reports while the machine moves, at least 0.1; 0: none",
-    )  # fmt: skip
+    )
     idle_period_s: float = expert(
-        0.5, minimum=0.01, maximum=60.0,
+        0.5,
+        minimum=0.01,
+        maximum=60.0,
         doc="s, time between questions for the machine's position while it has no order",
-    )  # fmt: skip
+    )
     reply_timeout_s: float = expert(
-        5.0, minimum=0.05, maximum=600.0,
+        5.0,
+        minimum=0.05,
+        maximum=600.0,
         doc="s, longest time until a command is acknowledged, and until one that moves nothing "
         "is done",
-    )  # fmt: skip
+    )
     motion_timeout_s: float = expert(
-        120.0, minimum=0.05, maximum=86_400.0,
+        120.0,
+        minimum=0.05,
+        maximum=86_400.0,
         doc="s, longest time until a command that moves is done",
-    )  # fmt: skip
+    )

@@ -23,9 +23,12 @@ def command() -> None:
 @click.argument("configuration", type=path_type)
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option(
-    "--port", default=1294, show_default=True, type=click.IntRange(0, 65_535),
+    "--port",
+    default=1294,
+    show_default=True,
+    type=click.IntRange(0, 65_535),
     help="Port to listen on; 0: any free one.",
-)  # fmt: skip
+)
 @click.option(
     "--version", default="1.4.3", show_default=True, help="Version that GetDMEVersion() states."
 )

@@ -17,9 +17,12 @@ OPENED_AFTER_S = 0.5
 
 @click.command()
 @click.option(
-    "--port", type=click.IntRange(0, 65_535), default=0, show_default=True,
+    "--port",
+    type=click.IntRange(0, 65_535),
+    default=0,
+    show_default=True,
     help="Port of the page; 0: any free one.",
-)  # fmt: skip
+)
 @click.option("--no-browser", is_flag=True, help="Print the address and open nothing.")
 def command(port: int, no_browser: bool) -> int:
     """Open a page on which a table of numbers is solved; Ctrl-C ends it.

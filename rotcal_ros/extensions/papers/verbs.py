@@ -18,9 +18,13 @@ PAPERS: Final = ("tracer", "three_rosette", "two_groups", "mirror")
 @click.command()
 @click.argument("paper", type=click.Choice(PAPERS))
 @click.option(
-    "-o", "--output", type=path_type, default=Path("out/papers"), show_default=True,
+    "-o",
+    "--output",
+    type=path_type,
+    default=Path("out/papers"),
+    show_default=True,
     help="Folder for the page and its JSON file; earlier ones there are written anew.",
-)  # fmt: skip
+)
 @json_option
 def command(paper: str, output: Path, as_json: bool) -> int:
     """Compute a paper's tables, figures and claims again, into one page and one JSON file.

@@ -55,9 +55,11 @@ def _rate(_context: click.Context, _option: click.Parameter, value: float) -> fl
 )
 @click.option("--no-finish", is_flag=True, help="Do not ask a live solver for the result.")
 @click.option(
-    "--result", type=NamedFile(".json"), metavar="FILE",
+    "--result",
+    type=NamedFile(".json"),
+    metavar="FILE",
     help="Keep the result of the live solver as JSON.",
-)  # fmt: skip
+)
 @click.option(
     "--wait-for", "nodes", multiple=True, metavar="NODE", help="Begin when this node has appeared."
 )

@@ -121,28 +121,36 @@ class BallPlateSolverSettings:
         choices=("least_squares", CLOSED_FORM),
     )
     sigma_centre_m: float = setting(
-        0.0, minimum=0.0, maximum=1e-2,
+        0.0,
+        minimum=0.0,
+        maximum=1e-2,
         doc="m, known standard deviation of a ball centre; 0: from the residuals",
-    )  # fmt: skip
+    )
     drift: str = setting(
         "none",
         doc="drift of the CMM's origin over the run that is estimated, for each axis",
         choices=DRIFTS,
     )
     drift_allowance_m: float = setting(
-        0.0, minimum=0.0, maximum=1e-3,
+        0.0,
+        minimum=0.0,
+        maximum=1e-3,
         doc="m, drift of the CMM's origin over the run, along each axis, that the uncertainty "
         "covers where it is not estimated; 0: none stated",
-    )  # fmt: skip
+    )
     group_allowance_m: float = expert(
-        0.0, minimum=0.0, maximum=1e-3,
+        0.0,
+        minimum=0.0,
+        maximum=1e-3,
         doc="m, on the circle of the balls: largest difference between the zeros of groups of "
         "table positions (plan.plate.separate_groups); 0: none stated, the difference is unknown",
-    )  # fmt: skip
+    )
     sigma_axes_m: tuple[float, ...] = expert(
-        (), minimum=0.0, maximum=1e-2,
+        (),
+        minimum=0.0,
+        maximum=1e-2,
         doc="m, known standard deviations of a ball centre in x, y, z; empty: the same in all",
-    )  # fmt: skip
+    )
     own_std: bool = expert(
         False, doc="weight every centre by the standard deviation that the machine states for it"
     )
@@ -270,10 +278,12 @@ class BallPlatePlanSettings:
         choices=get_args(Order),
     )
     rounds: int = setting(
-        0, minimum=0, maximum=100,
+        0,
+        minimum=0,
+        maximum=100,
         doc="turns of the table: interleaved, each for a share of the balls; table_once, each "
         "for a share of the CMM positions; 0: as many as the order asks for (4 and 1)",
-    )  # fmt: skip
+    )
     closing: bool = setting(True, doc="measure the first table position again at the end")
     backlash: bool = setting(True, doc="approach all angles in the positive direction")
     bidirectional: bool = setting(
@@ -282,9 +292,11 @@ class BallPlatePlanSettings:
         "approached from the other side",
     )
     measure: str = setting(
-        SURFACE, choices=(SURFACE, CENTRE), first=True,
+        SURFACE,
+        choices=(SURFACE, CENTRE),
+        first=True,
         doc="what the machine publishes of a ball: surface (touch points) or centre",
-    )  # fmt: skip
+    )
     points_per_ball: int = points_setting()
 
 

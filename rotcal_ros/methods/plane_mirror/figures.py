@@ -206,9 +206,12 @@ def _draw_points(
     ax.plot(*np.array(list(points.values())).T, marker, color=colour, markersize=7, label=label)
     for name, point in points.items():
         ax.annotate(
-            str(name), (point[0], point[1]), xytext=(7, 5), textcoords="offset points",
+            str(name),
+            (point[0], point[1]),
+            xytext=(7, 5),
+            textcoords="offset points",
             color=colour,
-        )  # fmt: skip
+        )
 
 
 def _across(axis: Floats) -> Floats:

@@ -167,14 +167,18 @@ class SimulationSettings:
 
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
     run: int = expert(
-        0, minimum=0, maximum=2**31 - 1,
+        0,
+        minimum=0,
+        maximum=2**31 - 1,
         doc="another number: the same machine measured again, with other noise",
-    )  # fmt: skip
+    )
     time_scale: float = setting(
-        1.0, minimum=0.01, maximum=1000.0,
+        1.0,
+        minimum=0.01,
+        maximum=1000.0,
         doc="machine seconds in a second of the clock while something moves or settles; 1: real "
         "time",
-    )  # fmt: skip
+    )
     hold_s: float = expert(
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )

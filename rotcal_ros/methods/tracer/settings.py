@@ -95,9 +95,11 @@ class FaultSettings:
         minimum=0.0,
     )
     slip_probability: float = setting(
-        0.0, minimum=0.0, maximum=1.0,
+        0.0,
+        minimum=0.0,
+        maximum=1.0,
         doc="probability that the counter slips a fringe at a reading, and the status stays good",
-    )  # fmt: skip
+    )
     spike_probability: float = setting(
         0.0, doc="probability that a reading is a spike", minimum=0.0, maximum=1.0
     )
@@ -141,18 +143,23 @@ class TracerPlanSettings(TableAngleSettings):
         (0.45, 0.6, 0.45), doc="m, size of the block of targets", minimum=0.0, first=True
     )
     box_points: tuple[int, int, int] = setting(
-        (4, 4, 4), minimum=1, maximum=1000, first=True,
+        (4, 4, 4),
+        minimum=1,
+        maximum=1000,
+        first=True,
         doc="number of targets along x, y and z in the block",
-    )  # fmt: skip
+    )
     order: str = setting(
         STATIONS_PER_TARGET,
         doc="what changes fastest: the table (the paper's order) or the target",
         choices=(STATIONS_PER_TARGET, TARGETS_PER_STATION),
     )
     runs: int = setting(
-        1, minimum=1, maximum=100,
+        1,
+        minimum=1,
+        maximum=100,
         doc="how often all table angles are measured; ISO 230-2 asks for 5",
-    )  # fmt: skip
+    )
     bidirectional: bool = setting(
         False, doc="measure every run on the way up and, from the other side, on the way down"
     )
@@ -184,10 +191,12 @@ class TracerPlanSettings(TableAngleSettings):
         first=True,
     )
     min_elevation_deg: float | None = setting(
-        None, minimum=-90.0, maximum=90.0,
+        None,
+        minimum=-90.0,
+        maximum=90.0,
         doc="deg, lowest beam above the tracer's horizon; pairs with a lower one are left out of "
         "the plan; none: no pair is",
-    )  # fmt: skip
+    )
     min_distance_m: float = setting(
         0.0, doc="m, shortest beam; pairs with a shorter one are left out of the plan", minimum=0.0
     )

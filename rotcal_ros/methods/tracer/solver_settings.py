@@ -22,26 +22,36 @@ class TracerLimits:
     """
 
     rejection_significance: float = expert(
-        0.01, minimum=1e-9, maximum=0.5,
+        0.01,
+        minimum=1e-9,
+        maximum=0.5,
         doc="probability of rejecting any length at all when all are good",
-    )  # fmt: skip
+    )
     noise_significance: float = expert(
-        0.01, minimum=1e-9, maximum=0.5,
+        0.01,
+        minimum=1e-9,
+        maximum=0.5,
         doc="probability of estimating the noise from the residuals although it is as stated",
-    )  # fmt: skip
+    )
     test_significance: float = expert(
-        0.001, minimum=1e-9, maximum=0.5,
+        0.001,
+        minimum=1e-9,
+        maximum=0.5,
         doc="probability of a false alarm of each global test (chi-squared, closure, motion)",
-    )  # fmt: skip
+    )
     max_rejected_share: float = expert(
-        0.03, minimum=0.001, maximum=0.5,
+        0.03,
+        minimum=0.001,
+        maximum=0.5,
         doc="share of rejected lengths beyond which the verdict is suspect",
-    )  # fmt: skip
+    )
     max_station_std: float = expert(
-        0.01, minimum=1e-6, maximum=0.999,
+        0.01,
+        minimum=1e-6,
+        maximum=0.999,
         doc="largest standard deviation of a station's position, as a share of the radius of the "
         "stations' circle; beyond it the geometry is refused",
-    )  # fmt: skip
+    )
 
     def __post_init__(self) -> None:
         """Refuse shares and probabilities that are none; a file's ranges are narrower."""
@@ -58,17 +68,25 @@ class LengthNoiseSettings(TracerLimits):
     """How well the tracer measures and the machine places its targets."""
 
     length_std_m: float = setting(
-        0.2e-6, minimum=1e-9, maximum=1e-2, first=True,
+        0.2e-6,
+        minimum=1e-9,
+        maximum=1e-2,
+        first=True,
         doc="m, standard deviation of one captured length, repeatability included",
-    )  # fmt: skip
+    )
     length_std_relative: float = setting(
-        0.0, minimum=0.0, maximum=1e-2,
+        0.0,
+        minimum=0.0,
+        maximum=1e-2,
         doc="m/m, part of the standard deviation of a length that grows with the distance",
-    )  # fmt: skip
+    )
     target_std_m: float = setting(
-        1e-6, minimum=1e-9, maximum=1.0, first=True,
+        1e-6,
+        minimum=1e-9,
+        maximum=1.0,
+        first=True,
         doc="m, standard deviation of each coordinate of a target, from the errors of the machine",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -89,29 +107,39 @@ class TracerSolverSettings(LengthNoiseSettings):
         "with the column segment, else per station",
     )
     zero_walk_std_m: float | None = expert(
-        0.0, minimum=0.0, maximum=1e-4,
+        0.0,
+        minimum=0.0,
+        maximum=1e-4,
         doc="m, with a zero per_segment: standard deviation of its change from one length to the "
         "next, as by temperature; 0: it does not change; none (null): estimated from the lengths",
-    )  # fmt: skip
+    )
     position_std_m: float = expert(
-        1e-7, minimum=0.0, maximum=1e-3,
+        1e-7,
+        minimum=0.0,
+        maximum=1e-3,
         doc="m, standard deviation of each coordinate of the reflector from one arrival to the "
         "next, besides target_std_m, which stays the same: what a resumed plan measures again "
         "may differ by it",
-    )  # fmt: skip
+    )
     circle_std_m: float | None = expert(
-        None, minimum=1e-9, maximum=1e-2,
+        None,
+        minimum=1e-9,
+        maximum=1e-2,
         doc="m, standard deviation of the stations from one circle about the table's axis, "
         "radially and along it; none: no circle is assumed, and every station is found by itself",
-    )  # fmt: skip
+    )
     slip_m: float = expert(
-        0.3164e-6, minimum=0.0, maximum=1e-5,
+        0.3164e-6,
+        minimum=0.0,
+        maximum=1e-5,
         doc="m, with a zero per_segment: a fringe by which the counter may slip unnoticed; what "
         "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
         "slip",
-    )  # fmt: skip
+    )
     error_motion_std_m: float | None = setting(
-        None, minimum=0.0, maximum=1e-2,
+        None,
+        minimum=0.0,
+        maximum=1e-2,
         doc="m, standard deviation of the table's radial error motion at the tracer's height; 0: "
         "no such motion; none: as circle_std_m, else estimated from the circle of the stations",
-    )  # fmt: skip
+    )

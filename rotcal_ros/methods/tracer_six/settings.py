@@ -56,34 +56,49 @@ class SixPlanSettings(TableAngleSettings):
     """
 
     places: int = setting(
-        3, minimum=1, maximum=24, first=True,
+        3,
+        minimum=1,
+        maximum=24,
+        first=True,
         doc="number of places of the tracer on the table, evenly around its axis",
-    )  # fmt: skip
+    )
     place_radius_m: float = setting(
-        0.15, minimum=0.001, maximum=10.0, first=True,
+        0.15,
+        minimum=0.001,
+        maximum=10.0,
+        first=True,
         doc="m, distance of the places from the table axis",
-    )  # fmt: skip
+    )
     place_azimuth_deg: float = expert(
         0.0, doc="deg, direction of the first place with the table at angle 0"
     )
     place_height_m: float = setting(
-        0.12, minimum=-5.0, maximum=10.0, first=True,
+        0.12,
+        minimum=-5.0,
+        maximum=10.0,
+        first=True,
         doc="m, height of the tracer's centre at the first place",
-    )  # fmt: skip
+    )
     place_height_step_m: float = setting(
-        0.0, minimum=-1.0, maximum=1.0,
+        0.0,
+        minimum=-1.0,
+        maximum=1.0,
         doc="m, by which each place is higher than the one before; unequal heights where each "
         "station has a zero of its own",
-    )  # fmt: skip
+    )
     places_m: tuple[float, ...] = setting(
-        (), minimum=-10.0, maximum=10.0,
+        (),
+        minimum=-10.0,
+        maximum=10.0,
         doc="m, x y z of place 0, then of place 1 and so on, with the table at angle 0; replaces "
         "places, place_radius_m, place_azimuth_deg, place_height_m and place_height_step_m",
-    )  # fmt: skip
+    )
     place_tolerance_m: float = expert(
-        0.01, minimum=1e-5, maximum=0.05,
+        0.01,
+        minimum=1e-5,
+        maximum=0.05,
         doc="m, by which the tracer may miss its place before the person is asked again",
-    )  # fmt: skip
+    )
     box_centre_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.61), doc="m, centre of the block of targets"
     )
@@ -94,10 +109,13 @@ class SixPlanSettings(TableAngleSettings):
         (4, 3, 2), doc="number of targets along x, y and z in the block", minimum=1, maximum=1000
     )
     targets_m: tuple[float, ...] = setting(
-        (), minimum=-50.0, maximum=50.0, first=True,
+        (),
+        minimum=-50.0,
+        maximum=50.0,
+        first=True,
         doc="m, x y z of target 0, then of target 1 and so on; empty: the block of box_centre_m, "
         "box_size_m and box_points",
-    )  # fmt: skip
+    )
     order: str = setting(
         TARGETS_PER_STATION,
         doc="what changes fastest: the target, so that the table comes to each angle once, or the "
@@ -110,9 +128,11 @@ class SixPlanSettings(TableAngleSettings):
         "again",
     )
     arrivals: int = setting(
-        1, minimum=1, maximum=20,
+        1,
+        minimum=1,
+        maximum=20,
         doc="how often the table comes to each angle from each place; 2 show its scatter better",
-    )  # fmt: skip
+    )
     closes: bool = setting(
         False, doc="measure the first angle again at the end of every place, or of every target"
     )
@@ -137,26 +157,34 @@ class TracerSixSolverSettings(LengthNoiseSettings):
         "segments, else per run",
     )
     slip_m: float = expert(
-        0.3164e-6, minimum=0.0, maximum=1e-5,
+        0.3164e-6,
+        minimum=0.0,
+        maximum=1e-5,
         doc="m, a fringe by which the counter may slip unnoticed where lengths share zeros; what "
         "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
         "slip",
-    )  # fmt: skip
+    )
     scatter_translation_std_m: float | None = expert(
-        None, minimum=0.0, maximum=1e-2,
+        None,
+        minimum=0.0,
+        maximum=1e-2,
         doc="m, standard deviation of the table's place from one arrival to the next, along each "
         "axis; 0: known to repeat; none: estimated from the distances between the places",
-    )  # fmt: skip
+    )
     scatter_rotation_std_rad: float | None = expert(
-        None, minimum=0.0, maximum=1e-2,
+        None,
+        minimum=0.0,
+        maximum=1e-2,
         doc="rad, standard deviation of the table's attitude from one arrival to the next, about "
         "each axis; 0: known to repeat; none: estimated from the distances between the places",
-    )  # fmt: skip
+    )
     tilt_std_rad: float | None = setting(
-        None, minimum=1e-9, maximum=1e-2,
+        None,
+        minimum=1e-9,
+        maximum=1e-2,
         doc="rad, known standard deviation of the table's tilts EAC and EBC; two places need it; "
         "none: nothing is known",
-    )  # fmt: skip
+    )
 
 
 SETTINGS: Final[Mapping[str, type[Any]]] = {

@@ -28,9 +28,13 @@ if TYPE_CHECKING:
 )
 @rule_options
 @click.option(
-    "--every", type=click.IntRange(min=1), metavar="N", default=1, show_default=True,
+    "--every",
+    type=click.IntRange(min=1),
+    metavar="N",
+    default=1,
+    show_default=True,
     help="Check only every N-th angle; nothing is known of the others.",
-)  # fmt: skip
+)
 @click.option(
     "--candidates",
     type=path_type,
@@ -38,18 +42,25 @@ if TYPE_CHECKING:
     "the configuration's block.",
 )
 @click.option(
-    "--volume", type=path_type, metavar="GOAL.yaml",
+    "--volume",
+    type=path_type,
+    metavar="GOAL.yaml",
     help="Where the reflector may go and what is in the way, as for 'rotcal plan tracer'.",
-)  # fmt: skip
+)
 @click.option(
-    "--volume-set", "limits", multiple=True, metavar="NAME=VALUE",
+    "--volume-set",
+    "limits",
+    multiple=True,
+    metavar="NAME=VALUE",
     help="Set or change a setting of --volume.",
-)  # fmt: skip
+)
 @click.option(
-    "--least-redundancy", type=click.FloatRange(0.0, 0.9), default=LEAST_REDUNDANCY,
+    "--least-redundancy",
+    type=click.FloatRange(0.0, 0.9),
+    default=LEAST_REDUNDANCY,
     show_default=True,
     help="Least redundancy of each length; 0: none needs to be checked by others.",
-)  # fmt: skip
+)
 @set_option
 @click.option("-o", "--output", type=path_type, help="Folder for configuration and its tables.")
 @json_option

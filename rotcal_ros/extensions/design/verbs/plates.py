@@ -28,9 +28,11 @@ grid_option = click.option(
     "--grid", type=click.IntRange(min=3), required=True, help="Table positions in a turn."
 )
 sigma_option = shown_option(
-    "--sigma-um", type=positive, default=0.05,
+    "--sigma-um",
+    type=positive,
+    default=0.05,
     help="um, standard deviation (k = 1) of a ball centre along each axis.",
-)  # fmt: skip
+)
 radius_option = shown_option(
     "--radius-m", type=positive, default=0.185, help="m, radius of the ball circle."
 )
@@ -46,9 +48,11 @@ seed_option = click.option("--seed", type=int, default=0, help="Seed of the exch
 @gap_option
 @click.option("--subset-of", metavar="STEPS", help="Choose among these grid steps, e.g. 0,8,12.")
 @shown_option(
-    "--weights", metavar="ECC,XY,TILT,Z", default="1,1,1,1",
+    "--weights",
+    metavar="ECC,XY,TILT,Z",
+    default="1,1,1,1",
     help="Weights of the mean variances of ECC, EXC and EYC, EAC and EBC, EZC.",
-)  # fmt: skip
+)
 @seed_option
 @click.option("--starts", type=click.IntRange(min=1), default=40, help="Exchange searches.")
 @sigma_option
@@ -119,9 +123,11 @@ def plate(
 @click.command()
 @grid_option
 @click.option(
-    "--need", metavar="COMPONENT=LIMIT", required=True,
+    "--need",
+    metavar="COMPONENT=LIMIT",
+    required=True,
     help="Wanted expanded uncertainty (k = 2), um or arcsec, e.g. ECC=0.05.",
-)  # fmt: skip
+)
 @gap_option
 @click.option("--most-balls", type=click.IntRange(min=5), help="Largest number of balls.")
 @seed_option

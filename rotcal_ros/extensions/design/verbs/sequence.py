@@ -36,9 +36,12 @@ LONGEST: Final = 3600.0
 @click.command("sequence")
 @click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @click.option(
-    "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE",
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="GROUP.NAME=VALUE",
     help="Change a setting of CONFIG.",
-)  # fmt: skip
+)
 @click.option(
     "--cell",
     is_flag=True,
@@ -47,9 +50,12 @@ LONGEST: Final = 3600.0
 @click.option("--turn-s", type=float, default=10.0, show_default=True, help="s, one rotation.")
 @click.option("--length-s", type=float, default=5.0, show_default=True, help="s, one length.")
 @click.option(
-    "--limit", type=click.FloatRange(min=0.0, min_open=True), default=TOLERABLE, show_default=True,
+    "--limit",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=TOLERABLE,
+    show_default=True,
     help="Standard uncertainties that an unseen drift or knock may cause.",
-)  # fmt: skip
+)
 @click.option("--clock", is_flag=True, help="Also time CONFIG as listed, in the simulated cell.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the search.")
 @click.option(

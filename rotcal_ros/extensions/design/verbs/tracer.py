@@ -29,9 +29,11 @@ PLAN_FILE = "plan.yaml"
 @click.argument("goal", type=path_type, metavar="[GOAL.yaml]", required=False)
 @click.option("--need", metavar="ECC=ARCSEC", help="Wanted U(ECC), k = 2, rms over the angles.")
 @click.option(
-    "--like", type=path_type, metavar="CONFIG",
+    "--like",
+    type=path_type,
+    metavar="CONFIG",
     help="Take table angles, mount and noise from this configuration, and write one like it.",
-)  # fmt: skip
+)
 @click.option(
     "--set", "changes", multiple=True, metavar="NAME=VALUE", help="Change a setting of the goal."
 )

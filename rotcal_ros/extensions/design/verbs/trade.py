@@ -96,9 +96,11 @@ SPACING_M = 0.17
     "--elevation-deg", type=click.FloatRange(-90.0, 89.0), default=10.0, help="deg, lowest beam."
 )
 @shown_option(
-    "--zero", type=click.Choice(("run", "station")), default="run",
+    "--zero",
+    type=click.Choice(("run", "station")),
+    default="run",
     help="A zero of the lengths per unbroken run, or one per station.",
-)  # fmt: skip
+)
 @shown_option("--turn-s", type=positive, default=10.0, help="s, one rotation.")
 @shown_option("--length-s", type=positive, default=5.0, help="s, one length with its move.")
 @json_option
