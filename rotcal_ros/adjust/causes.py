@@ -476,6 +476,8 @@ class Look:
         where = ""
         if effect.family:
             touched = np.flatnonzero(columns[:, 0])
+            if len(np.unique(columns[touched, 0])) == 2:  # a shift that is told from its mean
+                touched = np.flatnonzero(columns[:, 0] > 0.0)
             first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
             stays = np.ptp(columns[touched, 0]) == 0.0
             where = f" from {first} on" if stays else f" from {first} to {last}"

@@ -179,17 +179,18 @@ def _scaled(computed: Floats) -> Floats:
 
 def from_first(blocks: Mapping[str, int], name: str) -> Floats:
     """Return outputs (k, p): the k unknowns of a block, counted from the first of them."""
-    outputs = _of_block(blocks, name)
+    outputs = block_rows(blocks, name)
     return np.asarray(outputs - outputs[0], dtype=np.float64)
 
 
 def from_mean(blocks: Mapping[str, int], name: str) -> Floats:
     """Return outputs (k, p): the k unknowns of a block, counted from their mean."""
-    outputs = _of_block(blocks, name)
+    outputs = block_rows(blocks, name)
     return np.asarray(outputs - outputs.mean(axis=0), dtype=np.float64)
 
 
-def _of_block(blocks: Mapping[str, int], name: str) -> Floats:
+def block_rows(blocks: Mapping[str, int], name: str) -> Floats:
+    """Return rows (k, p) that take the unknowns of a block out of all, as they are."""
     if name not in blocks:
         raise DataError(f"the model has no block {name!r}: its blocks are {', '.join(blocks)}")
     before = sum(list(blocks.values())[: list(blocks).index(name)])
