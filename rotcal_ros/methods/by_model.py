@@ -34,7 +34,7 @@ from rotcal_ros.methods.disturbance import (
     spoiled,
     table_deviations,
 )
-from rotcal_ros.methods.method import Method, Trials
+from rotcal_ros.methods.method import Method, See, Trials
 from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.readings import Readings
@@ -79,7 +79,8 @@ class ByModel:
     ``components`` after the other; ``further`` outputs below them count in every test.
     ``states`` tells what the engine cannot know; all that every method lists has to be said.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
-    the result, and the curves from each side. ``counts_from``: one of COUNTS_FROM.
+    the result, and the curves from each side. ``counts_from``: one of COUNTS_FROM. ``nominal``:
+    what is read at a step where nothing is wrong.
     """
 
     name: str
@@ -87,6 +88,7 @@ class ByModel:
     states: Callable[[Configuration, Adjusted], Statement]
     components: Callable[[Configuration], tuple[str, ...]] = lambda _configuration: ("ECC",)
     arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
+    nominal: See = lambda _step: (0.0, 0.0, 0.0)
     coordinates: int = 1
     further: int = 0
     counts_from: str = "first angle"
@@ -141,7 +143,7 @@ class ByModel:
 
         The table deviates at random; all else is as near to perfect as the outputs allow.
         """
-        nothing = [step.observed((0.0, 0.0, 0.0)) for step in plan.steps]
+        nothing = [step.observed(self.nominal(step)) for step in plan.steps]
         model = self.model(configuration, Readings.of(nothing))
         random = np.random.default_rng([seed, 2])
         true = TRUE_SIZE * model.unit.si * random.standard_normal(len(model.outputs))
@@ -168,7 +170,7 @@ class ByModel:
         usual: dict[str, Any] = {
             "topics": ("probe_point", "joint_states"),
             "capture": CaptureRules({PointKind.READING: points(mean_point)}),
-            "nominal": lambda _configuration, _plan: lambda _step: (0.0, 0.0, 0.0),
+            "nominal": lambda _configuration, _plan: self.nominal,
             "tables": tables_of_also,
         }
         return Method(

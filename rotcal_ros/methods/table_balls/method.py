@@ -330,6 +330,7 @@ BY_MODEL: Final = ByModel(
     model,
     states,
     components=lambda configuration: components_of(balls_of(configuration)),
+    nominal=lambda step: step.position,
     coordinates=3,
     further=len(AXIS),
     counts_from="mean",
@@ -346,7 +347,6 @@ METHOD: Final = BY_MODEL.method(
     capture=CaptureRules(
         {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
     ),
-    nominal=lambda _configuration, _plan: lambda step: step.position,
     gauge=gauge.without_axis_and_artefact,
     zero=gauge.in_words,
     table=replace(

@@ -59,7 +59,7 @@ HELD: Final = 1e-3
 WEAK: Final = 3e-4
 """Singular values below this share of the largest tell nothing that anybody could use."""
 SHARED: Final = 0.01
-"""Share of a definition that has to be new, beside those before it."""
+"""Share of a definition that has to be new, beside those before it; of a variance, to be left."""
 UM: Final = Unit("um", MICROMETRE)
 
 
@@ -198,21 +198,38 @@ def definitions(angles: Floats) -> Iterator[dict[str, Floats]]:
 
 
 def stated(balls: Balls, places: Floats, solver: BallsSolverSettings) -> Floats:
-    """Return rows (k, u) of what is stated beforehand to be zero, per its standard deviation."""
+    """Return rows (k, u) of what is stated beforehand to be zero, per its standard deviation.
+
+    Motions are stated as they are, and told by definition without their means and turning parts
+    (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
+    """
     seen = np.zeros((len(balls.angles), len(places), 1, 1))
     seen[balls.position, balls.ball] = 1.0
-    untold = balls.untold(places, seen) / balls.stated
-    rows = np.zeros((*untold.shape[:2], sum(balls.blocks.values())))
-    for number, name in enumerate(COMPONENTS):
-        position = np.arange(len(balls.angles))
-        rows[position, :, balls.first[name] + position] = untold[:, :, number]
-    motions = rows.reshape(-1, rows.shape[-1])
+    untold = balls.untold(places, seen)
+    rows = np.zeros((*untold.shape[:2], 6, len(balls.angles)))
+    position = np.arange(len(balls.angles))
+    rows[position, :, :, position] = untold
+    rows = rows.reshape(-1, 6 * len(balls.angles))
+    rows = rows[rows.any(axis=1)]
+    taken = np.linalg.qr(np.array([spread(balls, sums) for sums in definitions(balls.angles)]).T)[
+        0
+    ]
+    left, ways = np.linalg.eigh(np.eye(len(rows)) - (rows @ taken) @ (rows @ taken).T)
+    kept = left > SHARED
+    rows = (ways[:, kept] / np.sqrt(left[kept])).T @ rows / np.repeat(balls.stated, len(position))
+    first, end = balls.first["EXC"], balls.first["scale"]
     scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
     return np.concatenate([
-        motions[motions.any(axis=1)],
+        np.pad(rows, ((0, 0), (first, sum(balls.blocks.values()) - end))),
         block_rows(balls.blocks, "scale") / (scale * MICROMETRE),
         block_rows(balls.blocks, "squareness") / (square * MICROMETRE),
     ])  # fmt: skip
+
+
+def spread(balls: Balls, sums: dict[str, Floats]) -> Floats:
+    """Return factors (6 p,) of all motions, those of ``sums`` and zeros."""
+    zeros = np.zeros(len(balls.angles))
+    return np.concatenate([sums.get(name, zeros) for name in COMPONENTS])
 
 
 def defined(balls: Balls, telling: Floats) -> Floats:
@@ -227,7 +244,8 @@ def defined(balls: Balls, telling: Floats) -> Floats:
     open_, chosen = ways[size <= WEAK * size[0]], np.zeros((0, len(scale)))
     known, radius = np.zeros((0, len(open_))), float(np.abs(balls.places).max())
     for sums in definitions(balls.angles):
-        row = sum((v @ block_rows(balls.blocks, n) for n, v in sums.items()), np.zeros(len(scale)))
+        row = np.zeros(len(scale))
+        row[balls.first["EXC"] : balls.first["scale"]] = spread(balls, sums)
         felt = open_ @ (row / scale)
         new = felt - known.T @ (known @ felt)
         if np.linalg.norm(new) > SHARED * np.linalg.norm(row / scale):
