@@ -170,10 +170,14 @@ def _protections(
     of_effects: tuple[tuple[Effect, tuple[str, ...]], ...] = (
         ("error motion", COMPONENTS[:3]), ("tilt", COMPONENTS[3:5])
     )  # fmt: skip
-    for effect, names in of_effects:
-        if untold := [name for name in names if name not in balls.told]:
-            why = "the balls do not tell {0} by themselves: the uncertainty holds what is stated"
-            yield Protection(effect, "bounded", why.format(", ".join(untold)))
+    for effect, every in of_effects:
+        if untold := [name for name in every if name not in balls.told]:
+            names = ", ".join(untold)
+            yield Protection(
+                effect,
+                "bounded",
+                f"the balls do not tell {names}: the uncertainty holds what is stated of them",
+            )
         else:
             yield Protection(effect, "estimated", "the balls tell it at every angle")
     yield Protection("refraction", "harmless", "no light measures")

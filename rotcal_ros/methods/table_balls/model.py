@@ -310,8 +310,8 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
         also=also,
         components=("the centres",),
         groupings=(
+            Grouping("position", position),  # of each the start trusts the better part
             Grouping("run", station, along=when),
-            Grouping("position", position),
             Grouping("ball", target),
         ),
         effects=(

@@ -86,21 +86,18 @@ class BallsSolverSettings:
         doc="arcsec, the same of EAC and EBC",
         minimum=1e-3,
         maximum=3600.0,
-        first=True,
     )
     squareness_std_um_per_m: float = setting(
         10.0,
         doc="um/m, standard uncertainty (k = 1) of the squareness of each pair of linear axes",
         minimum=1e-3,
         maximum=1e4,
-        first=True,
     )
     scale_std_um_per_m: float = setting(
         10.0,
         doc="um/m, standard uncertainty (k = 1) of the length that each linear axis shows",
         minimum=1e-3,
         maximum=1e4,
-        first=True,
     )
     largest_shift_um: float = expert(
         100.0,
