@@ -491,7 +491,11 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-    raise DataError(
+    raise _unsettled()
+
+
+def _unsettled() -> DataError:
+    return DataError(
         "the adjustment does not settle: the start values are too far off, or observations "
         "contradict each other; check units, signs and order of the data"
     )
@@ -513,7 +517,10 @@ def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
     """
     scale = np.linalg.norm(white, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    u, s, vt = np.linalg.svd(white / scale, full_matrices=False)
+    try:
+        u, s, vt = np.linalg.svd(white / scale, full_matrices=False)
+    except np.linalg.LinAlgError as error:  # the unknowns have run away
+        raise _unsettled() from error
     determined = s > OPEN * s[0]
     if not determined.all() or len(s) < len(scale):
         full = vt if len(vt) == len(scale) else np.linalg.svd(white / scale)[2]

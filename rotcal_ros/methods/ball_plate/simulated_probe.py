@@ -156,7 +156,7 @@ class SimulatedTouchProbe(SeriesInstrument):
         return Series(count, _nanoseconds(settling_s), _nanoseconds(touch_s))
 
     def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
-        """Return one touch point, or the centre that the machine computes."""
+        """Return a touch point, the centre that the machine computes, or how far off it is."""
         self._touches += 1
         place = self._nearest_ball(stamp_ns, np.array(order.position))
         tip = 0.0
@@ -168,6 +168,8 @@ class SimulatedTouchProbe(SeriesInstrument):
             place = place + (self._reach + self._dirt_now() + lobes) * away
             tip = self.settings.tip_radius_m
         place = self._believed(place)
+        if order.kind == PointKind.READING:  # a nest that stands where it was sent
+            place = place - np.array(order.position)
         std = self.settings.noise_um * MICROMETRE
         return self.point(stamp_ns, order, place, std, number, tip)
 

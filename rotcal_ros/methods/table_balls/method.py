@@ -11,7 +11,7 @@ import numpy as np
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.model import Model, require_determined
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import points
+from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import (
@@ -23,8 +23,9 @@ from rotcal_ros.foundation.errors import (
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.protection import Effect, Protection
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.tables import Table
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
-from rotcal_ros.methods.ball_plate.settings import SURFACE
+from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.by_model import ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration
@@ -39,20 +40,28 @@ from rotcal_ros.methods.disturbance import (
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import planned_table
+from rotcal_ros.methods.method import Measurements, TableReader
 from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.methods.table_balls.model import AXIS, Balls, components_of, model_of
 from rotcal_ros.methods.table_balls.settings import (
+    DISPLACEMENT,
     FARTHEST_M,
     BallsPlanSettings,
     BallsSimulationSettings,
     BallsSolverSettings,
 )
 from rotcal_ros.methods.table_balls.simulation import simulated_instrument
-from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.readings import Readings
 
 NAME: Final = "table_balls"
 TURN: Final = 2.0 * np.pi
+KINDS: Final = {
+    SURFACE: PointKind.SURFACE,
+    CENTRE: PointKind.CENTRE,
+    DISPLACEMENT: PointKind.READING,
+}
+LARGEST_DISPLACEMENT_M: Final = 0.01
 NEAR_AXIS_M: Final = 5e-3
 """A ball nearer to the axis tells nothing of its turns."""
 MISPLACED_M: Final = 0.02
@@ -85,7 +94,7 @@ def plan(configuration: Configuration) -> Plan:
     if not len(balls.places):
         raise ConfigurationError(f"{configuration.source}: plan.balls_m: state at least one ball")
     places = balls.turned(balls.places) + balls.origin
-    kind = PointKind.SURFACE if settings.measure == SURFACE else PointKind.CENTRE
+    kind = KINDS[settings.measure]
     steps: list[Step] = []
     for run, position, angle in _stops(settings, balls):
         ways = range(len(balls.places))
@@ -131,15 +140,27 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
             f"all balls stand within {radius.max() / MILLIMETRE:.3g} mm of the axis and tell "
             "nothing of its turns: put at least one aside, or correct plan.axis_m"
         )
-    exact = Readings.of([step.observed(step.position) for step in planned.steps])
+    exact = Readings.of([step.observed(nominal(step)) for step in planned.steps])
     try:
         require_determined(model(configuration, exact))
     except ObservabilityError as error:
         raise PlanError(f"with {len(planned.table_angles)} table angles {error}") from error
 
 
+def nominal(step: Step) -> Point:
+    """Return what is measured at a step where nothing is wrong, m."""
+    return (0.0, 0.0, 0.0) if step.kind == PointKind.READING else step.position
+
+
 def model(configuration: Configuration, read: Readings) -> Model:
-    """Return the centres for the engine; DataError where a ball is not where it is planned."""
+    """Return the centres for the engine; DataError where a ball is not where it is planned.
+
+    A displacement counts from where the nest was sent, which is where the ball is planned.
+    """
+    if configuration.plan.measure == DISPLACEMENT:
+        planned = balls_of(configuration)
+        sent = planned.turned(planned.places) + planned.origin
+        read = replace(read, points=read.points + sent[read.position, read.target])
     found = model_of(configuration.plan, configuration.solver, read)
     balls = balls_of(configuration, read)
     assert found.start is not None
@@ -329,12 +350,27 @@ def _linear(effect: Effect, what: str) -> Disturbance:
     return Disturbance(effect, what, "um/m", MICROMETRE, 1.0, 1e3, scatters=True, stated=stated)
 
 
+COLUMNS: Final = {"position": "table_position", "ball": "target"}
+CENTRES: Final = planned_table(COLUMNS, dict.fromkeys(("x_m", "y_m", "z_m"), FARTHEST_M))
+DISPLACEMENTS: Final = planned_table(
+    COLUMNS, dict.fromkeys(("dx_m", "dy_m", "dz_m"), LARGEST_DISPLACEMENT_M)
+)
+
+
+def read_rows(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
+    """Return the centres of a table, or the displacements, as its columns say."""
+    displaced = "dx_m" in table.header
+    measure = DISPLACEMENT if displaced else CENTRE
+    configuration = replace(configuration, plan=replace(configuration.plan, measure=measure))
+    return (DISPLACEMENTS if displaced else CENTRES).read(configuration, table, targets)
+
+
 BY_MODEL: Final = ByModel(
     NAME,
     model,
     states,
     components=lambda configuration: components_of(balls_of(configuration)),
-    nominal=lambda step: step.position,
+    nominal=nominal,
     coordinates=3,
     further=len(AXIS),
     counts_from="mean",
@@ -349,16 +385,16 @@ METHOD: Final = BY_MODEL.method(
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
-        {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
+        {
+            PointKind.SURFACE: points(touched_centre),
+            PointKind.CENTRE: points(reported_centre),
+            PointKind.READING: points(mean_point),
+        }
     ),
     gauge=gauge.without_axis_and_artefact,
     zero=gauge.in_words,
-    table=replace(
-        planned_table(
-            {"position": "table_position", "ball": "target"},
-            dict.fromkeys(("x_m", "y_m", "z_m"), FARTHEST_M),
-        ),
-        runs="runs",
+    table=TableReader(
+        (*CENTRES.headers, *DISPLACEMENTS.headers), read_rows, CENTRES.columns, runs="runs"
     ),
     tables=tables,
     figures=figures,

@@ -16,6 +16,7 @@ from rotcal_ros.methods.ball_plate.settings import (
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
 
+DISPLACEMENT: Final = "displacement"
 FARTHEST_M: Final = 20.0
 """No machine with a rotary table is larger."""
 
@@ -54,8 +55,9 @@ class BallsPlanSettings(TableAngleSettings):
     )
     measure: str = setting(
         SURFACE,
-        doc="what the machine publishes of a ball: surface (touch points) or centre",
-        choices=(SURFACE, CENTRE),
+        doc="what is measured of a ball: surface (touch points), centre, or displacement from a "
+        "nest in the spindle that follows it (R-test)",
+        choices=(SURFACE, CENTRE, DISPLACEMENT),
         first=True,
     )
     points_per_ball: int = points_setting(5)

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from ball_world import COLUMN, LEVEL, NAMES, ONE, THREE, World
 from chances import share
+from click.testing import CliRunner
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
 
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.model import fitted
+from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.foundation.units import ARCSEC
@@ -405,3 +409,55 @@ def test_a_table_of_centres_with_angles_and_runs_is_read(tmp_path):
     assert result.n_observations == 25
     assert result.residuals.coordinates == 3
     assert result.raw_data.influence.deviations["ECC"].shape == (12, 75 + 49)
+
+
+def test_the_plan_says_what_a_wrong_centre_could_do():
+    """By ``rotcal plan reliability``: the second run checks half of every centre."""
+    run = CliRunner().invoke(rotcal, ["plan", "reliability", str(CONFIG / "table_balls.yaml")])
+    assert run.exit_code == 0, run.output
+    first, _, head, *rows = run.output.splitlines()
+    assert first == "25 observations, mean redundancy 0.52, 0 checked by no other"
+    assert head == "position,target,redundancy,error/um,error/std,effect/std"
+    # Baarda: a point of three coordinates, with a significance of 0.001 and a power of 0.8
+    limit = chi2.isf(0.001, 3)
+    least = brentq(lambda noncentrality: ncx2.sf(limit, 3, noncentrality) - 0.8, 1.0, 60.0)
+    assert float(rows[1].split(",")[3]) == pytest.approx(np.sqrt(least / 0.5), rel=0.01)
+
+
+def test_displacements_from_a_nest_that_follows_the_ball_tell_the_same(tmp_path):
+    """An R-test: the spindle goes to the nominal place, the nest shows how far the ball is off."""
+    world = World.drawn(planned("ONE"), np.random.default_rng(2))
+    read = world.readings(SIGMA, np.random.default_rng(1))
+    turn = np.exp(1j * world.angles[read.position])
+    x, y, _ = world.balls[0]
+    nominal = np.column_stack(
+        [((x + 1j * y) * turn).real, ((x + 1j * y) * turn).imag, 0 * turn.real]
+    )
+    off = read.points - nominal - [0.0, 0.0, ONE[2]]
+    path = tmp_path / "rtest.csv"
+    rows = zip(read.position, read.target, *off.T, strict=True)
+    lines = ["position,ball,dx_m,dy_m,dz_m"]
+    lines += [",".join(f"{cell:.13g}" for cell in row) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+    configuration = changed(
+        read_configuration(CONFIG / "table_balls.yaml"),
+        (f"plan.balls_m={[*ONE]}", "plan.axis_m=[0.0, 0.0, 0.06]"),
+    )
+    result = read_measurements(path, configuration).solve()
+    found = adjust(modelled(world, read))
+    assert np.abs(off).max() < 2e-3
+    assert result.deviations["ECC"] == pytest.approx(found.value[:12], abs=1e-12)
+    assert result.details["axis"]["value"] == pytest.approx(found.value[12:], abs=1e-12)
+
+
+def test_a_simulated_nest_finds_the_axis():
+    configuration = changed(
+        read_configuration(CONFIG / "table_balls_demo.yaml"), ("plan.measure=displacement",)
+    )
+    calibration = prepare_to_measure(configuration)
+    seen = [o for event in simulated_run(calibration) for o in event.observed if o.accepted]
+    assert len(seen) == 25
+    assert np.abs([o.mean for o in seen]).max() < 2e-3
+    axis = calibration.solve(seen).details["axis"]
+    line = [4.2e-5 - 0.08 * 6.0 * ARCSEC, -2.8e-5 - 0.08 * 9.0 * ARCSEC, 9 * ARCSEC, -6 * ARCSEC]
+    assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
