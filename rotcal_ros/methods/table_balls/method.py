@@ -38,6 +38,7 @@ from rotcal_ros.methods.disturbance import (
     tilt,
 )
 from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.figures.curves import polar
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import planned_table
 from rotcal_ros.methods.method import Measurements, TableReader
@@ -303,34 +304,17 @@ def _axis(axis: Mapping[str, Any]) -> str:
     return style.svg(panels[0])
 
 
-@style.styled
 def _polar(result: Result) -> str:
-    """Draw each motion about a circle on which it is zero."""
-    curves = [
-        (name, np.asarray(one["value"]), np.asarray(one["std"]), *unit_of("EXC"))
-        for name, one in result.details["also"].items()
-        if "motion" in name
-    ] or [
-        (name, result.deviations[name], result.std[name], *unit_of(name))
-        for name in result.components
-    ]
-    columns = min(len(curves), 3)
-    panels = style.grid(
-        -(-len(curves) // columns), columns, height=2.8, subplot_kw={"projection": "polar"}
+    """Draw the motions of the balls or, where they tell those of the table, these."""
+    motions = [(n, one) for n, one in result.details["also"].items() if "motion" in n]
+    if motions:
+        return polar(
+            result.angles, [(n, o["value"], o["std"], *unit_of("EXC")) for n, o in motions]
+        )
+    every = result.components
+    return polar(
+        result.angles, [(n, result.deviations[n], result.std[n], *unit_of(n)) for n in every]
     )
-    for ax, (name, value, std, si, unit) in zip(panels, curves, strict=False):
-        shown, band = value / si, COVERAGE_FACTOR * std / si
-        circle = 2.0 * float((np.abs(shown) + band).max())
-        turn = np.append(result.angles, result.angles[0] + TURN)
-        around, width = (np.append(v, v[0]) for v in (shown + circle, band))
-        style.band_about(ax, turn, around, width, style.BLUE)
-        ax.plot(turn, around, "o-", color=style.BLUE, markersize=3)
-        ax.plot(np.linspace(0.0, TURN, 90), np.full(90, circle), color=style.GREY)
-        ax.set_yticklabels([])
-        ax.set_title(f"{name}, circle: {circle:.3g} {unit}", fontsize=8)
-    for ax in panels[len(curves) :]:
-        ax.set_visible(False)
-    return style.svg(panels[0])
 
 
 def _stated_motion(configuration: Configuration) -> float:
