@@ -43,7 +43,13 @@ from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import planned_table
 from rotcal_ros.methods.method import Measurements, TableReader
 from rotcal_ros.methods.result_tables import ResultTable
-from rotcal_ros.methods.table_balls.model import AXIS, Balls, components_of, model_of
+from rotcal_ros.methods.table_balls.model import (
+    AXIS,
+    MOTIONS,
+    Balls,
+    components_of,
+    model_of,
+)
 from rotcal_ros.methods.table_balls.settings import (
     DISPLACEMENT,
     FARTHEST_M,
@@ -304,13 +310,26 @@ def _axis(axis: Mapping[str, Any]) -> str:
     return style.svg(panels[0])
 
 
+def _parts(whole: int, count: int) -> list[slice]:
+    """Return the parts of so many values each that follow each other."""
+    return [slice(begin, begin + count) for begin in range(0, whole, count)]
+
+
 def _polar(result: Result) -> str:
     """Draw the motions of the balls or, where they tell those of the table, these."""
-    motions = [(n, one) for n, one in result.details["also"].items() if "motion" in n]
-    if motions:
-        return polar(
-            result.angles, [(n, o["value"], o["std"], *unit_of("EXC")) for n, o in motions]
+    count, also = len(result.angles), result.details["also"]
+    motions = [
+        (
+            f"{name} of ball {k}",
+            np.asarray(also[name]["value"])[at],
+            np.asarray(also[name]["std"])[at],
         )
+        for name in MOTIONS
+        if name in also
+        for k, at in enumerate(_parts(len(also[name]["value"]), count))
+    ]
+    if motions:
+        return polar(result.angles, [(*motion, *unit_of("EXC")) for motion in motions])
     every = result.components
     return polar(
         result.angles, [(n, result.deviations[n], result.std[n], *unit_of(n)) for n in every]

@@ -203,20 +203,14 @@ def stated(balls: Balls, places: Floats, solver: BallsSolverSettings) -> Floats:
     Motions are stated as they are, and told by definition without their means and turning parts
     (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
     """
-    seen = np.zeros((len(balls.angles), len(places), 1, 1))
-    seen[balls.position, balls.ball] = 1.0
-    untold = balls.untold(places, seen)
-    rows = np.zeros((*untold.shape[:2], 6, len(balls.angles)))
-    position = np.arange(len(balls.angles))
-    rows[position, :, :, position] = untold
-    rows = rows.reshape(-1, 6 * len(balls.angles))
-    rows = rows[rows.any(axis=1)]
-    taken = np.linalg.qr(np.array([spread(balls, sums) for sums in definitions(balls.angles)]).T)[
-        0
-    ]
-    left, ways = np.linalg.eigh(np.eye(len(rows)) - (rows @ taken) @ (rows @ taken).T)
+    rows = _untold_rows(balls, places)
+    sums = np.array([spread(balls, each) for each in definitions(balls.angles)])
+    taken = rows @ np.linalg.qr(sums.T)[0]
+    left, ways = np.linalg.eigh(np.eye(len(rows)) - taken @ taken.T)
     kept = left > SHARED
-    rows = (ways[:, kept] / np.sqrt(left[kept])).T @ rows / np.repeat(balls.stated, len(position))
+    rows = (
+        (ways[:, kept] / np.sqrt(left[kept])).T @ rows / np.repeat(balls.stated, len(balls.angles))
+    )
     first, end = balls.first["EXC"], balls.first["scale"]
     scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
     return np.concatenate([
@@ -224,6 +218,17 @@ def stated(balls: Balls, places: Floats, solver: BallsSolverSettings) -> Floats:
         block_rows(balls.blocks, "scale") / (scale * MICROMETRE),
         block_rows(balls.blocks, "squareness") / (square * MICROMETRE),
     ])  # fmt: skip
+
+
+def _untold_rows(balls: Balls, places: Floats) -> Floats:
+    """Return orthonormal rows (k, 6 p), per unit of a statement, of what no ball tells."""
+    position, seen = np.arange(len(balls.angles)), np.zeros((len(balls.angles), len(places), 1, 1))
+    seen[balls.position, balls.ball] = 1.0
+    untold = balls.untold(places, seen)
+    rows = np.zeros((*untold.shape, len(position)))
+    rows[position, :, :, position] = untold
+    flat = rows.reshape(-1, 6 * len(position))
+    return np.asarray(flat[flat.any(axis=1)])
 
 
 def spread(balls: Balls, sums: dict[str, Floats]) -> Floats:
@@ -337,9 +342,9 @@ def _from_mean(columns: Floats, axis: Ints) -> Floats:
 
 
 def _motions(balls: Balls, places: Floats) -> dict[str, Floats]:
-    """Return the rows of the motions of balls at ``places`` (k, 3), by their names."""
+    """Return the rows of each motion of balls at ``places`` (k, 3), ball after ball."""
+    every = [tuple(ball_motions(balls, place)) for place in places]
     return {
-        f"{motion} of ball {ball}": rows
-        for ball, place in enumerate(places)
-        for motion, rows in zip(MOTIONS, ball_motions(balls, place), strict=True)
+        name: np.concatenate(rows)
+        for name, rows in zip(MOTIONS, zip(*every, strict=True), strict=True)
     }

@@ -148,7 +148,7 @@ def test_one_ball_moves_as_it_does_out_along_and_up():
         return values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
 
     for name, true in told.items():
-        value, std = found[f"{name} of ball 0"]
+        value, std = found[name]
         assert own_of(value) == pytest.approx(own_of(true), abs=5e-9), name
         assert (std > 0.0).all()
 
@@ -386,6 +386,9 @@ def test_the_simulated_cell_is_solved_to_its_truth(changes):
     assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
     assert [p.effect for p in result.protections if p.effect in EFFECTS] == list(EFFECTS)
     assert len(calibration.method.figures(result, None)) == 4
+    drawn = calibration.trials(seen)(np.random.default_rng(1), 4000)
+    std = np.concatenate([result.std[name] for name in result.components])
+    assert drawn.std(axis=0) == pytest.approx(std, rel=0.06)
     assert calibration.method.tables(result)[0].rows[0][0] == "XOC"
 
 
