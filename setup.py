@@ -45,6 +45,7 @@ METHODS = {
     "plane_mirror": "plane_mirror",
     "tracer_six": "tracer_six",
     "angle_comparison": "angle_comparison",
+    "table_balls": "table_balls",
 }
 CONTROLLERS = {"csv": "plain_csv:PlainCsv", "linuxcnc": "linuxcnc:LinuxCnc"}
 CONTROLLERS_OF_EXTENSIONS = {

@@ -22,7 +22,7 @@ from rotcal_ros.foundation.protection import POWER, TOLERABLE
 from rotcal_ros.methods import prepare, read_configuration
 
 PLANS = Path(__file__).parent / "power_plans"
-METHODS = ("tracer", "ball_plate", "plane_mirror", "angle_comparison")
+METHODS = ("tracer", "ball_plate", "plane_mirror", "angle_comparison", "table_balls")
 PAGE = Path(__file__).parents[1] / "docs" / "what_could_be_wrong.md"
 INTRODUCTION = f"""# What could be wrong, and would you see it?
 

@@ -13,6 +13,7 @@ def test_the_page_of_formats_has_the_columns_that_are_read():
     headers = [
         *tracer.HEADERS, *tracer.STATIONS, tracer.TARGETS, *tracer_six.HEADERS,
         plane_mirror.HEADER, plane_mirror.TIMED, *find_method("angle_comparison").table.headers,
+        *find_method("table_balls").table.headers,
     ]  # fmt: skip
     rows = [row for row in page.splitlines() if row.startswith("|")]
     for header in headers:

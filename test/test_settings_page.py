@@ -33,8 +33,11 @@ from rotcal_ros.methods.settings_reference import (
 )
 
 ROOT = Path(__file__).parents[1]
-BUILT_IN = ("angle_comparison", "ball_plate", "plane_mirror", "tracer_multistation", "tracer_six")
-REAL = ("angle_comparison", "ball_plate", "plane_mirror", "tracer", "tracer_six")
+BUILT_IN = (
+    "angle_comparison", "ball_plate", "plane_mirror", "table_balls", "tracer_multistation",
+    "tracer_six",
+)  # fmt: skip
+REAL = ("angle_comparison", "ball_plate", "plane_mirror", "table_balls", "tracer", "tracer_six")
 """The configurations of real cells in ``config``, one of each method."""
 UNITS = {
     "m", "mm", "um", "nm", "m/m", "um/m", "rad", "deg", "arcsec", "s", "days", "Hz", "m/s",

@@ -42,6 +42,8 @@ ROUNDS: Final = 30
 """Reweighted adjustments of the robust start, and concentration steps after them."""
 KEPT: Final = 0.6
 """Share of each group that the robust start concentrates on."""
+FAR_WORSE: Final = 5.0
+"""Times the standard uncertainty that all give an output: a part that does worse misses some."""
 GROSS: Final = 5.0
 """Times the limit of an outlier, in the scatter of the others, that bends a start."""
 NORMAL_QUARTILE: Final = 0.6745
@@ -471,6 +473,8 @@ class Look:
         where = ""
         if effect.family:
             touched = np.flatnonzero(columns[:, 0])
+            if len(np.unique(columns[touched, 0])) == 2:  # a shift that is told from its mean
+                touched = np.flatnonzero(columns[:, 0] > 0.0)
             first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
             stays = np.ptp(columns[touched, 0]) == 0.0
             where = f" from {first} on" if stays else f" from {first} to {last}"
@@ -547,19 +551,21 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
 def _concentrated(model: Model, fit: Fit) -> Fit:
     """Return the fit to the better part of every group, by concentration steps.
 
-    Least trimmed squares (Rousseeuw and Van Driessen 2006). Where that part determines too little
-    the fit stays as it is.
+    Least trimmed squares (Rousseeuw and Van Driessen 2006). Where that part determines an output
+    not at all, or far worse than the whole, the fit stays as it is.
     """
-    used = fit.used
+    used, usual = fit.used, fit.output_std
     for _ in range(ROUNDS):
         better = _better(model, fit)
         if (better == used).all():
             break
         try:
-            fit = fitted(model, better, model.std, fit.x)
+            after = fitted(model, better, model.std, fit.x)
         except RotcalError:
             break
-        used = better
+        if (after.output_std > FAR_WORSE * usual).any():
+            break
+        fit, used = after, better
     return fit
 
 

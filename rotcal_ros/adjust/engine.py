@@ -30,6 +30,7 @@ from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, require_determined
+from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
@@ -44,6 +45,8 @@ FAILED_FACTOR: Final = 10.0
 """Times the stated noise from which the model does not describe the observations."""
 COVERED: Final = 1.959964
 """Standard uncertainties on either side that hold 95 % of a normal distribution."""
+UNCHECKED: Final = 0.99
+"""Share of its prior from which on the factor of a component is no estimate."""
 LIMITS: Final = Limits()
 
 
@@ -123,14 +126,16 @@ class Adjusted:
     def _student(self) -> Floats:
         """Quantile of Student's t over that of the normal distribution, by output (o + a,).
 
-        Degrees of freedom after Satterthwaite, from how well the factors of the noise are known.
+        Degrees of freedom after Satterthwaite, from how well the factors of the noise are known. A
+        component that nothing checks was not estimated: its statement stands.
         """
         estimated, model = self.diagnosis.noise.estimated, self.model
         if estimated is None:
             return np.ones(len(self.fit.value))
         part = model.of_component == np.arange(len(model.components))[:, None]
         variance = (self.fit.response**2) @ part.T.astype(np.float64)  # (o, c)
-        known = np.nan_to_num(estimated.log_std)
+        told = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
+        known = np.where(told, estimated.log_std, 0.0)
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)
@@ -239,6 +244,7 @@ class Adjusted:
         places: tuple[Ints, Ints],
         *,
         counts_from: str = "first angle",
+        coordinates: int = 1,
         doubts: Sequence[str] = (),
         protections: Sequence[Protection] = (),
         details: Mapping[str, Any] | None = None,
@@ -247,11 +253,12 @@ class Adjusted:
 
         ``components`` says which outputs are the deviations of which component. ``places``: table
         position (k,) and target (k,) of the first k observations, which a table measured; others
-        are known beforehand. What the method itself doubts, protects against and tells joins what
-        was found here; its word on an effect takes the place of ours.
+        are known beforehand. An observation of three ``coordinates`` is three rows of the model,
+        one after the other: it was rejected if one of them was. What the method itself doubts,
+        protects against and tells joins what was found here; its word on an effect takes the place
+        of ours.
         """
-        (position, target), fit, whole = places, self.fit, self.covariance
-        measured = slice(len(position))
+        whole = self.covariance
         every = {p.effect: p for p in (*self.protections(), *protections)}
         suspect = self.verdict == "ok" and bool(doubts)
         return Result(
@@ -261,28 +268,56 @@ class Adjusted:
             std={name: self.std[part] for name, part in components.items()},
             covariance={name: whole[part, part] for name, part in components.items()},
             sigma0=self.sigma0,
-            dof=fit.dof,
-            n_observations=len(position),
-            rejected=self.rejected,
+            dof=self.fit.dof,
+            n_observations=len(places[0]),
+            rejected=self._rejected_of(coordinates),
             verdict="suspect" if suspect else self.verdict,
             warnings=(*doubts, *self.doubts),
             protections=ordered(every.values()),
-            residuals=Residuals(
-                position, target, fit.residual[measured], fit.redundancy[measured],
-                fit.test_value[measured], fit.used[measured], fit.std[measured],
-                unit="rad" if self.model.unit.angular else "m",
-            ),
-            raw_data=RawData(influence=self._influence(components, len(position))),
+            residuals=self._residuals(places, coordinates),
+            raw_data=RawData(influence=self._influence(components, len(places[0]), coordinates)),
             details={**self.details(), **(details or {})},
-        ).counted_from(counts_from)  # fmt: skip
+        ).counted_from(counts_from)
 
-    def _influence(self, components: Mapping[str, slice], measured: int) -> Influence:
+    def _rejected_of(self, coordinates: int) -> tuple[Rejection, ...]:
+        """Return the observations of so many rows each that were left out, by the first reason."""
+        why: dict[int, str] = {}
+        for row, reason in sorted(self.why.items()):
+            why.setdefault(row // coordinates, reason)
+        return tuple(Rejection(*each) for each in why.items())
+
+    def _residuals(self, places: tuple[Ints, Ints], coordinates: int) -> Residuals:
+        """Return the residuals of the measured observations, those of a point by their length."""
+        fit, count = self.fit, len(places[0])
+
+        def rows(values: Floats) -> Floats:
+            return values[: count * coordinates].reshape(count, coordinates)
+
+        residual, test = rows(fit.residual), rows(fit.test_value)
+        worst = np.abs(test).argmax(axis=1)
+        return Residuals(
+            *places,
+            residual[:, 0] if coordinates == 1 else np.linalg.norm(residual, axis=1),
+            rows(fit.redundancy).mean(axis=1),
+            test[np.arange(count), worst],
+            np.asarray(rows(fit.used.astype(np.float64)).all(axis=1), dtype=np.bool_),
+            np.sqrt((rows(fit.std) ** 2).mean(axis=1)),
+            coordinates,
+            "rad" if self.model.unit.angular else "m",
+        )
+
+    def _influence(
+        self, components: Mapping[str, slice], measured: int, coordinates: int
+    ) -> Influence:
         """Return what standard errors of what is used do to the deviations."""
-        rows = np.flatnonzero(self.fit.used[:measured])
-        known = np.arange(measured, len(self.fit.used))
+        count = measured * coordinates
+        used = self.fit.used[:count].reshape(measured, coordinates)
+        seen, known = np.flatnonzero(used.any(axis=1)), np.arange(count, len(self.fit.used))
+        rows = (seen[:, None] * coordinates + np.arange(coordinates)).ravel()
         felt = self.scale * self.fit.response[:, np.append(rows, known)]
         causes = tuple(self.model.names[row] for row in known.tolist())
-        return Influence(rows, 1, {n: felt[part] for n, part in components.items()}, causes)
+        parts = {n: felt[part] for n, part in components.items()}
+        return Influence(seen, coordinates, parts, causes)
 
     def details(self) -> dict[str, Any]:
         """Return what was found for the details of a result, SI."""

@@ -188,17 +188,18 @@ def _scaled(computed: Floats) -> Floats:
 
 def from_first(blocks: Mapping[str, int], name: str) -> Floats:
     """Return outputs (k, p): the k unknowns of a block, counted from the first of them."""
-    outputs = _of_block(blocks, name)
+    outputs = block_rows(blocks, name)
     return np.asarray(outputs - outputs[0], dtype=np.float64)
 
 
 def from_mean(blocks: Mapping[str, int], name: str) -> Floats:
     """Return outputs (k, p): the k unknowns of a block, counted from their mean."""
-    outputs = _of_block(blocks, name)
+    outputs = block_rows(blocks, name)
     return np.asarray(outputs - outputs.mean(axis=0), dtype=np.float64)
 
 
-def _of_block(blocks: Mapping[str, int], name: str) -> Floats:
+def block_rows(blocks: Mapping[str, int], name: str) -> Floats:
+    """Return rows (k, p) that take the unknowns of a block out of all, as they are."""
     if name not in blocks:
         raise DataError(f"the model has no block {name!r}: its blocks are {', '.join(blocks)}")
     before = sum(list(blocks.values())[: list(blocks).index(name)])
@@ -499,7 +500,11 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-    raise DataError(
+    raise _unsettled()
+
+
+def _unsettled() -> DataError:
+    return DataError(
         "the adjustment does not settle: the start values are too far off, or observations "
         "contradict each other; check units, signs and order of the data"
     )
@@ -521,7 +526,10 @@ def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
     """
     scale = np.linalg.norm(white, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    u, s, vt = np.linalg.svd(white / scale, full_matrices=False)
+    try:
+        u, s, vt = np.linalg.svd(white / scale, full_matrices=False)
+    except np.linalg.LinAlgError as error:  # the unknowns have run away
+        raise _unsettled() from error
     determined = s > OPEN * s[0]
     if not determined.all() or len(s) < len(scale):
         full = vt if len(vt) == len(scale) else np.linalg.svd(white / scale)[2]

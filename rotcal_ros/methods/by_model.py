@@ -14,14 +14,15 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.engine import Adjusted, adjust
-from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.engine import Trials as DrawnTrials
+from rotcal_ros.adjust.model import Model, block_rows
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
-from rotcal_ros.foundation.protection import EFFECTS, Protection
+from rotcal_ros.foundation.protection import EFFECTS, Effect, Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
@@ -31,8 +32,9 @@ from rotcal_ros.methods.disturbance import (
     DisturbedMeasurement,
     Sizes,
     spoiled,
+    table_deviations,
 )
-from rotcal_ros.methods.method import Method, Trials
+from rotcal_ros.methods.method import Method, See, Trials
 from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.readings import Readings
@@ -72,20 +74,25 @@ class Statement:
 class ByModel:
     """A method with the ``name``, by its ``model`` of readings.
 
-    The first observations of a model are the readings, in their order. Its outputs are the
-    deviations at the first table positions of the plan, one of the ``components`` after the other.
+    The first observations of a model are the readings, in their order, of as many ``coordinates``
+    each. Its outputs are the deviations at the first table positions of the plan, one of the
+    ``components`` after the other; ``further`` outputs below them count in every test.
     ``states`` tells what the engine cannot know; all that every method lists has to be said.
     ``counts_from``: what they count from, see :class:`~rotcal_ros.foundation.results.Zeros`.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
-    the result, and the curves from each side.
+    the result, and the curves from each side. ``nominal``: what is read at a step where nothing is
+    wrong.
     """
 
     name: str
     model: Callable[[Configuration, Readings], Model]
     states: Callable[[Configuration, Adjusted], Statement]
-    components: tuple[str, ...] = ("ECC",)
-    counts_from: str = "first angle"
+    components: Callable[[Configuration], tuple[str, ...]] = lambda _configuration: ("ECC",)
     arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
+    nominal: See = lambda _step: (0.0, 0.0, 0.0)
+    coordinates: int = 1
+    further: int = 0
+    counts_from: str = "first angle"
 
     def solve(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
@@ -93,13 +100,15 @@ class ByModel:
         """Return the result of accepted observations."""
         found, read = self._adjusted(configuration, observations), Readings.of(observations)
         statement = self.states(configuration, found)
-        count = len(found.value) // len(self.components)
+        components = self.components(configuration)
+        count = (len(found.value) - self.further) // len(components)
         result = found.result(
             self.name,
             np.array(plan.table_angles[:count]),
-            {c: slice(k * count, (k + 1) * count) for k, c in enumerate(self.components)},
+            {c: slice(k * count, (k + 1) * count) for k, c in enumerate(components)},
             (read.position % count, read.target),
             counts_from=self.counts_from,
+            coordinates=self.coordinates,
             doubts=statement.doubts,
             protections=statement.protections,
             details=statement.details,
@@ -117,6 +126,10 @@ class ByModel:
     ) -> Trials:
         """Prepare Monte Carlo trials about accepted observations."""
         prepared = self._adjusted(configuration, observations).trials
+        if self.further:
+            prepared = DrawnTrials(
+                prepared.value[: -self.further], prepared.causes[: -self.further]
+            )
         arrivals = self.arrivals(configuration)
         if arrivals is None:
             return prepared
@@ -131,17 +144,23 @@ class ByModel:
 
         The table deviates at random; all else is as near to perfect as the outputs allow.
         """
-        nothing = [step.observed((0.0, 0.0, 0.0)) for step in plan.steps]
+        nothing = [step.observed(self.nominal(step)) for step in plan.steps]
         model = self.model(configuration, Readings.of(nothing))
         random = np.random.default_rng([seed, 2])
         true = TRUE_SIZE * model.unit.si * random.standard_normal(len(model.outputs))
         unknowns = model.first + np.linalg.pinv(model.outputs) @ (
             true - model.outputs @ model.first
         )
-        found = spoiled(model.at(unknowns), plan, sizes, seed)
-        steps = zip(plan.steps, found.tolist(), strict=False)  # what is known comes after them
-        read = tuple(step.observed((value, 0.0, 0.0)) for step, value in steps)
-        return DisturbedMeasurement(read, self._curves(model.outputs @ unknowns, plan))
+        unknowns = unknowns + _wandering(model, sizes, random)
+        found = spoiled(model.at(unknowns), plan, sizes, seed, self.coordinates)
+        values = np.zeros((len(plan.steps), 3))  # what is known comes after them
+        values[:, : self.coordinates] = found[: len(values) * self.coordinates].reshape(
+            len(values), self.coordinates
+        )
+        seen = zip(plan.steps, map(tuple, values.tolist()), strict=True)
+        read = tuple(step.observed(point) for step, point in seen)
+        curves = (model.outputs @ unknowns)[: len(model.outputs) - self.further]
+        return DisturbedMeasurement(read, self._curves(configuration, curves, plan))
 
     def method(self, *, disturbances: Sequence[Disturbance] = (), **more: Any) -> Method:
         """Return the method; ``more`` are fields of a :class:`~.method.Method`.
@@ -152,7 +171,7 @@ class ByModel:
         usual: dict[str, Any] = {
             "topics": ("probe_point", "joint_states"),
             "capture": CaptureRules({PointKind.READING: points(mean_point)}),
-            "nominal": lambda _configuration, _plan: lambda _step: (0.0, 0.0, 0.0),
+            "nominal": lambda _configuration, _plan: self.nominal,
             "tables": tables_of_also,
         }
         return Method(
@@ -170,8 +189,29 @@ class ByModel:
             raise DataError("nothing was read: there is nothing to solve")
         return adjust(self.model(configuration, Readings.of(observations)))
 
-    def _curves(self, outputs: Floats, plan: Plan) -> dict[str, Floats]:
+    def _curves(
+        self, configuration: Configuration, outputs: Floats, plan: Plan
+    ) -> dict[str, Floats]:
         """Return the deviations (n,) by component at the distinct angles; a turn begins anew."""
-        curves = outputs.reshape(len(self.components), -1)
+        components = self.components(configuration)
+        curves = outputs.reshape(len(components), -1)
         whole = [np.resize(curve, len(plan.distinct_angles)) for curve in curves]
-        return dict(zip(self.components, whole, strict=True))
+        return dict(zip(components, whole, strict=True))
+
+
+OF_AXES: Final[Mapping[str, Effect]] = {"scale": "scale", "squareness": "gauge"}
+"""Blocks of what may be wrong with linear axes, and the effect that it is."""
+
+
+def _wandering(model: Model, sizes: Sizes, random: np.random.Generator) -> Floats:
+    """Return the unknowns (p,) of a table that wanders by ``sizes``, and of axes that are wrong.
+
+    Only of a model with blocks of that name: what another cannot tell is harmless to it.
+    """
+    moved, largest = np.zeros(model.size[1]), max(model.blocks.values())
+    every = table_deviations(largest, sizes, random)
+    for name, effect in OF_AXES.items():
+        every[name] = sizes.get(effect, 0.0) * random.standard_normal(largest)
+    for name in every.keys() & model.blocks.keys():
+        moved += block_rows(model.blocks, name).T @ every[name][: model.blocks[name]]
+    return moved

@@ -162,22 +162,34 @@ def harmless(*effects: Effect) -> tuple[Disturbance, ...]:
     return tuple(Disturbance(effect, what, "arcsec", ARCSEC, 1.0, 1.0) for effect in effects)
 
 
-def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int) -> Floats:
+def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int, coordinates: int = 1) -> Floats:
     """Return observations (n,) of a ``model`` of a whole plan, with noise and effects of sizes.
 
-    Its observations are taken for true ones, in the order of the steps. Declared effects strike
-    with all their columns alike, a family at one moment.
+    Its observations are taken for true ones, in the order of the steps, so many ``coordinates``
+    for each; where they are made of the block ECC, an arrival that is off moves each as that does.
+    Declared effects strike with all their columns alike, a family at one moment.
     """
     noise, other = streams(seed)
     exact = model.observed
     found = exact + sizes.get("axis noise", 1.0) * model.std * noise.standard_normal(len(exact))
-    found[: len(plan.steps)] += arrival_errors(plan, sizes, other)
+    off = np.repeat(arrival_errors(plan, sizes, other), coordinates)
+    found[: len(off)] += _per_turn(model)[: len(off)] * off
     for effect in model.effects:
         columns = effect.at(exact)
         moment = other.integers(columns.shape[1])
         pattern = columns[:, moment] if effect.family else columns.sum(axis=1)
         found = found + sizes.get(effect.effect, 0.0) * pattern
     return np.asarray(found)
+
+
+def _per_turn(model: Model) -> Floats:
+    """Return what the observations (n,) of a model do per radian by which the table turns."""
+    if "ECC" not in model.blocks:
+        return np.ones(len(model.observed))  # they are angles themselves
+    from rotcal_ros.adjust.model import block_rows
+
+    jacobian = model.equations(model.first)[1]
+    return np.asarray(jacobian @ block_rows(model.blocks, "ECC").sum(axis=0))
 
 
 def scatter_in_plane(count: int, size: float, random: np.random.Generator) -> Floats:

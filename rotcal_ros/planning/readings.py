@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Readings:
     """One row for each of n observations, in their order; numbers as of a step of the plan.
 
     ``value`` (n,): what was read, the first of several values, SI. ``order`` (n,): rank in time.
+    ``points`` (n, 3): all three values, of observations that have three.
     """
 
     position: Ints
@@ -38,14 +39,16 @@ class Readings:
     station: Ints
     value: Floats
     order: Ints
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def of(cls, observations: Sequence[Observation]) -> Readings:
         """Return the columns of observations."""
         numbers = [(o.table_position, o.target, o.station) for o in observations]
         position, target, station = np.array(numbers, dtype=np.int64).reshape(-1, 3).T.copy()
-        value = np.array([o.mean[0] for o in observations])
-        return cls(position, target, station, value, time_order(observations))
+        points = np.array([o.mean for o in observations]).reshape(len(observations), -1)
+        value = points[:, 0].copy()
+        return cls(position, target, station, value, time_order(observations), points)
 
     @property
     def when(self) -> Floats:

@@ -8,7 +8,7 @@ import pytest
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-@pytest.mark.parametrize("page", ["engine.md", "angle_comparison.md"])
+@pytest.mark.parametrize("page", ["engine.md", "angle_comparison.md", "table_balls.md"])
 def test_the_worked_example_prints_what_the_page_says(page, capsys):
     text = (DOCS / page).read_text()
     (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

@@ -63,7 +63,8 @@ def test_it_knows_the_controllers(before):
 
 def test_it_knows_the_methods_and_no_other():
     assert offered("rotcal settings ") == [
-        "angle_comparison", "ball_plate", "plane_mirror", "tracer_multistation", "tracer_six",
+        "angle_comparison", "ball_plate", "plane_mirror", "table_balls", "tracer_multistation",
+        "tracer_six",
     ]  # fmt: skip
 
 

@@ -11,7 +11,8 @@ from settings_page import rows
 from rotcal_ros.cli.main import rotcal
 
 METHODS = (
-    "angle_comparison", "ball_plate", "plane_mirror", "tracer_multistation", "tracer_six",
+    "angle_comparison", "ball_plate", "plane_mirror", "table_balls", "tracer_multistation",
+    "tracer_six",
 )  # fmt: skip
 
 

@@ -35,7 +35,7 @@ SOLVED = {
         *("solve", f"{method}/table/table.csv", "--setup", f"{method}/table/setup.yaml"),
         "--json",
     ]
-    for method in (*METHODS, "angle_comparison")
+    for method in (*METHODS, "angle_comparison", "table_balls")
 }
 CHECKED = {
     f"{method}/bag checked": ["bag", "check", f"{method}/bag", "--json"] for method in METHODS

@@ -11,7 +11,7 @@ from mirror_cell import measure, measure_direct, paper_cell
 from plate_data import simulated
 from six_scene import scene
 
-from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods import prepare, read_configuration
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
@@ -128,3 +128,12 @@ def test_details_of_two_circles():
     details = calibration.solve(measured.observations).details
     assert details["effects_found"] or details["gathering"]["blamed"]
     assert_documented(details, "angle_comparison", {"m": 12})
+
+
+def test_details_of_balls_on_the_table():
+    configuration = read_configuration(CONFIG / "table_balls_demo.yaml")
+    calibration = prepare(configuration)
+    measured = calibration.measured({"knock": 20.0 * MICROMETRE}, seed=3)
+    details = calibration.solve(measured.observations).details
+    assert details["effects_found"] or details["gathering"]["blamed"]
+    assert_documented(details, "table_balls", {"m": 12})

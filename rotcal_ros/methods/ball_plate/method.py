@@ -40,9 +40,11 @@ def simulated_instrument(
     start_ns: int,
 ) -> SimulatedInstrument:
     """Return the machine that touches the plate on ``table``."""
-    from rotcal_ros.methods.ball_plate.simulated_probe import SimulatedTouchProbe
+    from rotcal_ros.methods.ball_plate.simulated_probe import SimulatedTouchProbe, plate_balls
 
-    return SimulatedTouchProbe(settings, table, start_ns)
+    balls = plate_balls(settings.plate, settings.seed)
+    diameter_m = settings.plate.ball_diameter_m
+    return SimulatedTouchProbe(settings, settings.touch_probe, balls, diameter_m, table, start_ns)
 
 
 METHOD: Final = Method(

@@ -24,9 +24,11 @@ def grid_setting(default: Any = MISSING, *, doc: str, first: bool = False) -> An
     return setting(default, doc=doc, minimum=3, maximum=36_000, first=first)
 
 
-def points_setting() -> Any:
+def points_setting(default: int = 15) -> Any:
     """Declare how many touch points a ball gets: a sphere has four unknowns, and needs a check."""
-    return setting(15, doc="touch points on the upper half of a ball", minimum=5, maximum=1000)
+    return setting(
+        default, doc="touch points on the upper half of a ball", minimum=5, maximum=1000
+    )
 
 
 @dataclass(frozen=True)
@@ -213,6 +215,16 @@ class TouchProbeSettings:
     )
     points_per_ball: int = points_setting()
     tip_radius_m: float = expert(0.0015, doc="m, radius of the probe tip", minimum=0.0)
+    squareness_um_per_m: tuple[float, float, float] = expert(
+        (0.0, 0.0, 0.0),
+        doc="um/m, by which x reads more per y, x more per z, y more per z",
+    )
+    scale_um_per_m: tuple[float, float, float] = expert(
+        (0.0, 0.0, 0.0), doc="um/m, by which x, y and z read more"
+    )
+    lobing_um: float = expert(
+        0.0, doc="um, amplitude of the probe's error over the direction of a touch, of order 3"
+    )
     systematic_um: float = setting(
         1.0, doc="um, standard deviation of the machine's error along each axis", minimum=0.0
     )

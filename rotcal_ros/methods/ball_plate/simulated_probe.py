@@ -9,14 +9,11 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Stamps
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
-from rotcal_ros.methods.ball_plate.settings import (
-    PlateSimulationSettings,
-    SimulatedPlateSettings,
-    TouchProbeSettings,
-)
+from rotcal_ros.methods.ball_plate.settings import SimulatedPlateSettings, TouchProbeSettings
 from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
+from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.methods.simulation.table import rotations
 
 _PLAY_M = 1e-4
@@ -50,7 +47,7 @@ def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
 
 
 class MachineError:
-    """The systematic error of the machine: a smooth field, the same at every visit."""
+    """The systematic error of the machine: scales, squareness and a smooth field beside them."""
 
     def __init__(self, settings: TouchProbeSettings, seed: int) -> None:
         noise = IndexedNoise(seed, NoiseSource.MACHINE)
@@ -58,11 +55,14 @@ class MachineError:
         self._waves = noise.normal(0, 3 * count).reshape(count, 3) / settings.wavelength_m
         self._phases = 2.0 * np.pi * noise.uniform(0, count)
         self._size = settings.systematic_um * MICROMETRE * np.sqrt(2.0 / _WAVES)
+        self._linear = np.diag(settings.scale_um_per_m) * MICROMETRE
+        self._linear[np.triu_indices(3, 1)] = np.array(settings.squareness_um_per_m) * MICROMETRE
 
     def __call__(self, places: Floats) -> Floats:
         """Return reported - true place (n, 3) at ``places`` (n, 3), m."""
         waves = np.cos(places @ self._waves.T + self._phases)
-        error: Floats = self._size * waves.reshape(len(places), 3, _WAVES).sum(axis=2)
+        field = self._size * waves.reshape(len(places), 3, _WAVES).sum(axis=2)
+        error: Floats = field + places @ self._linear.T
         return error
 
 
@@ -70,14 +70,23 @@ class SimulatedTouchProbe(SeriesInstrument):
     """A probe that travels to the ball at the ordered place and touches its upper half.
 
     It touches whatever ball is nearest to the order, once table and probe are at rest. Touch k
-    of the whole run depends on k and on the table, never on how time was cut.
+    of the whole run depends on k and on the table, never on how time was cut. ``balls`` (R, 3):
+    their centres in the table frame at angle 0, m.
     """
 
-    def __init__(self, cell: PlateSimulationSettings, table: Table, start_ns: int) -> None:
+    def __init__(
+        self,
+        cell: SimulationSettings,
+        settings: TouchProbeSettings,
+        balls: Floats,
+        ball_diameter_m: float,
+        table: Table,
+        start_ns: int,
+    ) -> None:
         super().__init__(start_ns)
-        self.settings = settings = cell.touch_probe
-        self._table, self._balls = table, plate_balls(cell.plate, cell.seed)
-        self._reach = 0.5 * cell.plate.ball_diameter_m + settings.tip_radius_m
+        self.settings = settings
+        self._table, self._balls = table, balls
+        self._reach = 0.5 * ball_diameter_m + settings.tip_radius_m
         self._limits = MotionLimits(settings.speed_m_s, settings.acceleration_m_s2, 0.0, 1.0)
         self._error = MachineError(settings, cell.seed)
         self._noise = IndexedNoise(cell.noise_seed, NoiseSource.TOUCH)
@@ -147,15 +156,20 @@ class SimulatedTouchProbe(SeriesInstrument):
         return Series(count, _nanoseconds(settling_s), _nanoseconds(touch_s))
 
     def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
-        """Return one touch point, or the centre that the machine computes."""
+        """Return a touch point, the centre that the machine computes, or how far off it is."""
         self._touches += 1
         place = self._nearest_ball(stamp_ns, np.array(order.position))
         tip = 0.0
         if order.kind == PointKind.SURFACE:
             away = upper_half(self.settings.points_per_ball)[number]
-            place = place + (self._reach + self._dirt_now()) * away
+            lobes = (
+                self.settings.lobing_um * MICROMETRE * np.cos(3.0 * np.arctan2(away[1], away[0]))
+            )
+            place = place + (self._reach + self._dirt_now() + lobes) * away
             tip = self.settings.tip_radius_m
         place = self._believed(place)
+        if order.kind == PointKind.READING:  # a nest that stands where it was sent
+            place = place - np.array(order.position)
         std = self.settings.noise_um * MICROMETRE
         return self.point(stamp_ns, order, place, std, number, tip)
 

@@ -133,6 +133,30 @@ def _draw_truth(ax: style.Axes, name: str, truth: Mapping[str, Any] | None) -> N
     )
 
 
+Motion = tuple[str, Floats, Floats, float, str]
+"""Name, values and standard uncertainties (n,), factor and label of the unit that is drawn."""
+
+
+@style.styled
+def polar(angles: Floats, motions: Sequence[Motion]) -> str:
+    """Draw ``motions`` at ``angles`` (n,), rad, each about a circle on which it is zero."""
+    columns, turn = min(len(motions), 3), np.append(angles, angles[0] + 2.0 * np.pi)
+    rows = -(-len(motions) // columns)
+    panels = style.grid(rows, columns, height=2.8, subplot_kw={"projection": "polar"})
+    for ax, (name, values, std, factor, unit) in zip(panels, motions, strict=False):
+        shown, band = np.asarray(values) / factor, COVERAGE_FACTOR * np.asarray(std) / factor
+        circle = 2.0 * float((np.abs(shown) + band).max())
+        around, width = (np.append(v, v[0]) for v in (shown + circle, band))
+        style.band_about(ax, turn, around, width, style.BLUE)
+        ax.plot(turn, around, "o-", color=style.BLUE, markersize=3)
+        ax.plot(np.linspace(0.0, 2.0 * np.pi, 90), np.full(90, circle), color=style.GREY)
+        ax.set_yticklabels([])
+        ax.set_title(f"{name}, circle: {circle:.3g} {unit}", fontsize=8)
+    for ax in panels[len(motions) :]:
+        ax.set_visible(False)
+    return style.svg(panels[0])
+
+
 @style.styled
 def adjacent(result: Result) -> str:
     """Draw the deviations of the steps between neighbouring angles as bars with k = 2 whiskers."""

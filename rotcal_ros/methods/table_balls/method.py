@@ -1,0 +1,413 @@
+"""The balls on the table, as nodes, replay and report see them: plan, result, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.adjust.engine import Adjusted
+from rotcal_ros.adjust.model import Model, require_determined
+from rotcal_ros.capture.attempt import CaptureRules
+from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.curves import gauge
+from rotcal_ros.foundation.errors import (
+    ConfigurationError,
+    DataError,
+    ObservabilityError,
+    PlanError,
+)
+from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.protection import Effect, Protection
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.tables import Table
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
+from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
+from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
+from rotcal_ros.methods.by_model import ByModel, Statement
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.disturbance import (
+    Disturbance,
+    error_motion,
+    harmless,
+    of_readings,
+    repeatability,
+    tilt,
+)
+from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.figures.curves import polar
+from rotcal_ros.methods.figures.residuals import residual_figures
+from rotcal_ros.methods.measurements import planned_table
+from rotcal_ros.methods.method import Measurements, TableReader
+from rotcal_ros.methods.result_tables import ResultTable
+from rotcal_ros.methods.table_balls.model import (
+    AXIS,
+    MOTIONS,
+    Balls,
+    components_of,
+    model_of,
+)
+from rotcal_ros.methods.table_balls.settings import (
+    DISPLACEMENT,
+    FARTHEST_M,
+    BallsPlanSettings,
+    BallsSimulationSettings,
+    BallsSolverSettings,
+)
+from rotcal_ros.methods.table_balls.simulation import simulated_instrument
+from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.readings import Readings
+
+NAME: Final = "table_balls"
+TURN: Final = 2.0 * np.pi
+KINDS: Final = {
+    SURFACE: PointKind.SURFACE,
+    CENTRE: PointKind.CENTRE,
+    DISPLACEMENT: PointKind.READING,
+}
+LARGEST_DISPLACEMENT_M: Final = 0.01
+NEAR_AXIS_M: Final = 5e-3
+"""A ball nearer to the axis tells nothing of its turns."""
+MISPLACED_M: Final = 0.02
+"""A ball that is farther from its planned place is another one, or turns the other way."""
+AXIS_SHOWN: Final = (
+    (MICROMETRE, "um"),
+    (MICROMETRE, "um"),
+    (ARCSEC, "arcsec"),
+    (ARCSEC, "arcsec"),
+)
+"""Units in which people read :data:`AXIS`."""
+ARRIVALS: Final = 1.0
+"""What arrivals that scatter do before they are found, per what noise does: by simulation, as
+scripts/power_table.py does."""
+
+
+def balls_of(configuration: Configuration, read: Readings | None = None) -> Balls:
+    """Return which balls are seen where; see :meth:`~.model.Balls.of`."""
+    return Balls.of(configuration.plan, configuration.solver, read)
+
+
+def plan(configuration: Configuration) -> Plan:
+    """Return the plan: every run goes through all angles, at each to all balls, there and back.
+
+    A step's ``station`` is its run. Raises ConfigurationError for a ball without place, PlanError
+    for angles that do not ascend.
+    """
+    settings: BallsPlanSettings = configuration.plan
+    balls = balls_of(configuration)
+    if not len(balls.places):
+        raise ConfigurationError(f"{configuration.source}: plan.balls_m: state at least one ball")
+    places = balls.turned(balls.places) + balls.origin
+    kind = KINDS[settings.measure]
+    steps: list[Step] = []
+    for run, position, angle in _stops(settings, balls):
+        ways = range(len(balls.places))
+        for ball in ways if position % 2 == 0 else ways[::-1]:
+            x, y, z = places[position, ball].tolist()
+            steps.append(
+                Step(
+                    index=len(steps),
+                    table_position=position,
+                    table_angle=angle,
+                    approach=Approach.POSITIVE,
+                    kind=kind,
+                    target=ball,
+                    position=(x, y, z),
+                    station=run,
+                    n_points=settings.points_per_ball if kind == PointKind.SURFACE else 1,
+                    ball_diameter=settings.ball_diameter_m,
+                )
+            )
+    targets = tuple((x, y, z) for x, y, z in (balls.places + balls.origin).tolist())
+    return Plan(NAME, tuple(balls.angles.tolist()), targets, tuple(steps))
+
+
+def _stops(settings: BallsPlanSettings, balls: Balls) -> Iterator[tuple[int, int, float]]:
+    """Yield run, table position and commanded angle (rad) of every stop of the table."""
+    angles = balls.angles
+    step = float(np.diff(angles).max(initial=0.0))
+    whole = angles[-1] + step - angles[0] > TURN * (1.0 - 1e-9)
+    on = TURN if whole and settings.turns_on else 0.0
+    for run in range(settings.runs):
+        for position, angle in enumerate(angles.tolist()):
+            yield run, position, angle + run * on
+    if settings.closing:
+        yield settings.runs - 1, 0, float(angles[0]) + settings.runs * on
+
+
+def check_plan(configuration: Configuration, planned: Plan) -> None:
+    """Raise PlanError for a plan whose balls tell neither the axis nor ECC, with the reason."""
+    balls = balls_of(configuration)
+    radius = np.hypot(*balls.places.T[:2])
+    if radius.max() < NEAR_AXIS_M:
+        raise PlanError(
+            f"all balls stand within {radius.max() / MILLIMETRE:.3g} mm of the axis and tell "
+            "nothing of its turns: put at least one aside, or correct plan.axis_m"
+        )
+    exact = Readings.of([step.observed(nominal(step)) for step in planned.steps])
+    try:
+        require_determined(model(configuration, exact))
+    except ObservabilityError as error:
+        raise PlanError(f"with {len(planned.table_angles)} table angles {error}") from error
+
+
+def nominal(step: Step) -> Point:
+    """Return what is measured at a step where nothing is wrong, m."""
+    return (0.0, 0.0, 0.0) if step.kind == PointKind.READING else step.position
+
+
+def model(configuration: Configuration, read: Readings) -> Model:
+    """Return the centres for the engine; DataError where a ball is not where it is planned.
+
+    A displacement counts from where the nest was sent, which is where the ball is planned.
+    """
+    if configuration.plan.measure == DISPLACEMENT:
+        planned = balls_of(configuration)
+        sent = planned.turned(planned.places) + planned.origin
+        read = replace(read, points=read.points + sent[read.position, read.target])
+    found = model_of(configuration.plan, configuration.solver, read)
+    balls = balls_of(configuration, read)
+    assert found.start is not None
+    places = found.start[balls.first["ball"] : balls.first["EXC"]].reshape(-1, 3)
+    places = places + np.append(found.start[:2], 0.0)
+    seen = np.isin(np.arange(len(places)), read.target)
+    away = np.where(seen, np.linalg.norm(places - balls.places, axis=1), 0.0)
+    if away.max() > MISPLACED_M:
+        ball = int(away.argmax())
+        x, y, z = (places[ball] + balls.origin).tolist()
+        raise DataError(
+            f"ball {ball} seems to stand at ({x:.4f}, {y:.4f}, {z:.4f}) m at table angle 0, "
+            f"{away.max() / MILLIMETRE:.3g} mm from its place in plan.balls_m: correct that or "
+            "plan.axis_m, or the table turns the other way, or z points into it"
+        )
+    return found
+
+
+def states(configuration: Configuration, found: Adjusted) -> Statement:
+    """Return what is done about effects that the engine does not know, and the axis."""
+    balls = balls_of(configuration)
+    return Statement((), tuple(_protections(configuration, balls, found)), _details(balls, found))
+
+
+def _protections(
+    configuration: Configuration, balls: Balls, found: Adjusted
+) -> Iterator[Protection]:
+    of_effects: tuple[tuple[Effect, tuple[str, ...]], ...] = (
+        ("error motion", COMPONENTS[:3]), ("tilt", COMPONENTS[3:5])
+    )  # fmt: skip
+    for effect, every in of_effects:
+        if untold := [name for name in every if name not in balls.told]:
+            names = ", ".join(untold)
+            yield Protection(
+                effect,
+                "bounded",
+                f"the balls do not tell {names}: the uncertainty holds what is stated of them",
+            )
+        else:
+            yield Protection(effect, "estimated", "the balls tell it at every angle")
+    yield Protection("refraction", "harmless", "no light measures")
+    for name, effect, stated in _linear_axes(configuration):
+        left = found.also[name][1].max() / MICROMETRE
+        yield Protection(
+            effect,
+            "bounded",
+            f"the uncertainty holds the {name} of the linear axes: stated are {stated:.3g} um/m, "
+            f"the balls leave {left:.3g} um/m of the worst",
+        )
+    if configuration.plan.runs == 1:
+        yield Protection("repeatability", "not protected", "the table comes once to an angle")
+        return
+    noise = next(p.error for p in found.protections() if p.effect == "axis noise")
+    error = None if noise is None else ARRIVALS * noise
+    yield Protection("repeatability", "tested", "every run comes to every angle", error)
+
+
+def _linear_axes(configuration: Configuration) -> Iterator[tuple[str, Effect, float]]:
+    """Yield the errors of the linear axes with their effect, and what is stated of them, um/m."""
+    solver: BallsSolverSettings = configuration.solver
+    yield "scale", "scale", solver.scale_std_um_per_m
+    yield "squareness", "gauge", solver.squareness_std_um_per_m
+
+
+def _details(balls: Balls, found: Adjusted) -> dict[str, Any]:
+    """Return the axis with its covariance, SI; and which motions the balls do not tell."""
+    axis = slice(-len(AXIS), None)
+    return {
+        "axis": {
+            "names": list(AXIS),
+            "value": found.value[axis],
+            "std": found.std[axis],
+            "covariance": found.covariance[axis, axis],
+            "origin": balls.origin,
+        },
+        "untold": [name for name in COMPONENTS if name not in balls.told],
+    }
+
+
+def tables(result: Result) -> list[ResultTable]:
+    """Return the axis, the motions of balls, and what is found of the linear axes."""
+    axis, also = result.details["axis"], result.details["also"]
+    factor = np.array([si for si, _ in AXIS_SHOWN])
+    units = [unit for _, unit in AXIS_SHOWN]
+    x, y, z = np.asarray(axis["origin"]) / MILLIMETRE
+    found = [
+        ResultTable.of(
+            "axis",
+            f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
+            quantity=axis["names"],
+            unit=units,
+            value=np.asarray(axis["value"]) / factor,
+            U_value=COVERAGE_FACTOR * np.asarray(axis["std"]) / factor,
+        )
+    ]
+    for name, one in also.items():
+        suffix = "um" if "motion" in name else "um_per_m"
+        columns = {
+            f"value_{suffix}": np.asarray(one["value"]) / MICROMETRE,
+            f"U_value_{suffix}": COVERAGE_FACTOR * np.asarray(one["std"]) / MICROMETRE,
+        }
+        number = range(len(one["value"]))
+        found.append(
+            ResultTable.of(name.replace(" ", "_"), name.capitalize(), number=number, **columns)
+        )
+    return found
+
+
+def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
+    """Return the figures that only this method can fill."""
+    return [
+        Figure(
+            "Axis average line",
+            "Where the axis stands and which way it leans, from its nominal place; U (k = 2).",
+            _axis(result.details["axis"]),
+            "set-up",
+        ),
+        Figure(
+            "Polar plots",
+            "Motions over the table angle, from a circle of arbitrary radius; the band is U "
+            "(k = 2).",
+            _polar(result),
+        ),
+        *residual_figures(result),
+    ]
+
+
+@style.styled
+def _axis(axis: Mapping[str, Any]) -> str:
+    panels = style.grid(1, 2)
+    value, std = np.asarray(axis["value"]), np.asarray(axis["std"])
+    for number, (ax, (si, unit)) in enumerate(zip(panels, AXIS_SHOWN[::2], strict=True)):
+        pair = slice(2 * number, 2 * number + 2)
+        (x, y), (u, v) = value[pair] / si, COVERAGE_FACTOR * std[pair] / si
+        ax.errorbar([x], [y], xerr=[u], yerr=[v], fmt="o", color=style.BLUE, capsize=3)
+        ax.plot([0.0], [0.0], "+", color=style.GREY)
+        first, second = axis["names"][pair]
+        ax.set_xlabel(f"{first} / {unit}")
+        ax.set_ylabel(f"{second} / {unit}")
+    return style.svg(panels[0])
+
+
+def _parts(whole: int, count: int) -> list[slice]:
+    """Return the parts of so many values each that follow each other."""
+    return [slice(begin, begin + count) for begin in range(0, whole, count)]
+
+
+def _polar(result: Result) -> str:
+    """Draw the motions of the balls or, where they tell those of the table, these."""
+    count, also = len(result.angles), result.details["also"]
+    motions = [
+        (
+            f"{name} of ball {k}",
+            np.asarray(also[name]["value"])[at],
+            np.asarray(also[name]["std"])[at],
+        )
+        for name in MOTIONS
+        if name in also
+        for k, at in enumerate(_parts(len(also[name]["value"]), count))
+    ]
+    if motions:
+        return polar(result.angles, [(*motion, *unit_of("EXC")) for motion in motions])
+    every = result.components
+    return polar(
+        result.angles, [(n, result.deviations[n], result.std[n], *unit_of(n)) for n in every]
+    )
+
+
+def _stated_motion(configuration: Configuration) -> float:
+    return float(configuration.solver.error_motion_std_m)
+
+
+def _stated_tilt(configuration: Configuration) -> float:
+    return float(configuration.solver.tilt_std_arcsec) * ARCSEC
+
+
+def _linear(effect: Effect, what: str) -> Disturbance:
+    """Return an error of the linear axes that the uncertainty holds."""
+
+    def stated(configuration: Configuration) -> float:
+        return MICROMETRE * next(std for _, e, std in _linear_axes(configuration) if e == effect)
+
+    return Disturbance(effect, what, "um/m", MICROMETRE, 1.0, 1e3, scatters=True, stated=stated)
+
+
+COLUMNS: Final = {"position": "table_position", "ball": "target"}
+CENTRES: Final = planned_table(COLUMNS, dict.fromkeys(("x_m", "y_m", "z_m"), FARTHEST_M))
+DISPLACEMENTS: Final = planned_table(
+    COLUMNS, dict.fromkeys(("dx_m", "dy_m", "dz_m"), LARGEST_DISPLACEMENT_M)
+)
+
+
+def read_rows(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
+    """Return the centres of a table, or the displacements, as its columns say."""
+    displaced = "dx_m" in table.header
+    measure = DISPLACEMENT if displaced else CENTRE
+    configuration = replace(configuration, plan=replace(configuration.plan, measure=measure))
+    return (DISPLACEMENTS if displaced else CENTRES).read(configuration, table, targets)
+
+
+BY_MODEL: Final = ByModel(
+    NAME,
+    model,
+    states,
+    components=lambda configuration: components_of(balls_of(configuration)),
+    nominal=nominal,
+    coordinates=3,
+    further=len(AXIS),
+    counts_from="mean",
+)
+METHOD: Final = BY_MODEL.method(
+    title="Balls on the table, touched by the machine",
+    page="table_balls",
+    plan_settings=BallsPlanSettings,
+    solver_settings=BallsSolverSettings,
+    simulation_settings=BallsSimulationSettings,
+    simulated_instrument=simulated_instrument,
+    plan=plan,
+    check_plan=check_plan,
+    capture=CaptureRules(
+        {
+            PointKind.SURFACE: points(touched_centre),
+            PointKind.CENTRE: points(reported_centre),
+            PointKind.READING: points(mean_point),
+        }
+    ),
+    gauge=gauge.without_axis_and_artefact,
+    zero=gauge.in_words,
+    table=TableReader(
+        (*CENTRES.headers, *DISPLACEMENTS.headers), read_rows, CENTRES.columns, runs="runs"
+    ),
+    tables=tables,
+    figures=figures,
+    disturbances=(
+        *(d for d in of_readings(1.0, 200.0, "um", MICROMETRE) if d.effect != "scale"),
+        _linear("scale", "x, y and z read more by so much each"),
+        _linear("gauge", "each pair of linear axes is out of square by so much"),
+        error_motion(0.5, 100.0, _stated_motion),
+        tilt(0.5, 100.0, _stated_tilt),
+        repeatability(0.5, 100.0),
+        *harmless("refraction"),
+    ),
+)

@@ -1,0 +1,350 @@
+"""Where the machine finds balls that the table carries, for the engine.
+
+With the table at the angle theta the centre of a ball stands in the machine's coordinates at
+
+    p = c + A (v + e x v + d),    v = Rz(theta + ECC) q,    e = (EAC, EBC, 0), d = (EXC, EYC, EZC),
+
+and the machine shows p + S (p - c0). ``q`` is the place of the ball on the table; c = c0 + (XOC,
+YOC, 0) the point of the axis average line at the height of c0, A = Ry(BOC) Rx(AOC) its direction.
+c0 is a nominal point of the axis, at the height for which XOC, YOC, EXC and EYC are told. S, upper
+triangular, holds the scales of x, y, z (how much more they read per length) and by how much x
+reads more per y, x per z, y per z: the squareness of the linear axes. Names and signs of ISO 230-1
+and 230-7; metres, radians. Products of tilts among each other (below 1e-8 of the radius) are left
+out.
+
+What the equations leave open is a matter of definition, see :func:`definitions`. Of the motions
+at one angle that no ball tells, the statement of the settings takes the place of observations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.model import (
+    Disturbing,
+    Grouping,
+    Model,
+    Unit,
+    block_rows,
+    drifts,
+    knocks,
+)
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
+from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
+from rotcal_ros.planning.points import triples
+from rotcal_ros.planning.readings import Readings
+from rotcal_ros.planning.table_angles import table_angles
+
+AXIS: Final = ("XOC", "YOC", "AOC", "BOC")
+"""Position (m) and direction (rad) of the axis average line, named as in ISO 230-1."""
+MOTIONS: Final = ("radial motion", "tangential motion", "axial motion")
+"""Of a ball, in the directions that turn with it."""
+ENTRIES: Final = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
+"""Rows and columns of S: the blocks ``scale`` and, behind it, ``squareness``."""
+TOLD: Final = 0.05
+"""A motion is told if no more than this share of its statement is left in it."""
+UNSTATED_RAD: Final = 0.1
+"""Nothing is stated of ECC: it may be anything up to this."""
+HELD: Final = 1e-3
+"""Standard deviation of a definition in those of a centre: it adds a millionth to a variance."""
+WEAK: Final = 3e-4
+"""Singular values below this share of the largest tell nothing that anybody could use."""
+SHARED: Final = 0.01
+"""Share of a definition that has to be new, beside those before it; of a variance, to be left."""
+UM: Final = Unit("um", MICROMETRE)
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """Which ball is seen at which angle: ``angles`` (p,) rad; ``position``, ``ball`` (n,).
+
+    ``origin`` (3,): c0 in the machine's coordinates. ``places`` (k, 3): nominal places of the
+    balls from there, with the table at angle 0; ``stated`` (6,): standard deviations of the
+    motions, m and rad; ``sigma``: that of a coordinate of a centre, m.
+    """
+
+    angles: Floats
+    origin: Floats
+    places: Floats
+    position: Ints
+    ball: Ints
+    stated: Floats
+    sigma: float
+
+    @classmethod
+    def of(
+        cls, plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings | None = None
+    ) -> Balls:
+        """Return those of what was read, or of one run in which every ball is seen.
+
+        Raises PlanError for coordinates that are no points and angles that do not ascend.
+        """
+        angles = np.array(table_angles(plan))
+        balls = np.array(triples(plan.balls_m, "balls_m")).reshape(-1, 3)
+        origin = np.array(plan.axis_m)
+        position, ball = np.indices((len(angles), len(balls))).reshape(2, -1)
+        if read is not None:
+            position, ball = read.position, read.target
+        shift, tilt = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
+        stated = np.array([shift, shift, shift, tilt, tilt, UNSTATED_RAD])
+        places = balls - origin
+        return cls(angles, origin, places, position, ball, stated, solver.sigma_centre_m)
+
+    @cached_property
+    def blocks(self) -> dict[str, int]:
+        """How many unknowns there are of each kind; ``ball`` are three coordinates of each."""
+        motions = {name: len(self.angles) for name in COMPONENTS}
+        return {"axis": 4, "ball": self.places.size, **motions, "scale": 3, "squareness": 3}
+
+    @cached_property
+    def first(self) -> dict[str, int]:
+        """Number of the first unknown of each kind."""
+        ends = np.cumsum([0, *self.blocks.values()]).tolist()
+        return dict(zip(self.blocks, ends, strict=False))
+
+    def turned(self, places: Floats) -> Floats:
+        """Return where balls at ``places`` (k, 3) stand at each angle, (p, k, 3), from c0."""
+        return np.asarray(places @ np.swapaxes(rotation_about_z(self.angles), -1, -2))
+
+    def untold(self, places: Floats, seen: Floats | float) -> Floats:
+        """Return rows (p, 6, 6), per unit of a statement, of motions that no ball tells there.
+
+        Balls at ``places`` (k, 3); ``seen`` (p, k, 1, 1): 0 for those that are not. Rows of zeros
+        are none. A motion counts as told if a centre tells more of it than the statement does.
+        """
+        turned = self.turned(places)
+        shifts = np.broadcast_to(np.eye(3), (*turned.shape, 3))
+        moves = np.concatenate([shifts, -cross_matrix(turned)], axis=-1) * self.stated * seen
+        rows = np.pad(moves.reshape(len(turned), -1, 6), ((0, 0), (0, 6), (0, 0)))
+        _, size, ways = np.linalg.svd(rows, full_matrices=False)
+        return np.asarray(ways * (size < self.sigma)[:, :, None])
+
+    @cached_property
+    def told(self) -> tuple[str, ...]:
+        """The motions that the balls tell at every angle where all are seen."""
+        share = np.linalg.norm(self.untold(self.places, 1.0), axis=1).max(axis=0)
+        return tuple(name for name, left in zip(COMPONENTS, share, strict=True) if left < TOLD)
+
+    def started(self, points: Floats) -> Floats:
+        """Return unknowns (u,) of a perfect table that fits ``points`` (n, 3) best."""
+        turn = rotation_about_z(self.angles[self.position])
+        design = np.zeros((*points.shape, 2 + self.places.size))
+        design[:, [0, 1], [0, 1]] = 1.0
+        for axis in range(3):
+            column = 2 + 3 * self.ball + axis
+            design[np.arange(len(points)), :, column] = turn[:, :, axis]
+        away = (points - self.origin).ravel()
+        found = np.linalg.lstsq(design.reshape(len(away), -1), away, rcond=None)[0]
+        start = np.zeros(sum(self.blocks.values()))
+        start[:2], start[4 : self.first["EXC"]] = found[:2], found[2:]
+        return start
+
+    def __call__(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return what the machine shows (3 n,) with unknowns ``x`` (u,), and its derivatives."""
+        first, position, n = self.first, self.position, np.arange(len(self.ball))
+        places = x[first["ball"] : first["EXC"]].reshape(-1, 3)[self.ball]
+        motions = x[first["EXC"] : first["scale"]].reshape(6, -1).T[position]
+        show = np.eye(3)
+        show[ENTRIES] += x[first["scale"] :]
+        turn = rotation_about_z(self.angles[position] + motions[:, 5])
+        carried = np.einsum("nij,nj->ni", turn, places)
+        tilt = np.eye(3) + cross_matrix(motions[:, 3:5] @ np.eye(2, 3))
+        moved = np.einsum("nij,nj->ni", tilt, carried) + motions[:, :3]
+        direction, *changes = _direction(*x[2:4])
+        away = moved @ direction.T + np.append(x[:2], 0.0)
+        fixed = show @ direction
+        rows = np.zeros((len(n), 3, len(x)))
+        rows[:, :, :2] = show[:, :2]
+        for number, change in enumerate(changes, 2):
+            rows[:, :, number] = moved @ (show @ change).T
+        by_place, by_rotation = fixed @ tilt @ turn, fixed @ -cross_matrix(carried)
+        by_rotation[:, :, 2] = np.einsum("nij,nj->ni", fixed @ tilt, np.cross([0, 0, 1], carried))
+        for axis in range(3):
+            rows[n, :, first["ball"] + 3 * self.ball + axis] = by_place[:, :, axis]
+            rows[n, :, first[COMPONENTS[axis]] + position] = fixed[:, axis]
+            rows[n, :, first[COMPONENTS[3 + axis]] + position] = by_rotation[:, :, axis]
+        for number, (row, column) in enumerate(zip(*ENTRIES, strict=True), first["scale"]):
+            rows[:, row, number] = away[:, column]
+        return (self.origin + away @ show.T).ravel(), rows.reshape(-1, len(x))
+
+
+def _direction(about_x: float, about_y: float) -> tuple[Floats, Floats, Floats]:
+    """Return A = Ry(BOC) Rx(AOC), and its derivatives by both angles, each (3, 3)."""
+    x, y = rotation_from_vector([[about_x, 0.0, 0.0], [0.0, about_y, 0.0]])
+    by_x, by_y = cross_matrix(np.eye(3)[:2])
+    return y @ x, y @ by_x @ x, by_y @ y @ x
+
+
+def definitions(angles: Floats) -> Iterator[dict[str, Floats]]:
+    """Yield what is zero by definition: sums over the ``angles`` (p,) of motions, by their names.
+
+    No motion has a mean: that is the place and direction of the average line, of the balls along
+    it and around it. EXC, EYC and EAC, EBC have no part that turns with the table: that is the
+    place of the balls. Where balls tell less, fewer of these are needed.
+    """
+    one, c, s = np.ones(len(angles)), np.cos(angles), np.sin(angles)
+    yield from ({name: one} for name in COMPONENTS)
+    for x, y in (("EXC", "EYC"), ("EAC", "EBC")):
+        yield from ({x: c, y: s}, {x: -s, y: c})
+
+
+def stated(balls: Balls, places: Floats, solver: BallsSolverSettings) -> Floats:
+    """Return rows (k, u) of what is stated beforehand to be zero, per its standard deviation.
+
+    Motions are stated as they are, and told by definition without their means and turning parts
+    (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
+    """
+    rows = _untold_rows(balls, places)
+    sums = np.array([spread(balls, each) for each in definitions(balls.angles)])
+    taken = rows @ np.linalg.qr(sums.T)[0]
+    left, ways = np.linalg.eigh(np.eye(len(rows)) - taken @ taken.T)
+    kept = left > SHARED
+    rows = (
+        (ways[:, kept] / np.sqrt(left[kept])).T @ rows / np.repeat(balls.stated, len(balls.angles))
+    )
+    first, end = balls.first["EXC"], balls.first["scale"]
+    scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
+    return np.concatenate([
+        np.pad(rows, ((0, 0), (first, sum(balls.blocks.values()) - end))),
+        block_rows(balls.blocks, "scale") / (scale * MICROMETRE),
+        block_rows(balls.blocks, "squareness") / (square * MICROMETRE),
+    ])  # fmt: skip
+
+
+def _untold_rows(balls: Balls, places: Floats) -> Floats:
+    """Return orthonormal rows (k, 6 p), per unit of a statement, of what no ball tells."""
+    position, seen = np.arange(len(balls.angles)), np.zeros((len(balls.angles), len(places), 1, 1))
+    seen[balls.position, balls.ball] = 1.0
+    untold = balls.untold(places, seen)
+    rows = np.zeros((*untold.shape, len(position)))
+    rows[position, :, :, position] = untold
+    flat = rows.reshape(-1, 6 * len(position))
+    return np.asarray(flat[flat.any(axis=1)])
+
+
+def spread(balls: Balls, sums: dict[str, Floats]) -> Floats:
+    """Return factors (6 p,) of all motions, those of ``sums`` and zeros."""
+    zeros = np.zeros(len(balls.angles))
+    return np.concatenate([sums.get(name, zeros) for name in COMPONENTS])
+
+
+def defined(balls: Balls, telling: Floats) -> Floats:
+    """Return rows (d, u) of the definitions that are needed beside the ``telling`` rows (n, u).
+
+    Per standard deviation of each; without them the unknowns that they join would be open.
+    """
+    scale = np.linalg.norm(telling, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    _, size, ways = np.linalg.svd(telling / scale, full_matrices=len(telling) < len(scale))
+    size = np.pad(size, (0, len(ways) - len(size)))
+    open_, chosen = ways[size <= WEAK * size[0]], np.zeros((0, len(scale)))
+    known, radius = np.zeros((0, len(open_))), float(np.abs(balls.places).max())
+    for sums in definitions(balls.angles):
+        row = np.zeros(len(scale))
+        row[balls.first["EXC"] : balls.first["scale"]] = spread(balls, sums)
+        felt = open_ @ (row / scale)
+        new = felt - known.T @ (known @ felt)
+        if np.linalg.norm(new) > SHARED * np.linalg.norm(row / scale):
+            known = np.concatenate([known, new[None] / np.linalg.norm(new)])
+            lever = 1.0 if sums.keys() <= set(TRANSLATIONS) else radius
+            chosen = np.concatenate([chosen, row[None] * lever / len(balls.angles)])
+    return chosen / (HELD * balls.sigma)
+
+
+def ball_motions(balls: Balls, place: Floats) -> Iterator[Floats]:
+    """Yield rows (p, u) of the :data:`MOTIONS` of a ball at ``place`` (3,), m, at each angle."""
+    place = balls.turned(place[None])[:, 0]
+    up = np.array([0.0, 0.0, 1.0])
+    out = place * (1.0 - up) / np.hypot(*place.T[:2])[:, None]
+    for direction in (out, np.cross(up, out), np.broadcast_to(up, out.shape)):
+        parts = np.concatenate([direction, np.cross(place, direction)], axis=1)
+        rows = np.zeros((len(place), sum(balls.blocks.values())))
+        for number, name in enumerate(COMPONENTS):
+            rows += parts[:, number, None] * block_rows(balls.blocks, name)
+        yield rows
+
+
+def components_of(balls: Balls) -> tuple[str, ...]:
+    """Return the deviations that are results: ECC, and what else the balls tell."""
+    return tuple(name for name in COMPONENTS if name == "ECC" or name in balls.told)
+
+
+def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings) -> Model:
+    """Return unknowns, centres and what could spoil them.
+
+    Outputs are the :func:`components_of` the balls at the table positions, and below them
+    :data:`AXIS` at the height of the origin. ``also``: the motions of each ball where the balls do
+    not tell all six of the table, and the errors of the linear axes.
+    """
+    balls = Balls.of(plan, solver, read)
+    start = balls.started(read.points)
+    design, places = balls(start)[1], start[4 : balls.first["EXC"]].reshape(-1, 3)
+    known = stated(balls, places, solver)
+    known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
+    blocks, axis = balls.blocks, np.tile(np.arange(3), len(read.points))
+    outputs = [block_rows(blocks, name) for name in components_of(balls)]
+    also = {} if set(balls.told) == set(COMPONENTS) else _motions(balls, places)
+    for name in ("scale", "squareness"):
+        also[name] = block_rows(blocks, name)
+    numbers = (read.position, read.target, read.station)
+    position, target, station = (np.repeat(number, 3) for number in numbers)
+    when = np.repeat(read.when, 3)
+    names = [
+        f"{'xyz'[a]} of ball {ball} at position {at}, run {run}"
+        for a, ball, at, run in zip(axis, target, position, station, strict=True)
+    ]
+    largest = solver.largest_shift_um * MICROMETRE
+    model = Model(
+        blocks=blocks,
+        observed=read.points.ravel(),
+        std=np.full(read.points.size, balls.sigma),
+        equations=balls,
+        outputs=np.concatenate([*outputs, block_rows(blocks, "axis")]),
+        words=Words("coordinates", "dirt, heat or a loose ball", "at the balls", "at the ball"),
+        unit=UM,
+        start=start,
+        also=also,
+        components=("the centres",),
+        groupings=(
+            Grouping("position", position),  # of each the start trusts the better part
+            Grouping("run", station, along=when),
+            Grouping("ball", target),
+        ),
+        effects=(
+            Disturbing("drift", "machine or table drift", drifts(axis, when), largest, UM),
+            Disturbing(
+                "knock",
+                "machine or table moved",
+                _from_mean(knocks(axis, when), axis),
+                largest,
+                UM,
+                family=True,
+            ),
+        ),
+        row_names=names,
+    )
+    return model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
+
+
+def _from_mean(columns: Floats, axis: Ints) -> Floats:
+    """Return shifts (n, k) along each ``axis`` (n,) from their mean: that is where the axis is."""
+    mean = [columns[axis == number].mean(axis=0) for number in range(3)]
+    return np.asarray(columns - np.array(mean)[axis], dtype=np.float64)
+
+
+def _motions(balls: Balls, places: Floats) -> dict[str, Floats]:
+    """Return the rows of each motion of balls at ``places`` (k, 3), ball after ball."""
+    every = [tuple(ball_motions(balls, place)) for place in places]
+    return {
+        name: np.concatenate(rows)
+        for name, rows in zip(MOTIONS, zip(*every, strict=True), strict=True)
+    }

@@ -1,0 +1,137 @@
+"""The settings of the balls on the table, without what makes and solves a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rotcal_ros.foundation.settings import expert, group, setting
+from rotcal_ros.methods.ball_plate.settings import (
+    CENTRE,
+    SURFACE,
+    TouchProbeSettings,
+    points_setting,
+)
+from rotcal_ros.methods.simulation.settings import SimulationSettings
+from rotcal_ros.planning.table_angles import TableAngleSettings
+
+DISPLACEMENT: Final = "displacement"
+FARTHEST_M: Final = 20.0
+"""No machine with a rotary table is larger."""
+
+
+@dataclass(frozen=True)
+class BallsPlanSettings(TableAngleSettings):
+    """Where the balls stand, where the table stops, how often."""
+
+    balls_m: tuple[float, ...] = setting(
+        (0.12, 0.0, 0.05),
+        doc="m, x y z of ball 0, then of ball 1 and so on, in the machine's coordinates with the "
+        "table at angle 0, to a millimetre",
+        minimum=-FARTHEST_M,
+        maximum=FARTHEST_M,
+        first=True,
+    )
+    axis_m: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        doc="m, nominal point of the table axis in the machine's coordinates: XOC and YOC are "
+        "how far the axis is from it at its height, EXC and EYC are the table's motions there",
+        minimum=-FARTHEST_M,
+        maximum=FARTHEST_M,
+        first=True,
+    )
+    ball_diameter_m: float = setting(0.025, doc="m, of the balls", minimum=1e-4, first=True)
+    runs: int = setting(
+        2,
+        doc="how often the table goes through its angles; with one ball only a second run checks "
+        "anything",
+        minimum=1,
+        maximum=100,
+    )
+    closing: bool = setting(True, doc="measure the first table angle again at the end")
+    turns_on: bool = setting(
+        True, doc="the table goes on turning from run to run; false: it turns back first"
+    )
+    measure: str = setting(
+        SURFACE,
+        doc="what is measured of a ball: surface (touch points), centre, or displacement from a "
+        "nest in the spindle that follows it (R-test)",
+        choices=(SURFACE, CENTRE, DISPLACEMENT),
+        first=True,
+    )
+    points_per_ball: int = points_setting(5)
+
+
+@dataclass(frozen=True)
+class BallsSolverSettings:
+    """How sure a centre is, and what is known about table and machine beforehand."""
+
+    sigma_centre_m: float = setting(
+        1e-6,
+        doc="m, standard deviation of each coordinate of a centre, the table's repeatability "
+        "included",
+        minimum=1e-9,
+        maximum=1e-2,
+        first=True,
+    )
+    error_motion_std_m: float = setting(
+        3e-6,
+        doc="m, standard uncertainty (k = 1) of EXC, EYC and EZC at each angle, which counts "
+        "where the balls do not tell them",
+        minimum=1e-9,
+        maximum=1e-2,
+        first=True,
+    )
+    tilt_std_arcsec: float = setting(
+        3.0,
+        doc="arcsec, the same of EAC and EBC",
+        minimum=1e-3,
+        maximum=3600.0,
+    )
+    squareness_std_um_per_m: float = setting(
+        10.0,
+        doc="um/m, standard uncertainty (k = 1) of the squareness of each pair of linear axes",
+        minimum=1e-3,
+        maximum=1e4,
+    )
+    scale_std_um_per_m: float = setting(
+        10.0,
+        doc="um/m, standard uncertainty (k = 1) of the length that each linear axis shows",
+        minimum=1e-3,
+        maximum=1e4,
+    )
+    largest_shift_um: float = expert(
+        100.0,
+        doc="um, a drift or a knock of machine or table that nobody would overlook",
+        minimum=1e-3,
+    )
+
+
+@dataclass(frozen=True)
+class SimulatedBallsSettings:
+    """The balls as they really stand on the table."""
+
+    balls_m: tuple[float, ...] = setting(
+        (0.12, 0.0, 0.05), doc="m, x y z of each ball on the table at angle 0, from its foot"
+    )
+    ball_diameter_m: float = setting(0.025, doc="m, of the balls", minimum=1e-4)
+    placing_mm: float = expert(
+        0.3, doc="mm, standard deviation with which a person places them", minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class BallsSimulationSettings(SimulationSettings):
+    """The simulated cell of the balls on the table."""
+
+    balls: SimulatedBallsSettings = group(SimulatedBallsSettings)
+    touch_probe: TouchProbeSettings = group(TouchProbeSettings)
+
+
+SETTINGS: Final[Mapping[str, type[Any]]] = {
+    "plan": BallsPlanSettings,
+    "solver": BallsSolverSettings,
+    "simulation": BallsSimulationSettings,
+}
+"""The groups that this method declares for itself."""

@@ -1,0 +1,119 @@
+"""A machine tool with balls on its table, by homogeneous transforms, without the method."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
+from rotcal_ros.planning.readings import Readings
+
+NAMES = ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")
+ONE = (0.14, 0.03, 0.06)
+LEVEL = (*ONE, -0.1, 0.05, 0.06)
+COLUMN = (*ONE, 0.14, 0.03, 0.21)
+THREE = (*ONE, -0.1, 0.08, 0.02, -0.02, -0.13, 0.11)
+
+
+def shifted(vector):
+    """Return the transform (4, 4) that shifts."""
+    found = np.eye(4)
+    found[:3, 3] = vector
+    return found
+
+
+def turned(*angles):
+    """Return the transform (4, 4) that turns about the fixed x, then y, then z, rad."""
+    found = np.eye(4)
+    found[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+    return found
+
+
+@dataclass
+class World:
+    """Truth: ``axis`` (4,) place and lean, ``motions`` (6, p), ``linear`` (3, 3), balls as found.
+
+    The machine reads p + linear (p - foot), the axis and its motions refer to the foot.
+    """
+
+    plan: BallsPlanSettings
+    solver: BallsSolverSettings = field(default_factory=BallsSolverSettings)
+    axis: tuple = (4e-5, -3e-5, 2e-5, -5e-5)
+    motions: np.ndarray = None
+    linear: np.ndarray = None
+    missed: np.ndarray = None
+
+    def __post_init__(self):
+        self.angles = np.radians(
+            self.plan.table_angles_deg
+            or self.plan.table_start_deg
+            + self.plan.table_step_deg * np.arange(self.plan.table_positions)
+        )
+        self.balls = np.reshape(self.plan.balls_m, (-1, 3)) - self.plan.axis_m
+        if self.motions is None:
+            self.motions = np.zeros((6, len(self.angles)))
+        if self.linear is None:
+            self.linear = np.zeros((3, 3))
+        if self.missed is None:
+            self.missed = np.zeros(self.balls.shape)
+
+    @classmethod
+    def drawn(cls, plan, rng, solver=None, placing=3e-4):
+        """Return a world whose truth is drawn from what is stated of it."""
+        solver = solver or BallsSolverSettings()
+        world = cls(plan, solver)
+        shift, tilt = solver.error_motion_std_m, np.radians(solver.tilt_std_arcsec / 3600)
+        size = np.array([shift, shift, shift, tilt, tilt, 3e-5])
+        world.motions = size[:, None] * rng.standard_normal((6, len(world.angles)))
+        scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
+        size = np.triu(np.full((3, 3), square)) + (scale - square) * np.eye(3)
+        world.linear = 1e-6 * size * rng.standard_normal((3, 3))
+        world.axis = tuple(1e-4 * rng.standard_normal(4))
+        world.missed = placing * rng.standard_normal(world.balls.shape)
+        return world
+
+    def centre(self, position, ball):
+        """Return where the machine finds a ball (3,), m."""
+        x, y, a, b = self.axis
+        exc, eyc, ezc, eac, ebc, ecc = self.motions[:, position]
+        chain = (
+            shifted((x, y, 0.0)) @ turned(a, b, 0.0) @ shifted((exc, eyc, ezc))
+            @ turned(eac, ebc, 0.0) @ turned(0.0, 0.0, self.angles[position] + ecc)
+        )  # fmt: skip
+        place = chain @ np.append(self.balls[ball] + self.missed[ball], 1.0)
+        return np.array(self.plan.axis_m) + (np.eye(3) + self.linear) @ place[:3]
+
+    def readings(self, noise=0.0, rng=None, keep=slice(None)):
+        """Return all readings of the plan, run by run, the first position again at the end."""
+        count, balls = len(self.angles), len(self.balls)
+        rows = [
+            (position, ball, run)
+            for run in range(self.plan.runs)
+            for position in range(count)
+            for ball in range(balls)
+        ]
+        if self.plan.closing:
+            rows += [(0, ball, self.plan.runs - 1) for ball in range(balls)]
+        points = np.array([self.centre(position, ball) for position, ball, _ in rows])
+        if rng is not None:
+            points = points + noise * rng.standard_normal(points.shape)
+        columns = (*np.array(rows).T, points[:, 0], np.arange(len(rows)), points)
+        return Readings(*(np.ascontiguousarray(column[keep]) for column in columns))
+
+    def truth(self):
+        """Return motions (6, p) about the axis average line, and that line (4,), by definition.
+
+        What is constant in a pair of motions belongs to the line, what turns with the table to
+        the balls: least squares over the angles.
+        """
+        own, line = self.motions.copy(), np.array(self.axis)
+        basis = np.column_stack([np.ones(len(self.angles)), np.exp(1j * self.angles)])
+        for first, place in ((0, 0), (3, 2)):
+            plane = own[first] + 1j * own[first + 1]
+            part = np.linalg.lstsq(basis, plane, rcond=None)[0]
+            plane = plane - basis @ part
+            own[first], own[first + 1] = plane.real, plane.imag
+            line[place : place + 2] += part[0].real, part[0].imag
+        for alone in (2, 5):
+            own[alone] -= own[alone].mean()
+        return own, line
