@@ -104,7 +104,9 @@ def _arrivals(configuration: Configuration, found: Adjusted) -> Protection:
     return Protection("repeatability", "tested", "every setting comes to every angle", error)
 
 
-METHOD: Final = ByModel(NAME, model, states, lambda _configuration: ("EAC", "EBC"), counts_from="mean").method(
+METHOD: Final = ByModel(
+    NAME, model, states, lambda _configuration: ("EAC", "EBC"), counts_from="mean"
+).method(
     title="Electronic levels on the table",
     page="level",
     plan_settings=LevelPlanSettings,
