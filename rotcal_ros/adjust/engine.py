@@ -134,8 +134,8 @@ class Adjusted:
             return np.ones(len(self.fit.value))
         part = model.of_component == np.arange(len(model.components))[:, None]
         variance = (self.fit.response**2) @ part.T.astype(np.float64)  # (o, c)
-        told = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
-        known = np.where(told, estimated.log_std, 0.0)
+        checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
+        known = np.where(checked, estimated.log_std, 0.0)
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)

@@ -144,10 +144,15 @@ def of_several():
     yield rc.combine(twelve, ball_plate.solve(plate_problem(range(12), ecc=np.zeros(12), seed=1)))
 
 
+def of_balls():
+    calibration = prepare(read_configuration(ROOT / "config" / "table_balls_demo.yaml"))
+    yield calibration.solve(calibration.measured({"knock": 2e-5}, seed=3).observations)
+
+
 @pytest.fixture(scope="module")
 def results():
     """Return results of all methods, as files have them."""
-    made = [*of_plates(), *of_tracers(), *of_mirrors(), *of_several()]
+    made = [*of_plates(), *of_tracers(), *of_mirrors(), *of_several(), *of_balls()]
     return [json.loads(path.read_text()) for path in FILES] + [r.to_dict() for r in made]
 
 

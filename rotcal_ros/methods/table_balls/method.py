@@ -46,7 +46,7 @@ from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.methods.table_balls.model import (
     AXIS,
     MOTIONS,
-    Balls,
+    BallsOnTable,
     components_of,
     model_of,
 )
@@ -85,9 +85,9 @@ ARRIVALS: Final = 1.0
 scripts/power_table.py does."""
 
 
-def balls_of(configuration: Configuration, read: Readings | None = None) -> Balls:
-    """Return which balls are seen where; see :meth:`~.model.Balls.of`."""
-    return Balls.of(configuration.plan, configuration.solver, read)
+def balls_of(configuration: Configuration, read: Readings | None = None) -> BallsOnTable:
+    """Return which balls are seen where; see :meth:`~.model.BallsOnTable.of`."""
+    return BallsOnTable.of(configuration.plan, configuration.solver, read)
 
 
 def plan(configuration: Configuration) -> Plan:
@@ -125,7 +125,7 @@ def plan(configuration: Configuration) -> Plan:
     return Plan(NAME, tuple(balls.angles.tolist()), targets, tuple(steps))
 
 
-def _stops(settings: BallsPlanSettings, balls: Balls) -> Iterator[tuple[int, int, float]]:
+def _stops(settings: BallsPlanSettings, balls: BallsOnTable) -> Iterator[tuple[int, int, float]]:
     """Yield run, table position and commanded angle (rad) of every stop of the table."""
     angles = balls.angles
     step = float(np.diff(angles).max(initial=0.0))
@@ -193,13 +193,13 @@ def states(configuration: Configuration, found: Adjusted) -> Statement:
 
 
 def _protections(
-    configuration: Configuration, balls: Balls, found: Adjusted
+    configuration: Configuration, balls: BallsOnTable, found: Adjusted
 ) -> Iterator[Protection]:
     of_effects: tuple[tuple[Effect, tuple[str, ...]], ...] = (
         ("error motion", COMPONENTS[:3]), ("tilt", COMPONENTS[3:5])
     )  # fmt: skip
     for effect, every in of_effects:
-        if untold := [name for name in every if name not in balls.told]:
+        if untold := [name for name in every if name not in balls.shown]:
             names = ", ".join(untold)
             yield Protection(
                 effect,
@@ -232,7 +232,7 @@ def _linear_axes(configuration: Configuration) -> Iterator[tuple[str, Effect, fl
     yield "squareness", "gauge", solver.squareness_std_um_per_m
 
 
-def _details(balls: Balls, found: Adjusted) -> dict[str, Any]:
+def _details(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:
     """Return the axis with its covariance, SI; and which motions the balls do not tell."""
     axis = slice(-len(AXIS), None)
     return {
@@ -243,7 +243,7 @@ def _details(balls: Balls, found: Adjusted) -> dict[str, Any]:
             "covariance": found.covariance[axis, axis],
             "origin": balls.origin,
         },
-        "untold": [name for name in COMPONENTS if name not in balls.told],
+        "untold": [name for name in COMPONENTS if name not in balls.shown],
     }
 
 
@@ -263,13 +263,13 @@ def tables(result: Result) -> list[ResultTable]:
             U_value=COVERAGE_FACTOR * np.asarray(axis["std"]) / factor,
         )
     ]
-    for name, one in also.items():
+    for name, rows in also.items():
         suffix = "um" if "motion" in name else "um_per_m"
         columns = {
-            f"value_{suffix}": np.asarray(one["value"]) / MICROMETRE,
-            f"U_value_{suffix}": COVERAGE_FACTOR * np.asarray(one["std"]) / MICROMETRE,
+            f"value_{suffix}": np.asarray(rows["value"]) / MICROMETRE,
+            f"U_value_{suffix}": COVERAGE_FACTOR * np.asarray(rows["std"]) / MICROMETRE,
         }
-        number = range(len(one["value"]))
+        number = range(len(rows["value"]))
         found.append(
             ResultTable.of(name.replace(" ", "_"), name.capitalize(), number=number, **columns)
         )

@@ -50,7 +50,7 @@ MOTIONS: Final = ("radial motion", "tangential motion", "axial motion")
 """Of a ball, in the directions that turn with it."""
 ENTRIES: Final = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 """Rows and columns of S: the blocks ``scale`` and, behind it, ``squareness``."""
-TOLD: Final = 0.05
+LEFT_OVER: Final = 0.05
 """A motion is told if no more than this share of its statement is left in it."""
 UNSTATED_RAD: Final = 0.1
 """Nothing is stated of ECC: it may be anything up to this."""
@@ -64,7 +64,7 @@ UM: Final = Unit("um", MICROMETRE)
 
 
 @dataclass(frozen=True, eq=False)
-class Balls:
+class BallsOnTable:
     """Which ball is seen at which angle: ``angles`` (p,) rad; ``position``, ``ball`` (n,).
 
     ``origin`` (3,): c0 in the machine's coordinates. ``places`` (k, 3): nominal places of the
@@ -83,7 +83,7 @@ class Balls:
     @classmethod
     def of(
         cls, plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings | None = None
-    ) -> Balls:
+    ) -> BallsOnTable:
         """Return those of what was read, or of one run in which every ball is seen.
 
         Raises PlanError for coordinates that are no points and angles that do not ascend.
@@ -129,10 +129,12 @@ class Balls:
         return np.asarray(ways * (size < self.sigma)[:, :, None])
 
     @cached_property
-    def told(self) -> tuple[str, ...]:
+    def shown(self) -> tuple[str, ...]:
         """The motions that the balls tell at every angle where all are seen."""
         share = np.linalg.norm(self.untold(self.places, 1.0), axis=1).max(axis=0)
-        return tuple(name for name, left in zip(COMPONENTS, share, strict=True) if left < TOLD)
+        return tuple(
+            name for name, left in zip(COMPONENTS, share, strict=True) if left < LEFT_OVER
+        )
 
     def started(self, points: Floats) -> Floats:
         """Return unknowns (u,) of a perfect table that fits ``points`` (n, 3) best."""
@@ -191,13 +193,13 @@ def definitions(angles: Floats) -> Iterator[dict[str, Floats]]:
     it and around it. EXC, EYC and EAC, EBC have no part that turns with the table: that is the
     place of the balls. Where balls tell less, fewer of these are needed.
     """
-    one, c, s = np.ones(len(angles)), np.cos(angles), np.sin(angles)
-    yield from ({name: one} for name in COMPONENTS)
+    mean, c, s = np.ones(len(angles)), np.cos(angles), np.sin(angles)
+    yield from ({name: mean} for name in COMPONENTS)
     for x, y in (("EXC", "EYC"), ("EAC", "EBC")):
         yield from ({x: c, y: s}, {x: -s, y: c})
 
 
-def stated(balls: Balls, places: Floats, solver: BallsSolverSettings) -> Floats:
+def stated(balls: BallsOnTable, places: Floats, solver: BallsSolverSettings) -> Floats:
     """Return rows (k, u) of what is stated beforehand to be zero, per its standard deviation.
 
     Motions are stated as they are, and told by definition without their means and turning parts
@@ -220,7 +222,7 @@ def stated(balls: Balls, places: Floats, solver: BallsSolverSettings) -> Floats:
     ])  # fmt: skip
 
 
-def _untold_rows(balls: Balls, places: Floats) -> Floats:
+def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
     """Return orthonormal rows (k, 6 p), per unit of a statement, of what no ball tells."""
     position, seen = np.arange(len(balls.angles)), np.zeros((len(balls.angles), len(places), 1, 1))
     seen[balls.position, balls.ball] = 1.0
@@ -231,13 +233,13 @@ def _untold_rows(balls: Balls, places: Floats) -> Floats:
     return np.asarray(flat[flat.any(axis=1)])
 
 
-def spread(balls: Balls, sums: dict[str, Floats]) -> Floats:
+def spread(balls: BallsOnTable, sums: dict[str, Floats]) -> Floats:
     """Return factors (6 p,) of all motions, those of ``sums`` and zeros."""
     zeros = np.zeros(len(balls.angles))
     return np.concatenate([sums.get(name, zeros) for name in COMPONENTS])
 
 
-def defined(balls: Balls, telling: Floats) -> Floats:
+def defined(balls: BallsOnTable, telling: Floats) -> Floats:
     """Return rows (d, u) of the definitions that are needed beside the ``telling`` rows (n, u).
 
     Per standard deviation of each; without them the unknowns that they join would be open.
@@ -260,7 +262,7 @@ def defined(balls: Balls, telling: Floats) -> Floats:
     return chosen / (HELD * balls.sigma)
 
 
-def ball_motions(balls: Balls, place: Floats) -> Iterator[Floats]:
+def ball_motions(balls: BallsOnTable, place: Floats) -> Iterator[Floats]:
     """Yield rows (p, u) of the :data:`MOTIONS` of a ball at ``place`` (3,), m, at each angle."""
     place = balls.turned(place[None])[:, 0]
     up = np.array([0.0, 0.0, 1.0])
@@ -273,9 +275,9 @@ def ball_motions(balls: Balls, place: Floats) -> Iterator[Floats]:
         yield rows
 
 
-def components_of(balls: Balls) -> tuple[str, ...]:
+def components_of(balls: BallsOnTable) -> tuple[str, ...]:
     """Return the deviations that are results: ECC, and what else the balls tell."""
-    return tuple(name for name in COMPONENTS if name == "ECC" or name in balls.told)
+    return tuple(name for name in COMPONENTS if name == "ECC" or name in balls.shown)
 
 
 def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings) -> Model:
@@ -285,14 +287,14 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     :data:`AXIS` at the height of the origin. ``also``: the motions of each ball where the balls do
     not tell all six of the table, and the errors of the linear axes.
     """
-    balls = Balls.of(plan, solver, read)
+    balls = BallsOnTable.of(plan, solver, read)
     start = balls.started(read.points)
     design, places = balls(start)[1], start[4 : balls.first["EXC"]].reshape(-1, 3)
     known = stated(balls, places, solver)
     known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
     blocks, axis = balls.blocks, np.tile(np.arange(3), len(read.points))
     outputs = [block_rows(blocks, name) for name in components_of(balls)]
-    also = {} if set(balls.told) == set(COMPONENTS) else _motions(balls, places)
+    also = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
     for name in ("scale", "squareness"):
         also[name] = block_rows(blocks, name)
     numbers = (read.position, read.target, read.station)
@@ -341,7 +343,7 @@ def _from_mean(columns: Floats, axis: Ints) -> Floats:
     return np.asarray(columns - np.array(mean)[axis], dtype=np.float64)
 
 
-def _motions(balls: Balls, places: Floats) -> dict[str, Floats]:
+def _motions(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:
     """Return the rows of each motion of balls at ``places`` (k, 3), ball after ball."""
     every = [tuple(ball_motions(balls, place)) for place in places]
     return {
