@@ -127,6 +127,9 @@ def table_of(source: Name | Frame, name: str) -> Path | Table:
     """Return a file as its path, what is in memory as a table called ``name``.
 
     Raises BagError for what is neither.
+
+    >>> table_of([("angle", "deviation"), (0, 1.5)], "mine").header
+    ('angle', 'deviation')
     """
     if isinstance(source, str | PathLike):
         return Path(source)
