@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rotcal_ros.api.reading import Frame, Name, table_of
+from rotcal_ros.api.reading import Frame, Name
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.combination import combine as combine_measured
 from rotcal_ros.evaluation.compare import Comparison
@@ -22,7 +22,7 @@ from rotcal_ros.evaluation.reference import read_deviations
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Table
+from rotcal_ros.foundation.tables import Table, table_of
 from rotcal_ros.methods.calibration import prepare_whole
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence, Sized
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rotcal_ros import methods
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.foundation.arrays import Ints
-from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
@@ -23,7 +23,7 @@ from rotcal_ros.foundation.observations import (
     TemperatureSample,
 )
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Table
+from rotcal_ros.foundation.tables import table_of
 from rotcal_ros.methods.configuration import Configuration, changed, parse_configuration
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
@@ -121,50 +121,6 @@ def read_table(
     configuration = setup if isinstance(setup, Configuration) else read_configuration(setup)
     places = None if targets is None else table_of(targets, "DataFrame of targets")
     return read_measurements(table_of(table, "DataFrame"), configuration, places)
-
-
-def table_of(source: Name | Frame, name: str) -> Path | Table:
-    """Return a file as its path, what is in memory as a table called ``name``.
-
-    Raises BagError for what is neither.
-
-    >>> table_of([("angle", "deviation"), (0, 1.5)], "mine").header
-    ('angle', 'deviation')
-    """
-    if isinstance(source, str | PathLike):
-        return Path(source)
-    columns, rows = _columns_and_rows(source, name)
-    lines = enumerate(tuple(map(_cell, row)) for row in rows)
-    return Table(Path(name), tuple(map(str, columns)), tuple(lines), in_memory=True)
-
-
-def _columns_and_rows(source: Any, name: str) -> tuple[Iterable[Any], Iterable[Any]]:
-    match source:
-        case _ if hasattr(source, "iter_rows"):
-            return source.columns, source.iter_rows()
-        case _ if hasattr(source, "itertuples"):
-            return source.columns, source.itertuples(index=False, name=None)
-        case Mapping() if len({len(v) for v in source.values() if isinstance(v, Sized)}) == 1:
-            return source, zip(*source.values(), strict=True)
-        case [Mapping() as first, *_] if all(isinstance(row, Mapping) for row in source):
-            return first, ([row.get(column) for column in first] for row in source)
-        case [[str(), *_] as first, *rows] if all(isinstance(r, list | tuple) for r in rows):
-            return first, rows
-    raise BagError(
-        f"{name}: {type(source).__name__} is no table: give a file, a DataFrame, a dict of "
-        "columns of one length, or a list of rows below a row of their names"
-    )
-
-
-def _cell(value: object) -> str:
-    """Return a cell as CSV has it: floats to the last bit, whole numbers without a point.
-
-    Whole numbers become floats where a column has an empty cell.
-    """
-    text = str(value).strip()
-    if text in ("None", "nan", "NaT", "<NA>"):
-        return ""
-    return text.removesuffix(".0") if isinstance(value, float) else text
 
 
 def read_result(path: Name) -> Result:

@@ -10,11 +10,12 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from math import isfinite
+from os import PathLike
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.untrusted import (
@@ -221,3 +222,50 @@ def _content(table: Table) -> bytes:
         return read_bytes(table.path)
     rows = (table.header, *(cells for _, cells in table.lines))
     return "".join(",".join(row) + "\n" for row in rows).encode()
+
+
+def table_of(source: Any, name: str) -> Path | Table:
+    """Return a file as its path, what is in memory as a table called ``name``.
+
+    In memory it is a DataFrame, a mapping of columns, or a list of rows: mappings, or sequences
+    below a row of names.
+
+    Raises BagError for what is neither.
+
+    >>> table_of([("angle", "deviation"), (0, 1.5)], "mine").header
+    ('angle', 'deviation')
+    """
+    if isinstance(source, str | PathLike):
+        return Path(source)
+    columns, rows = _columns_and_rows(source, name)
+    lines = enumerate(tuple(map(_cell, row)) for row in rows)
+    return Table(Path(name), tuple(map(str, columns)), tuple(lines), in_memory=True)
+
+
+def _columns_and_rows(source: Any, name: str) -> tuple[Iterable[Any], Iterable[Any]]:
+    match source:
+        case _ if hasattr(source, "iter_rows"):
+            return source.columns, source.iter_rows()
+        case _ if hasattr(source, "itertuples"):
+            return source.columns, source.itertuples(index=False, name=None)
+        case Mapping() if len({len(v) for v in source.values() if isinstance(v, Sized)}) == 1:
+            return source, zip(*source.values(), strict=True)
+        case [Mapping() as first, *_] if all(isinstance(row, Mapping) for row in source):
+            return first, ([row.get(column) for column in first] for row in source)
+        case [[str(), *_] as first, *rows] if all(isinstance(r, list | tuple) for r in rows):
+            return first, rows
+    raise BagError(
+        f"{name}: {type(source).__name__} is no table: give a file, a DataFrame, a dict of "
+        "columns of one length, or a list of rows below a row of their names"
+    )
+
+
+def _cell(value: object) -> str:
+    """Return a cell as CSV has it: floats to the last bit, whole numbers without a point.
+
+    Whole numbers become floats where a column has an empty cell.
+    """
+    text = str(value).strip()
+    if text in ("None", "nan", "NaT", "<NA>"):
+        return ""
+    return text.removesuffix(".0") if isinstance(value, float) else text
