@@ -147,12 +147,31 @@ def of_several():
 def of_balls():
     calibration = prepare(read_configuration(ROOT / "config" / "table_balls_demo.yaml"))
     yield calibration.solve(calibration.measured({"knock": 2e-5}, seed=3).observations)
+    yield off_together("table_balls", 1, (3, 5, 8), 1e-4)
+
+
+def of_comparisons():
+    yield simulated("angle_comparison", "plan.bidirectional=true")
+    yield simulated("angle_comparison", sizes={"drift": 2e-5})
+    yield off_together("angle_comparison", 0, (2, 5, 7, 9), 4e-5)
+
+
+def off_together(plan, station, positions, size):
+    """Return a result of which some observations of one setting are off by ``size``."""
+    prepared = prepare(read_configuration(ROOT / "scripts" / "power_plans" / f"{plan}.yaml"))
+    return prepared.solve([
+        replace(o, mean=(o.mean[0] + size, *o.mean[1:]))
+        if o.station == station and o.table_position in positions
+        else o
+        for o in prepared.measured({}, 0).observations
+    ])  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def results():
     """Return results of all methods, as files have them."""
-    made = [*of_plates(), *of_tracers(), *of_mirrors(), *of_several(), *of_balls()]
+    methods = (of_plates, of_tracers, of_mirrors, of_several, of_balls, of_comparisons)
+    made = [result for results in methods for result in results()]
     return [json.loads(path.read_text()) for path in FILES] + [r.to_dict() for r in made]
 
 
