@@ -23,12 +23,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats
-from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN, TRANSLATIONS, unit_of
 from rotcal_ros.foundation.gum_numbers import minus, uncertainty, value_with_uncertainty
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.language import listed, noted, phrase
 from rotcal_ros.foundation.results import Directions, Result
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 
 Decision = Literal["within", "beyond", "undecided"]
 DRAWS: Final = 20_000
@@ -228,6 +228,25 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
         return None
     why = listed([*map(phrase, warnings)] or [phrase("its reason is not recorded")])
     return phrase("the verdict is {0}: {1}", phrase(verdict), why)
+
+
+def beside_the_curves(result: Result, *, valid: bool) -> list[str]:
+    """Return what is told beside the deviations, in a sentence each; with U where ``valid``."""
+    return [*_axis_line(result.details, valid=valid), *reversals(result, valid=valid)]
+
+
+def _axis_line(details: Mapping[str, Any], *, valid: bool) -> list[str]:
+    """Return where the axis average line is (ISO 230-1: XOC and so on), if the method finds it."""
+    axis = details.get("axis")
+    if not isinstance(axis, Mapping) or "names" not in axis:
+        return []
+    found = []
+    for name, number, std in zip(axis["names"], axis["value"], axis["std"], strict=True):
+        unit, label = SHOWN_IN["rad" if name[0] in "ABC" else "m"]
+        text = minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
+        found.append(f"{name} {text if valid else text.split(' ')[0]} {label}")
+    place = ", ".join(f"{x / MILLIMETRE:g}" for x in axis["origin"])
+    return [phrase("Axis at ({0}) mm, from its nominal place: {1}.", place, ", ".join(found))]
 
 
 def reversals(result: Result, *, valid: bool) -> list[str]:

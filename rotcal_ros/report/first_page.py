@@ -16,7 +16,7 @@ import numpy as np
 
 from rotcal_ros import __version__
 from rotcal_ros.evaluation.iso230 import iso230, runs_of
-from rotcal_ros.evaluation.marks import RULE, conformities, not_covered, reversals
+from rotcal_ros.evaluation.marks import RULE, beside_the_curves, conformities, not_covered
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
@@ -188,10 +188,10 @@ class ValueBlock:
 
 
 def sentences(result: Result, withheld: str | None) -> list[str]:
-    """Return the result in words: ranges with U, reversals, figures of ISO 230-2 of runs."""
+    """Return the result in words: ranges with U, axis, reversals, figures of ISO 230-2 of runs."""
     few = len(result.components) <= FEW_SENTENCES
     texts = [_range(result, name, withheld) for name in result.components if few]
-    texts += reversals(result, valid=not withheld)
+    texts += beside_the_curves(result, valid=not withheld)
     if figures := _positioning(result, withheld):
         texts.append(figures)
     return texts

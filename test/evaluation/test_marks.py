@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.console import print_outcome
-from rotcal_ros.evaluation.marks import COLOURS, Mark, marks, reversals
+from rotcal_ros.evaluation.marks import COLOURS, Mark, beside_the_curves, marks, reversals
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Directions, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -57,6 +57,26 @@ def test_a_good_measurement_says_nothing_of_the_tolerance_and_the_other_way(
     assert (about.name, about.kind) == ("measurement", "partly")
     assert against.words == words
     assert (against.name, against.kind) == ("tolerance", kind)
+
+
+def test_the_axis_is_told_where_a_method_finds_it(capsys):
+    axis = {
+        "names": ["XOC", "YOC", "AOC", "BOC"],
+        "value": [3.94e-5, -3.1e-6, 10.0 * ARCSEC, -2.5 * ARCSEC],
+        "std": [1e-7, 1e-7, 0.1 * ARCSEC, 0.1 * ARCSEC],
+        "origin": [0.1, 0.0, 0.08],
+    }
+    given = result(0.0, details={"axis": axis})
+    told = (
+        "Axis at (100, 0, 80) mm, from its nominal place: XOC +39.40 ± 0.20 µm, "
+        "YOC −3.10 ± 0.20 µm, AOC +10.00 ± 0.20 arcsec, BOC −2.50 ± 0.20 arcsec."
+    )
+    assert told in render_report(ReportInput(given, "method"))
+    print_result(given)
+    assert told in capsys.readouterr().err
+    (bare,) = beside_the_curves(given, valid=False)
+    assert "XOC +39.40 µm, YOC −3.10 µm" in bare
+    assert beside_the_curves(result(0.0, details={"axis": [0, 0, 1]}), valid=True) == []
 
 
 def test_the_reversal_of_what_was_measured_from_both_sides_is_told_by_page_terminal_and_figure(

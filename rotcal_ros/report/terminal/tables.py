@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
-from rotcal_ros.evaluation.marks import marks, reversals, withheld
+from rotcal_ros.evaluation.marks import beside_the_curves, marks, withheld
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.results import Result
@@ -45,7 +45,7 @@ def print_result(result: Result) -> None:
     print_words(f"{result.method}: deviation = actual - commanded{band}")
     print_table(columns)
     print_words(
-        *reversals(result, valid=not reason),
+        *beside_the_curves(result, valid=not reason),
         *(f"warning: {warning}" for warning in result.warnings),
         *([f"U: not stated, because the verdict is {result.verdict}"] if reason else []),
     )
