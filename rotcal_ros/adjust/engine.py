@@ -191,11 +191,6 @@ class Adjusted:
         stated = np.where(fit.used, fit.residual / self.model.std, 0.0)
         return float(np.sqrt(stated @ stated / fit.dof)) if fit.dof else 1.0
 
-    @property
-    def rejected(self) -> tuple[Rejection, ...]:
-        """The observations that were left out."""
-        return tuple(Rejection(row, why) for row, why in sorted(self.why.items()))
-
     @cached_property
     def seen(self) -> list[tuple[Disturbing, Seen]]:
         """What the solution makes of each declared effect."""

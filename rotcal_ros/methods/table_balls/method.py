@@ -27,7 +27,7 @@ from rotcal_ros.foundation.tables import Table
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
-from rotcal_ros.methods.by_model import ByModel, Statement
+from rotcal_ros.methods.by_model import OF_AXES, ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     Disturbance,
@@ -228,8 +228,9 @@ def _protections(
 def _linear_axes(configuration: Configuration) -> Iterator[tuple[str, Effect, float]]:
     """Yield the errors of the linear axes with their effect, and what is stated of them, um/m."""
     solver: BallsSolverSettings = configuration.solver
-    yield "scale", "scale", solver.scale_std_um_per_m
-    yield "squareness", "gauge", solver.squareness_std_um_per_m
+    stated = {"scale": solver.scale_std_um_per_m, "squareness": solver.squareness_std_um_per_m}
+    for name, effect in OF_AXES.items():
+        yield name, effect, stated[name]
 
 
 def _details(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:

@@ -152,3 +152,15 @@ def test_what_looks_hopeless_for_a_moment_ends_nothing(cell):
     cell.values[HOPELESS] = "no velocity"
     with pytest.raises(GoalError, match="nothing can be measured: no velocity"):
         cell.waited(math.inf)
+
+
+def test_the_graph_is_looked_at_ten_times_a_second_however_many_turns_there_are(monkeypatch):
+    now_s, looks = 100.0, []
+    monkeypatch.setattr(goal_watch, "time", SimpleNamespace(monotonic=lambda: now_s))
+    found = goal_watch._rarely(lambda: bool(looks.append(now_s) or now_s > 100.25))
+    answers = []
+    for turn in range(16):
+        now_s = 100.0 + 0.03 * turn
+        answers.append(found())
+    assert looks == pytest.approx([100.0, 100.12, 100.24, 100.36])
+    assert answers == [False] * 12 + [True] * 4
