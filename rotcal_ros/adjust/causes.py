@@ -55,7 +55,7 @@ ALL_BUT_NOTHING: Final = 1.0 - 1e-12
 NOTHING: Final = 1e-300
 """Chi-squared of exact observations, by which may be divided."""
 TIED: Final = 1e-6
-"""Difference of two improbabilities that is rounding."""
+"""Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
 MOST_RIVALS: Final = 12
 """Other causes that are compared with the best of a kind."""
 SUSPECTS: Final = 4
@@ -279,7 +279,7 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
         noise, fit = _settled_noise(diagnosis, bent)
         look = Look(replace(diagnosis, noise=noise, start=fit.x), fit)
         diagnosis = look.diagnosis
-        found = sorted(look.significant(), key=lambda e: -e.support)
+        found = sorted(look.significant(), key=lambda e: -round(e.support / TIED))
         best = next((e for e in found if _bearable(diagnosis, e)), None)
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
@@ -486,7 +486,7 @@ class Look:
     def _groups(self) -> list[Group]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model, found = self.fit, self.before.model, list[Group]()
-        view = SolutionView(fit.gain @ fit.gain.T, fit.outputs)
+        view = SolutionView(fit.root @ fit.root.T, fit.outputs)
         rows = np.where(fit.used[:, None], fit.design / fit.std[:, None], 0.0)
         for grouping in model.groupings:
             for number, members in members_of(grouping, model.may_go).items():

@@ -118,28 +118,37 @@ def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
 def shifts(group: Group, subsets: Bools) -> Hypotheses:
     """Return that each of the ``subsets`` (q, e) is off by the same along each axis."""
     part = subsets.astype(np.float64)
+    values, along, vectors = _own_axes(_squares(group, part)[1], part @ group.score)
+
+    def on_rows() -> Floats:
+        mix = np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors)
+        return np.asarray(mix.reshape(group.residual.size, *along.shape))
+
+    return Hypotheses(values, along, on_rows, group.sensitivity, vectors)
+
+
+def _squares(group: Group, part: Floats) -> tuple[Floats, Floats]:
+    """Return what shifts of subsets ``part`` (q, e) share with each element, and S of each.
+
+    (q, e, c, c) and (q, c, c): scalar products of what is left of them in the residuals.
+    """
     e, c = group.residual.shape
-    along = part @ group.score
+    shared = (part @ group.weight.reshape(e, -1)).reshape(-1, c, e, c)
     if c == 1:
-        square = ((part @ group.weight[:, 0, :, 0]) * part).sum(axis=1)[:, None]
-        return Hypotheses(
-            np.maximum(square, 0.0),
-            np.where(square < UNSEEN, 0.0, along),
-            lambda: (subsets.T * group.relative)[:, :, None],
-            group.sensitivity,
-        )
-    both = (part @ group.weight.reshape(e, -1)).reshape(-1, c, e, c)
-    square = (both.swapaxes(2, 3) @ part[:, None, :, None])[..., 0]
-    values, vectors = np.linalg.eigh(square)
-    return Hypotheses(
-        np.maximum(values, 0.0),
-        np.where(values < UNSEEN, 0.0, np.einsum("qab,qa->qb", vectors, along)),
-        lambda: np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors).reshape(
-            e * c, len(part), c
-        ),
-        group.sensitivity,
-        vectors,
-    )
+        square = (shared[:, 0, :, 0] * part).sum(axis=1)[:, None, None]
+    else:
+        square = (shared.swapaxes(2, 3) @ part[:, None, :, None])[..., 0]
+    return shared.swapaxes(1, 2), square
+
+
+def _own_axes(square: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return s and u (..., c) of S ``square`` (..., c, c) and V'u = ``score`` (..., c), and V."""
+    if square.shape[-1] == 1:
+        values, vectors = square[..., 0], np.ones(square.shape)
+    else:
+        values, vectors = np.linalg.eigh(square)
+    along = np.where(values < UNSEEN, 0.0, (score[..., None, :] @ vectors)[..., 0, :])
+    return np.maximum(values, 0.0), along, vectors
 
 
 def scatter(group: Group) -> Hypotheses:
@@ -231,12 +240,19 @@ def _merit(found: Hypotheses, part: Bools) -> Floats:
     return np.asarray(log_sum(found.log_bayes()) + any_subset(part.shape[1], count))
 
 
-def _flipped(group: Group, part: Bools) -> Floats:
+def _flipped(group: Group, subsets: Bools) -> Floats:
     """Return the merit (q, e) of every subset with one element taken in or put back."""
-    q, e = part.shape
-    count = part.sum(axis=1)[:, None] + np.where(part, -1, 1)
-    other = (part[:, None] ^ np.eye(e, dtype=np.bool_)).reshape(-1, e)
-    value = _merit(shifts(group, other), other).reshape(q, e)
+    part = subsets.astype(np.float64)
+    e, each = part.shape[1], np.arange(part.shape[1])
+    change = np.where(subsets, -1, 1)
+    shared, square = _squares(group, part)
+    both = shared + shared.swapaxes(2, 3)
+    square = square[:, None] + change[..., None, None] * both + group.weight[each, :, each]
+    score = (part @ group.score)[:, None] + change[..., None] * group.score
+    values, along, _ = _own_axes(square, score)
+    c, count = square.shape[-1], subsets.sum(axis=1)[:, None] + change
+    bayes = log_sum(log_bayes(values.reshape(-1, c), along.reshape(-1, c), SIZES))
+    value = bayes.reshape(count.shape) + any_subset(e, count.astype(np.float64))
     return np.where((count >= LEAST) & (count <= most_of(e)), value, -np.inf)
 
 

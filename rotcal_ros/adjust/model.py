@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.groups import CHECKED
@@ -25,6 +26,8 @@ from rotcal_ros.foundation.units import ARCSEC
 
 OPEN: Final = 1e-9
 """Singular values below this share of the largest are directions that nothing tells."""
+FIRM: Final = 1e-6
+"""Reciprocal condition number from which on a design needs no singular values."""
 FREE: Final = 1e-7
 """Share of its length that an output may feel of a direction that nothing tells."""
 NAMED: Final = 0.3
@@ -368,8 +371,6 @@ class Fit:
     ``x`` (p + q,): the unknowns, then the sizes of q effects that were found. ``residual`` (n,):
     observed - computed, also of observations that are not ``used``. ``weighed`` (n,): with which
     standard deviations.
-    ``basis`` (n, rank): orthonormal columns that span the whitened design of what is used.
-    ``gain`` (p + q, n): what whitened errors do to x.
     """
 
     model: Model
@@ -378,8 +379,25 @@ class Fit:
     std: Floats
     used: Bools
     design: Floats
-    basis: Floats
-    gain: Floats
+
+    @cached_property
+    def _factors(self) -> tuple[Floats, Floats]:
+        return _factored(self.model, self.design * (self.used / self.std)[:, None])
+
+    @property
+    def basis(self) -> Floats:
+        """Orthonormal columns (n, rank) that span the whitened design of what is used."""
+        return self._factors[0]
+
+    @property
+    def root(self) -> Floats:
+        """A root (p + q, rank) of the cofactors: times its transposed it is those of x."""
+        return self._factors[1]
+
+    @cached_property
+    def gain(self) -> Floats:
+        """What whitened errors do to x (p + q, n)."""
+        return np.asarray(self.root @ self.basis.T)
 
     @property
     def computed(self) -> Floats:
@@ -412,9 +430,9 @@ class Fit:
 
         Of what is not used, against what the others predict.
         """
-        rows = self.design / self.std[:, None]
-        predicted = 1.0 + ((rows @ self.gain) ** 2).sum(axis=1)
-        variance = np.where(self.used, self.redundancy, predicted)
+        variance, left = self.redundancy.copy(), ~self.used
+        rows = self.design[left] / self.std[left, None]
+        variance[left] = 1.0 + ((rows @ self.root) ** 2).sum(axis=1)
         checked = variance > CHECKED
         root = np.sqrt(np.where(checked, variance, 1.0))
         return np.where(checked, self.residual / self.std / root, 0.0)
@@ -432,12 +450,12 @@ class Fit:
     @cached_property
     def response(self) -> Floats:
         """B (o + a, n): what whitened errors do to the outputs."""
-        return np.asarray(self.outputs @ self.gain)
+        return np.asarray((self.outputs @ self.root) @ self.basis.T)
 
     @cached_property
     def output_std(self) -> Floats:
         """Standard deviations (o + a,) of the outputs; infinite for those that count nowhere."""
-        return self.counting(np.linalg.norm(self.response, axis=1))
+        return self.counting(np.linalg.norm(self.outputs @ self.root, axis=1))
 
     def felt(self, change: Floats) -> bool:
         """Whether a ``change`` (o + a,) of the outputs is no trifle for those that count."""
@@ -463,7 +481,7 @@ def require_determined(model: Model) -> None:
         raise DataError(
             "the equations give no finite numbers at the start values: give others in Model.first"
         )
-    _solved(model, jacobian / model.std[:, None])
+    _factored(model, jacobian / model.std[:, None])
 
 
 def fitted(
@@ -472,8 +490,9 @@ def fitted(
     """Return the least-squares solution with the observations ``used`` (n,), weighed by ``std``.
 
     ``start`` (p,) or longer; ``extra`` (n, q): columns that are unknowns, too. Gauss-Newton with
-    halved steps where the sum of squares would grow. Raises ObservabilityError where an output
-    feels what nothing tells, DataError where the iteration does not settle.
+    halved steps where the sum of squares would grow; the steps may be rough, what they end at is
+    where the gradient vanishes. Raises ObservabilityError where an output feels what nothing
+    tells, DataError where the iteration does not settle.
     """
     n, p = model.size
     extra = np.zeros((n, 0)) if extra is None else extra
@@ -482,14 +501,14 @@ def fitted(
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
     for _ in range(MAX_ITERATIONS):
-        basis, gain = _solved(model, jacobian * weight[:, None])
         residual = model.observed - computed
         white = residual * weight
-        left, square = float(np.sum((basis.T @ white) ** 2)), float(white @ white)
+        step, left = _step(model, jacobian * weight[:, None], white)
+        square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
-            return Fit(model, x, residual, std, used, jacobian, basis, gain)
-        step, before = gain @ white, left
+            return Fit(model, x, residual, std, used, jacobian)
+        before = left
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -518,24 +537,45 @@ def _computed(model: Model, x: Floats, extra: Floats) -> tuple[Floats, Floats]:
     return computed + extra @ x[p:], np.concatenate([jacobian, extra], axis=1)
 
 
-def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
-    """Return the basis (n, rank) of a whitened design, and its pseudo-inverse (p, n).
+def _step(model: Model, design: Floats, white: Floats) -> tuple[Floats, float]:
+    """Return the step (p + q,) that ``white`` (n,) asks for, and the square that it takes off.
 
-    By SVD of columns that were brought to length one: what is open is told by small singular
-    values, whatever the units of the unknowns.
+    By the normal equations, which are quick, where these are firm.
+    """
+    normal = design.T @ design
+    scale = np.sqrt(np.where(normal.diagonal() > 0.0, normal.diagonal(), 1.0))
+    normal /= scale * scale[:, None]
+    root, failed = lapack.dpotrf(normal)
+    if failed or lapack.dpocon(root, np.abs(normal).sum(axis=0).max())[0] < FIRM**2:
+        basis, cofactors = _factored(model, design)
+        along = basis.T @ white
+        return cofactors @ along, float(along @ along)
+    along = lapack.dtrtrs(root, design.T @ white / scale, trans=1)[0]
+    return lapack.dtrtrs(root, along)[0] / scale, float(along @ along)
+
+
+def _factored(model: Model, white: Floats) -> tuple[Floats, Floats]:
+    """Return the basis (n, rank) of a whitened design, and a root (p, rank) of the cofactors.
+
+    Of columns that were brought to length one: by QR, or by SVD where that is not firm. What is
+    open is told by small singular values, whatever the units of the unknowns.
     """
     scale = np.linalg.norm(white, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
+    unit = white / scale
+    if len(unit) >= len(scale) and np.isfinite(unit).all():
+        basis, upper = np.linalg.qr(unit)
+        if lapack.dtrcon(upper)[0] > FIRM:
+            return basis, lapack.dtrtri(upper)[0] / scale[:, None]
     try:
-        u, s, vt = np.linalg.svd(white / scale, full_matrices=False)
+        u, s, vt = np.linalg.svd(unit, full_matrices=False)
     except np.linalg.LinAlgError as error:  # the unknowns have run away
         raise _unsettled() from error
     determined = s > OPEN * s[0]
     if not determined.all() or len(s) < len(scale):
-        full = vt if len(vt) == len(scale) else np.linalg.svd(white / scale)[2]
+        full = vt if len(vt) == len(scale) else np.linalg.svd(unit)[2]
         _require_unfelt(model, scale, full[int(determined.sum()) :], white != 0.0)
-    gain = (vt[determined].T / s[determined]) @ u[:, determined].T / scale[:, None]
-    return u[:, determined], gain
+    return u[:, determined], vt[determined].T / s[determined] / scale[:, None]
 
 
 def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) -> None:

@@ -15,6 +15,7 @@ from rotcal_ros.adjust.model import (
     Model,
     Unit,
     drifts,
+    fitted,
     from_mean,
     indicators,
     instrument_effects,
@@ -141,6 +142,35 @@ def test_the_solution_is_that_of_scipy():
     assert found.value == pytest.approx(other.x[:12], abs=1e-4 * SIGMA)
     assert found.covariance == pytest.approx(covariance[:12, :12], rel=1e-5)
     assert found.fit.dof == 9 * 14 - 40
+
+
+@pytest.mark.parametrize("world", [comparison, network])
+def test_quick_steps_and_quick_factors_end_where_singular_values_do(world, monkeypatch):
+    _, model = world(np.random.default_rng(6))
+    quick = adjust(model)
+    monkeypatch.setattr("rotcal_ros.adjust.model.FIRM", np.inf)
+    slow = adjust(model)
+    assert quick.value == pytest.approx(slow.value, abs=1e-9 * SIGMA)
+    assert quick.std == pytest.approx(slow.std, rel=1e-9)
+    assert quick.fit.test_value == pytest.approx(slow.fit.test_value, abs=1e-7)
+
+
+def test_nearly_dependent_unknowns_keep_their_digits():
+    """A polynomial in powers, condition 6e7: its normal equations have no digit that is right."""
+    x = np.linspace(1.0, 1.5, 40)
+    powers = x[:, None] ** np.arange(7)
+    truth = np.arange(1.0, 8.0)
+    everything = np.ones(40, dtype=bool)
+    model = Model(
+        blocks={"coefficient": 7},
+        observed=powers @ truth,
+        std=np.full(40, 1e-9),
+        equations=linear(powers),
+        outputs=np.eye(7),
+        words=WORDS,
+    )
+    assert np.linalg.cond(powers / np.linalg.norm(powers, axis=0)) > 1e7
+    assert fitted(model, everything, model.std, model.first).x == pytest.approx(truth, abs=1e-6)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from scipy.special import comb, logsumexp
 from rotcal_ros.adjust.explanations import (
     OWN,
     SIZES,
+    _flipped,
     free,
     scatter,
     search,
@@ -135,6 +136,24 @@ def test_the_search_finds_what_enumeration_finds(own_zero):
         same = (subsets == best).all(axis=1)
         hits += merit[same][0] >= merit.max() - 1e-9
     assert hits >= 38
+
+
+@pytest.mark.parametrize("axes", [1, 3])
+def test_one_element_more_or_less_is_worth_what_that_subset_is(axes):
+    rng = np.random.default_rng(6)
+    design = rng.standard_normal((E * axes, 4))
+    view = Dense(
+        design, rng.standard_normal((2, 4)), residuals(design, rng.standard_normal(E * axes))
+    )
+    group = view.group("run", "run 0", np.arange(E), np.arange(E * axes).reshape(E, axes))
+    found = _flipped(group, np.array([SUBSET, ~SUBSET]))
+    for subset, row in zip((SUBSET, ~SUBSET), found, strict=True):
+        for element in range(E):
+            other = subset ^ (np.arange(E) == element)
+            count = int(other.sum())
+            inside = 2 <= count <= E // 2
+            merit = logsumexp(shifts(group, other[None]).log_bayes()) - np.log(3 * comb(E, count))
+            assert row[element] == (pytest.approx(merit, abs=1e-9) if inside else -np.inf)
 
 
 def test_no_subset_of_three_elements():
