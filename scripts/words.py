@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import get_args
 
 from babel.messages.catalog import Catalog
-from babel.messages.extract import extract_from_dir
+from babel.messages.extract import extract_from_file
 from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.adjust.model import effect_texts
@@ -33,9 +33,14 @@ from rotcal_ros.methods.angle_comparison.model import INSTRUMENT, MOVED, WORDS
 
 PACKAGE = Path(__file__).parents[1] / "rotcal_ros"
 PAGES = PACKAGE / "extensions" / "page" / "static"
-READ = [("**/templates/**.j2", "jinja2"), ("**/static/*.js", "javascript"), ("**.py", "python")]
-OPTIONS = {"**/static/*.js": {"template_string": False}}
+READ = [
+    ("**/templates/**/*.j2", "jinja2"),
+    ("**/static/*.js", "javascript"),
+    ("**/*.py", "python"),
+]
+OPTIONS = {"javascript": {"template_string": False}}
 MARKS = {"phrase": None, "noted": None, "t": None}
+MARKED = re.compile(rf"\b(?:{'|'.join(MARKS)})\(")
 SHOWN_BY = ("Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title")
 """Calls whose texts of several words come onto a page."""
 UNIT = re.compile("_(deg|mm|um|arcsec)$")
@@ -68,8 +73,8 @@ class Shown(HTMLParser):
 def used() -> dict[str, str]:
     """Return every text that a catalogue has to know, and where it is first used."""
     found: dict[str, str] = {}
-    for name, _, message, _, _ in extract_from_dir(PACKAGE, READ, OPTIONS, keywords=MARKS):
-        found.setdefault(message if isinstance(message, str) else message[0], name)
+    for name, message in marked():
+        found.setdefault(message, name)
     page = Shown()
     for path in sorted(PAGES.glob("*.html")):
         page.feed(path.read_text(encoding="utf-8"))
@@ -85,12 +90,23 @@ def used() -> dict[str, str]:
     return {text: where for text, where in found.items() if any(map(str.isalpha, text))}
 
 
+def marked() -> Iterator[tuple[str, str]]:
+    """Yield the file of every marked text, and the text."""
+    for pattern, kind in READ:
+        for path in sorted(PACKAGE.glob(pattern)):
+            if MARKED.search(path.read_text(encoding="utf-8")):  # most have none
+                options = OPTIONS.get(kind)
+                for _, message, _, _ in extract_from_file(kind, path, MARKS, options=options):
+                    text = message if isinstance(message, str) else message[0]
+                    yield str(path.relative_to(PACKAGE)), text
+
+
 def written() -> dict[str, str]:
     """Return every text in the code with its places, marked or not, and where it is."""
     return {
         text: where
-        for where, tree in modules().items()
-        for node in ast.walk(tree)
+        for where, nodes in modules().items()
+        for node in nodes
         for text in texts_of(node)
     }
 
@@ -100,21 +116,21 @@ def shown_texts() -> dict[str, list[str]]:
     return {
         where: [
             text
-            for call in ast.walk(tree)
+            for call in nodes
             if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] in SHOWN_BY
             for argument in (*call.args, *(keyword.value for keyword in call.keywords))
             for text in texts_of(argument)
             if " " in text and set(re.findall("[a-z]{2,}", text)) - {"mm", "arcsec"}
         ]
-        for where, tree in modules().items()
+        for where, nodes in modules().items()
     }
 
 
 @cache
-def modules() -> dict[str, ast.Module]:
-    """Return the syntax of the files of the package by their names; extensions mark theirs."""
+def modules() -> dict[str, list[ast.AST]]:
+    """Return all syntax in the files of the package by their names; extensions mark theirs."""
     return {
-        str(path.relative_to(PACKAGE)): ast.parse(path.read_text(encoding="utf-8"))
+        str(path.relative_to(PACKAGE)): [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
         for path in sorted(PACKAGE.rglob("*.py"))
         if "extensions" not in path.parts
     }

@@ -77,6 +77,7 @@ def test_kill_9_of_the_recorder(cell):
     check(live, max(accepted, outcome["n_used"]), file, before, died_ns)
 
 
+@pytest.mark.slow
 def test_kill_9_of_the_planner(cell):
     live = cell()
     client, accepted, file, before = under_way(live, 20)

@@ -191,7 +191,7 @@ def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
 @pytest.mark.parametrize(
     "victim",
     [
-        "recorder",
+        pytest.param("recorder", marks=pytest.mark.slow),
         *(pytest.param(n, marks=pytest.mark.long) for n in ("capture", "simulated_cell")),
     ],
 )

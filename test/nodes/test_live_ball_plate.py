@@ -58,6 +58,7 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     assert topics["/cell/volumetric_correction"].messages == 1
 
 
+@pytest.mark.slow
 def test_who_joins_a_run_is_named_and_left_alone_live_and_in_the_bag(plate_cell):
     """A second probe, a second table and forged observations, from the third step on."""
     live = plate_cell()

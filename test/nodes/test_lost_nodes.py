@@ -18,7 +18,7 @@ from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 NODES = ("planner", "capture", "solver", "recorder", "simulated_cell", "client")
 LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))

@@ -95,6 +95,7 @@ def test_ctrl_c_leaves_a_valid_bag_and_no_process(tmp_path):
     assert [v.state for v in read_recording(tmp_path / "out" / "bag").verdicts] == ["complete"]
 
 
+@pytest.mark.slow
 def test_nodes_do_not_outlive_a_killed_supervisor(tmp_path):
     with subprocess.Popen(arguments(tmp_path / "out"), stderr=subprocess.DEVNULL) as run:
         wait_until(lambda: len(children_of(run.pid)) == 7, "the nodes are started")
