@@ -1,0 +1,83 @@
+"""Balls on the table by the engine: one fit against scipy with the same equations and derivatives.
+
+``rows()`` yields one measurement each; both sides run alternately, the best time of each counts.
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from racing import Row, race
+from scipy.optimize import least_squares
+
+from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.adjust.model import Model, fitted
+from rotcal_ros.methods.table_balls.model import model_of
+from rotcal_ros.methods.table_balls.settings import BallsPlanSettings
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "methods"))
+from ball_world import THREE, World
+
+SIGMA_M, TRIALS = 1e-6, 1000
+
+
+def measurement() -> Model:
+    """72 angles, 3 balls, twice: 1296 coordinates, 451 unknowns with six motions at each angle."""
+    plan = BallsPlanSettings(
+        balls_m=THREE, axis_m=(0.0, 0.0, 0.06), table_step_deg=5.0, table_positions=72, runs=2
+    )
+    random = np.random.default_rng(20)
+    world = World.drawn(plan, random)
+    return model_of(plan, world.solver, world.readings(SIGMA_M, random))
+
+
+def one_fit() -> Row:
+    """From start values to the deviations."""
+    model = measurement()
+    every = np.ones(model.size[0], dtype=np.bool_)
+
+    def ours() -> np.ndarray:
+        return fitted(model, every, model.std, model.first).value
+
+    def opponent() -> np.ndarray:
+        best = least_squares(
+            lambda x: (model.equations(x)[0] - model.observed) / model.std,
+            model.first,
+            lambda x: model.equations(x)[1] / model.std[:, None],
+            x_scale="jac",
+            xtol=1e-12,
+            ftol=1e-12,
+            gtol=1e-12,
+        )
+        return model.every_output @ best.x
+
+    a, b, difference = race(ours, opponent, (10, 2))
+    return Row("one fit, 72 angles x 3 balls x 2", a, b, b / a, difference)
+
+
+def whole(model: Model) -> Iterator[Row]:
+    """The whole adjustment with its verdict, then trials about it; nothing to compare with."""
+    start = time.process_time()
+    trials = adjust(model).trials
+    middle = time.process_time()
+    trials(np.random.default_rng(1), TRIALS)
+    yield Row("whole adjustment with verdict", middle - start, None, None, None)
+    yield Row(f"{TRIALS} trials", time.process_time() - middle, None, None, None)
+
+
+def rows() -> Iterator[Row]:
+    """Run everything, one row after the other."""
+    yield one_fit()
+    yield from whole(measurement())
+
+
+if __name__ == "__main__":
+    print(json.dumps([asdict(row) for row in rows()], indent=1))
