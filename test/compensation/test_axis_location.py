@@ -110,9 +110,8 @@ def test_the_vectors_of_sinumerik_close_and_turn_the_work():
     names = ("BASE_TOOL_1", "JOINT_OFFSET_PART_1", "PART_OFFSET_1", "AXIS1_1", "AXIS2_1")
     i2, i3, i4, v1, v2 = (np.array([data[name, k] for k in range(3)]) for name in names)
     assert i2 + i3 + i4 == pytest.approx(0.0, abs=2e-6)
-    assert i2 == pytest.approx(1e3 * np.array(A[0])) and i2 + i3 == pytest.approx(
-        1e3 * np.array(C[0]), abs=2e-6
-    )
+    assert i2 == pytest.approx(1e3 * np.array(A[0]))
+    assert i2 + i3 == pytest.approx(1e3 * np.array(C[0]), abs=2e-6)
     assert v1 == pytest.approx([-1.0, 5e-5, 4e-5])
     assert v2 == pytest.approx([3e-5, 2e-5, -1.0])
 
@@ -166,9 +165,8 @@ def test_what_does_not_fit_is_refused(tmp_path):
 
 
 def test_a_simulated_place_says_so():
-    files, _ = prepare_location(
-        measured(circumstances=Circumstances(simulated=True)), "linuxcnc", now=NOW
-    )
+    simulated = measured(circumstances=Circumstances(simulated=True))
+    files, _ = prepare_location(simulated, "linuxcnc", now=NOW)
     assert "# SIMULATED: no instrument measured this" in files["c_linuxcnc_axis_simulated.hal"]
 
 

@@ -2,8 +2,8 @@
 
 usage: /usr/bin/python3 ball_plant.py PLANT.json AGENT_FOLDER PROGRAM.ngc...
 
-Runs beside LinuxCNC, on the system's Python. The ball follows the joints A and C by rotations about
-lines in space, which the controller knows nothing of; while a touch is made, both stand still.
+Runs beside LinuxCNC, on the system's Python. The ball follows the joints A and C by rotations
+about lines in space, which the controller does not know; while a touch is made, both stand still.
 """
 
 import json
