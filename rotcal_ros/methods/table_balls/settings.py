@@ -42,6 +42,25 @@ class BallsPlanSettings(TableAngleSettings):
         first=True,
     )
     ball_diameter_m: float = setting(0.025, doc="m, of the balls", minimum=1e-4, first=True)
+    chain: str = setting(
+        "C",
+        doc="rotary axes from the machine to the work: C alone, or on A or B, which tilts it; '-' "
+        "if that turns clockwise, seen against its direction",
+        choices=("C", "AC", "BC", "-AC", "-BC"),
+    )
+    tilts_deg: tuple[float, ...] = setting(
+        (),
+        doc="deg, where the tilting axis stops; 0 need not be among them",
+    )
+    tilt_limits_deg: tuple[float, float] = setting(
+        (-120.0, 120.0), doc="deg, between which the tilting axis may stand"
+    )
+    tilting_axis_m: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        doc="m, nominal point of the tilting axis: YOA and ZOA (XOB and ZOB) count from it",
+        minimum=-FARTHEST_M,
+        maximum=FARTHEST_M,
+    )
     runs: int = setting(
         2,
         doc="how often the table goes through its angles; with one ball only a second run checks "
