@@ -29,6 +29,16 @@ def turned(*angles):
     return found
 
 
+def without(motions, angles, pairs):
+    """Return motions (6, n) without what pairs of them have that turns with the angles (n,)."""
+    found = motions.copy()
+    for x, y in pairs:
+        plane = (motions[x] + 1j * motions[y]) * np.exp(-1j * angles)
+        plane = (plane - plane.mean()) * np.exp(1j * angles)
+        found[x], found[y] = plane.real, plane.imag
+    return found
+
+
 @dataclass
 class World:
     """Truth: ``axis`` (4,) place and lean, ``motions`` (6, p), ``linear`` (3, 3), balls as found.
@@ -70,8 +80,8 @@ class World:
         solver = solver or BallsSolverSettings()
         world = cls(plan, solver)
         shift, tilt = solver.error_motion_std_m, np.radians(solver.tilt_std_arcsec / 3600)
-        size = np.array([shift, shift, shift, tilt, tilt, 3e-5])
-        world.motions = size[:, None] * rng.standard_normal(world.motions.shape)
+        moves = np.array([shift, shift, shift, tilt, tilt, 3e-5])
+        world.motions = moves[:, None] * rng.standard_normal(world.motions.shape)
         scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
         size = np.triu(np.full((3, 3), square)) + (scale - square) * np.eye(3)
         world.linear = 1e-6 * size * rng.standard_normal((3, 3))
@@ -79,8 +89,27 @@ class World:
         world.missed = placing * rng.standard_normal(world.balls.shape)
         if plan.chain != "C":
             world.line = tuple(1e-4 * rng.standard_normal(4))
-            world.tilting = size[:, None] * rng.standard_normal(world.tilting.shape)
+            world.tilting = moves[:, None] * rng.standard_normal(world.tilting.shape)
+            world.obey_the_definitions()
         return world
+
+    def obey_the_definitions(self):
+        """Take from the motions what belongs to lines, to balls, and to the motions below.
+
+        At each tilt the table's have no mean, over all tilts no part that turns with the table;
+        those of the tilting axis have neither.
+        """
+        count, sense = len(self.angles), -1 if self.plan.chain[0] == "-" else 1
+        turns, tilts = np.tile(self.angles, len(self.plan.tilts_deg)), self.plan.tilts_deg
+        along, alpha = "AB".index(self.plan.chain[-2]), sense * np.radians(tilts)
+        across = (along + 1) % 3, (along + 2) % 3
+        pairs = [across, tuple(3 + k for k in across)]
+        for _ in range(200):  # both at once: each spoils the other a little
+            each = self.motions.reshape(6, -1, count)
+            self.motions = (each - each.mean(axis=2, keepdims=True)).reshape(6, -1)
+            self.motions = without(self.motions, turns, [(0, 1), (3, 4)])
+            self.tilting = self.tilting - self.tilting.mean(axis=1, keepdims=True)
+            self.tilting = without(self.tilting, alpha, pairs)
 
     def tilted(self, tilt):
         """Return what the tilting axis does (4, 4) to all that stands on it, from the foot."""
@@ -125,8 +154,9 @@ class World:
             for position in range(count)
             for ball in range(balls)
         ]
-        if self.plan.closing and not tilts:
-            rows += [(0, ball, self.plan.runs - 1) for ball in range(balls)]
+        if self.plan.closing:
+            last = range(tilts) if tilts else [self.plan.runs - 1]
+            rows += [(0, ball, run) for run in last for ball in range(balls)]
         points = np.array([self.centre(p, ball, run if tilts else 0) for p, ball, run in rows])
         if rng is not None:
             points = points + noise * rng.standard_normal(points.shape)
