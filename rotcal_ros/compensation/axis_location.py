@@ -16,12 +16,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.compensation.agreement import require_verified
 from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED, SIMULATED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 
@@ -133,11 +134,8 @@ def prepare_location(
         *([NOTHING_MEASURED] if result.simulated else []),
     ]
     located = controller.locate(lines, name, head)
-    if located.unverified and not accept_unverified:
-        raise ConfigurationError(
-            f"{controller.facts.title}: not verified: {'; '.join(located.unverified)}. Test with "
-            "one small value first, and accept it: --accept-unverified; nothing was written"
-        )
+    if not accept_unverified:
+        require_verified(controller.facts.title, located.unverified)
     notes = (*located.notes, *(f"not verified: {text}" for text in located.unverified))
     side = {
         "schema": SCHEMA,

@@ -82,10 +82,8 @@ AXIS_SHOWN: Final = (
     (ARCSEC, "arcsec"),
 )
 """Units in which people read :data:`AXIS`."""
-LINES: Final = {
-    "axis": "Axis average line",
-    "tilting_axis": "Axis average line of the tilting axis",
-}
+AXES: Final = ("axis", "tilting_axis")
+"""Details of a result that tell a line."""
 ARRIVALS: Final = 1.0
 """What arrivals that scatter do before they are found, per what noise does: by simulation, as
 scripts/power_table.py does."""
@@ -303,25 +301,9 @@ def _line(found: Adjusted, at: slice, names: Sequence[str], origin: Floats) -> d
 
 def tables(result: Result) -> list[ResultTable]:
     """Return the axes, motions that are no deviations, and what is found of the linear axes."""
-    factor = np.array([si for si, _ in AXIS_SHOWN])
-    units = [unit for _, unit in AXIS_SHOWN]
-    found = []
-    for which, words in LINES.items():
-        if which not in result.details:
-            continue
-        axis = result.details[which]
-        x, y, z = np.asarray(axis["origin"]) / MILLIMETRE
-        found.append(
-            ResultTable.of(
-                which,
-                f"{words}, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
-                quantity=axis["names"],
-                unit=units,
-                value=np.asarray(axis["value"]) / factor,
-                U_value=COVERAGE_FACTOR * np.asarray(axis["std"]) / factor,
-            )
-        )
-    for name, rows in result.details["also"].items():
+    details = result.details
+    found = [_line_table(name, details[name]) for name in AXES if name in details]
+    for name, rows in details["also"].items():
         si, suffix = MICROMETRE, "um" if "motion" in name else "um_per_m"
         if name[:3].isupper():
             si, suffix = (MICROMETRE, "um") if set(name[:2]) & set("XYZ") else (ARCSEC, "arcsec")
@@ -334,6 +316,23 @@ def tables(result: Result) -> list[ResultTable]:
             ResultTable.of(name.replace(" ", "_"), name.capitalize(), number=number, **columns)
         )
     return found
+
+
+def _line_table(name: str, axis: Mapping[str, Any]) -> ResultTable:
+    x, y, z = np.asarray(axis["origin"]) / MILLIMETRE
+    titles = (
+        f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
+        f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
+    )
+    factor = np.array([si for si, _ in AXIS_SHOWN])
+    return ResultTable.of(
+        name,
+        titles[AXES.index(name)],
+        quantity=axis["names"],
+        unit=[unit for _, unit in AXIS_SHOWN],
+        value=np.asarray(axis["value"]) / factor,
+        U_value=COVERAGE_FACTOR * np.asarray(axis["std"]) / factor,
+    )
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:

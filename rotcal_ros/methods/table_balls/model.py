@@ -391,7 +391,9 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     run = "run" if balls.tilting is None else "tilt"
     when = np.repeat(read.when, 3)
     names = [
-        f"{'xyz'[a]} of ball {ball} at position {at}, {run} {number}"
+        f"{'xyz'[a]} of ball {ball} at position {at}, run {number}"
+        if balls.tilting is None
+        else f"{'xyz'[a]} of ball {ball} at position {at}, tilt {number}"
         for a, ball, at, number in zip(axis, target, position, station, strict=True)
     ]
     largest = solver.largest_shift_um * MICROMETRE
