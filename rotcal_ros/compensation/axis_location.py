@@ -41,14 +41,14 @@ class AxisLine:
     """The axis average line of the axis ``letter``, in the machine's coordinates.
 
     ``point`` (3,), m, is on it; ``direction`` (3,) points along it at a length of about 1; both
-    with the other rotary axes at zero. ``told``: the values (4,) by name, with their standard
+    with the other rotary axes at zero. ``found``: the values (4,) by name, with their standard
     uncertainties, m and rad.
     """
 
     letter: str
     point: Floats
     direction: Floats
-    told: Mapping[str, tuple[float, float]]
+    found: Mapping[str, tuple[float, float]]
 
     @classmethod
     def of(cls, found: Mapping[str, Any]) -> AxisLine:
@@ -61,14 +61,14 @@ class AxisLine:
         for name, number in zip(names[2:], value[2:], strict=True):
             turn["ABC".index(name[0])] = number
         along = np.eye(3)[ALONG[letter]]
-        told = dict(zip(names, zip(value.tolist(), found["std"], strict=True), strict=True))
-        return cls(letter, point, along + np.cross(turn, along), told)
+        values = dict(zip(names, zip(value.tolist(), found["std"], strict=True), strict=True))
+        return cls(letter, point, along + np.cross(turn, along), values)
 
     def in_words(self) -> str:
         """Return place and lean with U (k = 2); files of controllers hold no other signs."""
         x, y, z = self.point / MILLIMETRE
         parts = []
-        for name, (value, std) in self.told.items():
+        for name, (value, std) in self.found.items():
             unit, word = (MICROMETRE, "um") if name[0] in "XYZ" else (ARCSEC, "arcsec")
             u = COVERAGE_FACTOR * std / unit
             parts.append(f"{name} {value / unit:.4g} {word} (U {u:.2g})")
@@ -155,7 +155,7 @@ def prepare_location(
             line.letter: {
                 "point_m": line.point.tolist(),
                 "direction": line.direction.tolist(),
-                "told": {n: {"value": v, "std": s} for n, (v, s) in line.told.items()},
+                "found": {n: {"value": v, "std": s} for n, (v, s) in line.found.items()},
             }
             for line in lines
         },

@@ -85,7 +85,7 @@ def _left(table: AxisLine, tilting: Sequence[AxisLine], letter: str, across: str
             f"it by as much the other way, so that {letter} stays where it is"
         )
     for line in (table, *tilting):
-        for name, (angle, std) in line.told.items():
+        for name, (angle, std) in line.found.items():
             if name[0] not in "ABC" or abs(angle) < COVERAGE_FACTOR * std:
                 continue
             if line is table and name[0] == letter:

@@ -182,6 +182,6 @@ def test_the_command_writes_both_files_and_refuses_what_tables_take(tmp_path):
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
     assert told["provenance"]["values"]["xyzac-trt-kins.x-rot-point"] == 300.12
-    assert told["provenance"]["axes"]["C"]["told"]["XOC"]["std"] == 1e-6
+    assert told["provenance"]["axes"]["C"]["found"]["XOC"]["std"] == 1e-6
     assert len(told["files"]) == 2
     assert "exists already" in export().stderr

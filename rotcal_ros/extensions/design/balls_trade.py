@@ -100,7 +100,7 @@ def _measured(plan: Calibration, touch_s: float, way_s: float, turn_deg_s: float
     read = Readings.of([step.observed(nominal(step)) for step in steps])
     expanded = COVERAGE_FACTOR * predicted(model(plan.configuration, read)).std
     lines = AXES * (1 if settings.chain == "C" else 2)
-    told = expanded[len(expanded) - lines :].reshape(-1, 2, 2)
+    of_lines = expanded[len(expanded) - lines :].reshape(-1, 2, 2)
     count = len(plan.plan.table_angles)
     turned = np.abs(np.diff([step.table_angle for step in steps])).sum() / DEGREE
     touches = sum(step.n_points for step in steps)
@@ -111,8 +111,8 @@ def _measured(plan: Calibration, touch_s: float, way_s: float, turn_deg_s: float
         centres=len(steps),
         touches=touches,
         seconds=float(touches * touch_s + len(steps) * way_s + turned / turn_deg_s),
-        place=float(told[:, 0].max()),
-        lean=float(told[:, 1].max()),
+        place=float(of_lines[:, 0].max()),
+        lean=float(of_lines[:, 1].max()),
         turn=float(expanded[: len(expanded) - lines][-count:].max()),
         bound=float(
             COVERAGE_FACTOR * plan.configuration.solver.sigma_centre_m / np.sqrt(len(steps))

@@ -281,14 +281,14 @@ def balls(
         turn_deg_s=turn_deg_s,
     )
     need, limit = need_um * MICROMETRE, minutes * MINUTE
-    good = [row for row in rows if row.place <= need]
+    good = [row for row in rows if row.place <= need and row.seconds <= limit]
     fewest = min(good, key=lambda row: (row.touches, row.seconds), default=None)
-    if fewest is None or fewest.seconds > limit:
+    if fewest is None:
         note = f"none of these reaches {need_um:g} um within {minutes:g} minutes"
     else:
         note = (
             f"fewest touches for U <= {need_um:g} um: {fewest.touches}, with {fewest.balls} balls "
-            f"at {fewest.angles} angles in {fewest.runs} runs"
+            f"at {fewest.angles} angles, runs: {fewest.runs}"
         )
     columns = [
         Column("balls", [row.balls for row in rows]),
