@@ -338,11 +338,15 @@ def _line_table(name: str, axis: Mapping[str, Any]) -> ResultTable:
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
     """Return the figures that only this method can fill."""
     return [
-        Figure(
-            "Axis average line",
-            "Where the axis stands and which way it leans, from its nominal place; U (k = 2).",
-            _axis(result.details["axis"]),
-            "set-up",
+        *(
+            Figure(
+                "Axis average line",
+                "Where the axis stands and which way it leans, from its nominal place; U (k = 2).",
+                _axis(result.details[name]),
+                "set-up",
+            )
+            for name in AXES
+            if name in result.details
         ),
         Figure(
             "Polar plots",

@@ -136,7 +136,9 @@ def test_a_table_with_tilts_gives_both_axes_for_people_and_controls(tmp_path):
     tilting = axis_lines(result)[1]
     assert tilting.letter == "A"
     assert tilting.point[1:] == pytest.approx(np.array(POINT[1:]) + world.line[:2], abs=5e-6)
-    names = [table.name for table in setup().method.tables(result)]
+    figures = setup().method.figures(result, None)
+    assert [figure.title for figure in figures].count("Axis average line") == 2
+    names = [each.name for each in setup().method.tables(result)]
     assert names[:2] == ["axis", "tilting_axis"]
     assert {"XOC_by_tilt", "ECC_by_tilt", "EXA", "EAA"} <= set(names)
 
@@ -175,7 +177,11 @@ def test_what_does_not_fit_is_refused(tmp_path):
     refused(
         ConfigurationError, "150 deg is beyond plan.tilt_limits_deg", "plan.tilts_deg=[0, 150]"
     )
-    refused(PlanError, "", "plan.table_positions=2")
+    refused(
+        PlanError,
+        "with 2 table angles the observations cannot tell apart axis",
+        "plan.table_positions=2",
+    )
     flat = table_of(tmp_path / "flat.csv", "position,ball,x_m,y_m,z_m", [(0, 0, 0.1, 0.0, 0.0)])
     with pytest.raises(DataError, match="has no column of tilts"):
         read_measurements(flat, setup()).solve()
