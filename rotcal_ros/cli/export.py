@@ -124,12 +124,12 @@ def command(
         return read_source(path, Input(path, setup, targets, changes, announce=understood))
 
     forward = read(source)
-    if asked.controller == VOLUMETRIC:
-        _refuse_what_only_controllers_take(asked, reverse)
-        _show(_write_volumetric(forward, asked), as_json)
-    elif what == AXIS:
+    if what == AXIS:
         _refuse_what_only_tables_take(asked, reverse)
         _write_location(forward, asked, as_json)
+    elif asked.controller == VOLUMETRIC:
+        _refuse_what_only_controllers_take(asked, reverse)
+        _show(_write_volumetric(forward, asked), as_json)
     else:
         backward = None if reverse is None else read(reverse)
         export, paths = write_export(forward, asked, backward)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any, Final
 
@@ -87,7 +87,7 @@ class Located:
     values: Mapping[str, float]
     source: str
     notes: tuple[str, ...] = ()
-    unverified: tuple[str, ...] = field(default_factory=tuple)
+    unverified: tuple[str, ...] = ()
 
 
 def axis_lines(result: Result) -> tuple[AxisLine, ...]:
