@@ -63,6 +63,8 @@ class World:
             or self.plan.table_start_deg
             + self.plan.table_step_deg * np.arange(self.plan.table_positions)
         )
+        if self.plan.chain.endswith("-C"):
+            self.angles = -self.angles
         self.balls = np.reshape(self.plan.balls_m, (-1, 3)) - self.plan.axis_m
         tilts = max(1, len(self.plan.tilts_deg))
         if self.motions is None:
@@ -87,7 +89,7 @@ class World:
         world.linear = 1e-6 * size * rng.standard_normal((3, 3))
         world.axis = tuple(1e-4 * rng.standard_normal(4))
         world.missed = placing * rng.standard_normal(world.balls.shape)
-        if plan.chain != "C":
+        if plan.chain.strip("-") != "C":
             world.line = tuple(1e-4 * rng.standard_normal(4))
             world.tilting = moves[:, None] * rng.standard_normal(world.tilting.shape)
             world.obey_the_definitions()
@@ -101,7 +103,7 @@ class World:
         """
         count, sense = len(self.angles), -1 if self.plan.chain[0] == "-" else 1
         turns, tilts = np.tile(self.angles, len(self.plan.tilts_deg)), self.plan.tilts_deg
-        along, alpha = "AB".index(self.plan.chain[-2]), sense * np.radians(tilts)
+        along, alpha = "AB".index(self.plan.chain.strip("-")[0]), sense * np.radians(tilts)
         across = (along + 1) % 3, (along + 2) % 3
         pairs = [across, tuple(3 + k for k in across)]
         for _ in range(200):  # both at once: each spoils the other a little
@@ -113,9 +115,9 @@ class World:
 
     def tilted(self, tilt):
         """Return what the tilting axis does (4, 4) to all that stands on it, from the foot."""
-        if self.plan.chain == "C":
+        if self.plan.chain.strip("-") == "C":
             return np.eye(4)
-        along = "AB".index(self.plan.chain[-2])
+        along = "AB".index(self.plan.chain.strip("-")[0])
         across = [k for k in range(3) if k != along]
         place, lean, turn = np.zeros((3, 3))
         place[across], lean[across] = self.line[:2], self.line[2:]

@@ -16,6 +16,7 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.calibration import Calibration, prepare_to_measure
 from rotcal_ros.methods.configuration import Configuration, changed
 from rotcal_ros.methods.table_balls.method import model, nominal
+from rotcal_ros.methods.table_balls.settings import below_the_table
 from rotcal_ros.planning.readings import Readings
 
 USUAL: Final = """
@@ -99,7 +100,7 @@ def _measured(plan: Calibration, touch_s: float, way_s: float, turn_deg_s: float
     settings, steps = plan.configuration.plan, plan.plan.steps
     read = Readings.of([step.observed(nominal(step)) for step in steps])
     expanded = COVERAGE_FACTOR * predicted(model(plan.configuration, read)).std
-    lines = AXES * (1 if settings.chain == "C" else 2)
+    lines = AXES * (2 if below_the_table(settings.chain) else 1)
     of_lines = expanded[len(expanded) - lines :].reshape(-1, 2, 2)
     count = len(plan.plan.table_angles)
     turned = np.abs(np.diff([step.table_angle for step in steps])).sum() / DEGREE

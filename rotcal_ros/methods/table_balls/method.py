@@ -58,10 +58,12 @@ from rotcal_ros.methods.table_balls.settings import (
     BallsPlanSettings,
     BallsSimulationSettings,
     BallsSolverSettings,
+    below_the_table,
 )
 from rotcal_ros.methods.table_balls.simulation import simulated_instrument
 from rotcal_ros.planning.plan import Pause, Plan, Point, Step, pauses_at_stations
 from rotcal_ros.planning.readings import Readings
+from rotcal_ros.planning.table_angles import table_angles
 
 NAME: Final = "table_balls"
 TURN: Final = 2.0 * np.pi
@@ -109,7 +111,7 @@ def plan(configuration: Configuration) -> Plan:
     places = planned_places(balls)
     kind = KINDS[settings.measure]
     steps: list[Step] = []
-    stops = list(_stops(settings, balls))
+    stops = list(_stops(settings))
     for number, (run, position, angle) in product(range(balls.tilts), stops):
         ways = range(len(balls.places))
         for ball in ways if position % 2 == 0 else ways[::-1]:
@@ -134,23 +136,24 @@ def plan(configuration: Configuration) -> Plan:
         letter = balls.tilting.letter
         turn = [f"turn {letter} to {degrees:g} deg" for degrees in balls.tilting.degrees]
         pauses = pauses_at_stations(steps, letter, turn)
-    return Plan(NAME, tuple(balls.angles.tolist()), targets, tuple(steps), pauses)
+    return Plan(NAME, table_angles(settings), targets, tuple(steps), pauses)
 
 
 def _check_chain(settings: BallsPlanSettings, source: str) -> None:
     """Raise ConfigurationError for tilts without an axis, too few, or beyond its limits."""
     tilts, (lowest, highest) = settings.tilts_deg, settings.tilt_limits_deg
-    if settings.chain == "C":
+    letter = below_the_table(settings.chain)
+    if not letter:
         if tilts:
             raise ConfigurationError(
-                f"{source}: plan.tilts_deg: no axis of the chain C tilts the table: state "
-                "plan.chain, such as AC"
+                f"{source}: plan.tilts_deg: no axis of the chain {settings.chain} tilts the "
+                "table: state plan.chain, such as AC"
             )
         return
     if len(set(tilts)) < 2:
         raise ConfigurationError(
             f"{source}: plan.tilts_deg: {len(set(tilts))} tilts do not tell where "
-            f"{settings.chain[-2]} stands, expected two or more, as far apart as can be"
+            f"{letter} stands, expected two or more, as far apart as can be"
         )
     if beyond := [tilt for tilt in tilts if not lowest <= tilt <= highest]:
         raise ConfigurationError(
@@ -167,9 +170,9 @@ def planned_places(balls: BallsOnTable) -> Floats:
     return np.array([balls.tilting.forth(flat, tilt) for tilt in range(balls.tilts)])
 
 
-def _stops(settings: BallsPlanSettings, balls: BallsOnTable) -> Iterator[tuple[int, int, float]]:
+def _stops(settings: BallsPlanSettings) -> Iterator[tuple[int, int, float]]:
     """Yield run, table position and commanded angle (rad) of every stop of the table."""
-    angles = balls.angles
+    angles = np.array(table_angles(settings))
     step = float(np.diff(angles).max(initial=0.0))
     whole = angles[-1] + step - angles[0] > TURN * (1.0 - 1e-9)
     on = TURN if whole and settings.turns_on else 0.0
@@ -223,7 +226,7 @@ def model(configuration: Configuration, read: Readings) -> Model:
         raise DataError(
             f"ball {ball} seems to stand at ({x:.4f}, {y:.4f}, {z:.4f}) m at table angle 0, "
             f"{away.max() / MILLIMETRE:.3g} mm from its place in plan.balls_m: correct that or "
-            "plan.axis_m, or the table turns the other way, or z points into it"
+            "plan.axis_m, or the table turns the other way (plan.chain), or z points into it"
         )
     return found
 
@@ -426,7 +429,7 @@ READERS: Final = [planned_table(c, v) for c in (COLUMNS, TILTED) for v in (AT, O
 def read_rows(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
     """Return the centres of a table, or the displacements, as its columns say."""
     displaced, tilted = "dx_m" in table.header, "tilt" in table.header
-    if tilted == (configuration.plan.chain == "C"):
+    if tilted != bool(below_the_table(configuration.plan.chain)):
         has, needs = ("a", "states an axis for it") if tilted else ("no", "has none, as C")
         raise DataError(
             f"{table.path} has {has} column of tilts, expected a plan.chain that {needs}: "
@@ -444,7 +447,9 @@ BY_MODEL: Final = ByModel(
     components=lambda configuration: components_of(balls_of(configuration)),
     nominal=nominal,
     coordinates=3,
-    further=lambda configuration: len(AXIS) * (1 if configuration.plan.chain == "C" else 2),
+    further=lambda configuration: (
+        len(AXIS) * (2 if below_the_table(configuration.plan.chain) else 1)
+    ),
     counts_from="mean",
 )
 METHOD: Final = BY_MODEL.method(

@@ -42,7 +42,11 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
+from rotcal_ros.methods.table_balls.settings import (
+    BallsPlanSettings,
+    BallsSolverSettings,
+    sense_of,
+)
 from rotcal_ros.methods.table_balls.tilting import Tilting
 from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.readings import Readings
@@ -73,6 +77,8 @@ UM: Final = Unit("um", MICROMETRE)
 class BallsOnTable:
     """Which ball is seen at which angle: ``angles`` (p,) rad; ``position``, ``ball`` (n,).
 
+    The angles count counter-clockwise; ``sense`` times them are those that were commanded.
+
     ``tilting``: the axis below the table, if there is one, and ``tilt`` (n,), which of its t
     tilts; the motions (6, t p) of the table are those at all angles, tilt after tilt.
     ``origin`` (3,): c0 in the machine's coordinates. ``places`` (k, 3): nominal places of the
@@ -87,6 +93,7 @@ class BallsOnTable:
     ball: Ints
     stated: Floats
     sigma: float
+    sense: float
     tilting: Tilting | None
     tilt: Ints
 
@@ -100,7 +107,8 @@ class BallsOnTable:
 
         Raises PlanError for coordinates that are no points and angles that do not ascend.
         """
-        angles = np.array(table_angles(plan))
+        sense = sense_of(plan.chain, "C")
+        angles = sense * np.array(table_angles(plan))
         balls = np.array(triples(plan.balls_m, "balls_m")).reshape(-1, 3)
         origin = np.array(plan.axis_m)
         tilting = Tilting.of(plan)
@@ -113,7 +121,7 @@ class BallsOnTable:
         stated = np.array([shift, shift, shift, lean, lean, UNSTATED_RAD])
         places = balls - origin
         sigma = solver.sigma_centre_m
-        return cls(angles, origin, places, position, ball, stated, sigma, tilting, tilt)
+        return cls(angles, origin, places, position, ball, stated, sigma, sense, tilting, tilt)
 
     @property
     def tilts(self) -> int:
@@ -340,6 +348,11 @@ def ball_motions(balls: BallsOnTable, place: Floats) -> Iterator[Floats]:
         yield rows
 
 
+def _deviation(balls: BallsOnTable, name: str) -> Floats:
+    """Return rows (p, u) of a deviation: the mean of the tilts; ECC by the sense of the table."""
+    return mean_of_tilts(balls, name) * (balls.sense if name == "ECC" else 1.0)
+
+
 def mean_of_tilts(balls: BallsOnTable, name: str) -> Floats:
     """Return rows (p, u) of a motion of the table, the mean of all tilts."""
     rows = block_rows(balls.blocks, name)
@@ -355,7 +368,9 @@ def _by_tilt(balls: BallsOnTable, tilting: Tilting) -> dict[str, Floats]:
         axis = np.repeat(block_rows(blocks, "axis")[number][None], balls.tilts, axis=0)
         axis[:, balls.first[TILTING] :] += rows
         found[f"{name} by tilt"] = axis
-    found |= {f"{name} by tilt": block_rows(blocks, name) for name in components_of(balls)}
+    for name in components_of(balls):
+        sense = balls.sense if name == "ECC" else 1.0
+        found[f"{name} by tilt"] = sense * block_rows(blocks, name)
     return found | {name: block_rows(blocks, name) for name in tilting.motions}
 
 
@@ -378,7 +393,7 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     known = stated(balls, places, solver)
     known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
     blocks, axis = balls.blocks, np.tile(np.arange(3), len(read.points))
-    outputs = [mean_of_tilts(balls, name) for name in components_of(balls)]
+    outputs = [_deviation(balls, name) for name in components_of(balls)]
     outputs.append(block_rows(blocks, "axis"))
     also = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
     for name in ("scale", "squareness"):

@@ -45,8 +45,8 @@ class BallsPlanSettings(TableAngleSettings):
     chain: str = setting(
         "C",
         doc="rotary axes from the machine to the work: C alone, or on A or B, which tilts it; '-' "
-        "if that turns clockwise, seen against its direction",
-        choices=("C", "AC", "BC", "-AC", "-BC"),
+        "before one that turns clockwise, seen against its direction",
+        choices=tuple(f"{below}{c}" for below in ("", "A", "-A", "B", "-B") for c in ("C", "-C")),
     )
     tilts_deg: tuple[float, ...] = setting(
         (),
@@ -80,6 +80,16 @@ class BallsPlanSettings(TableAngleSettings):
         first=True,
     )
     points_per_ball: int = points_setting(5)
+
+
+def below_the_table(chain: str) -> str:
+    """Return the axis that tilts the table, A or B; empty: none does."""
+    return chain.replace("-", "")[:-1]
+
+
+def sense_of(chain: str, letter: str) -> float:
+    """Return 1 for an axis of the chain that turns counter-clockwise, -1 for the others."""
+    return -1.0 if f"-{letter}" in chain else 1.0
 
 
 @dataclass(frozen=True)

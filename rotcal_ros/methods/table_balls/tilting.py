@@ -20,7 +20,11 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
-from rotcal_ros.methods.table_balls.settings import BallsPlanSettings
+from rotcal_ros.methods.table_balls.settings import (
+    BallsPlanSettings,
+    below_the_table,
+    sense_of,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +42,10 @@ class Tilting:
     @classmethod
     def of(cls, plan: BallsPlanSettings) -> Tilting | None:
         """Return that of a plan; None: the table stands on no other."""
-        if plan.chain == "C":
+        letter = below_the_table(plan.chain)
+        if not letter:
             return None
-        sense, letter = (-1.0 if plan.chain[0] == "-" else 1.0), plan.chain[-2]
-        tilts = sense * np.array(plan.tilts_deg) * DEGREE
+        tilts = sense_of(plan.chain, letter) * np.array(plan.tilts_deg) * DEGREE
         return cls(letter, np.array(plan.tilting_axis_m), tilts, plan.tilts_deg)
 
     @property

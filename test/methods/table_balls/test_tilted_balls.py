@@ -19,7 +19,7 @@ CONFIG = Path(__file__).parents[3] / "config" / "table_balls.yaml"
 TILTS = (-60.0, 0.0, 50.0, 90.0)
 POINT = (0.02, 0.01, -0.1)
 SIGMA = 1e-6
-LINES = {"AC": ("YOA", "ZOA", "BOA", "COA"), "-BC": ("XOB", "ZOB", "AOB", "COB")}
+LINES = {"AC": ("YOA", "ZOA", "BOA", "COA"), "-B-C": ("XOB", "ZOB", "AOB", "COB")}
 
 
 def planned(chain="AC", balls=THREE, **more):
@@ -57,13 +57,14 @@ def test_motions_of_both_axes_and_the_table_s_axis_at_each_tilt(chain):
     world.linear = np.zeros((3, 3))
     fit, first, model = solved(world)
     told = dict(zip(model.also, np.split(fit.value[first + 8 :], _ends(model)), strict=True))
-    letter = chain[-2]
+    letter, turns = chain.strip("-")[0], -1 if chain.endswith("-C") else 1
     for number, part in enumerate("XYZABC"):
         found = told[f"E{part}{letter}"]
         assert found == pytest.approx(world.tilting[number], abs=2e-8)
-        by_tilt = told[f"E{part}C by tilt"]
-        assert by_tilt == pytest.approx(world.motions[number], abs=2e-8)
-        mean = world.motions[number].reshape(len(TILTS), -1).mean(axis=0)
+        by_tilt, true = told[f"E{part}C by tilt"], world.motions[number]
+        true = true * (turns if number == 5 else 1)  # actual less commanded
+        assert by_tilt == pytest.approx(true, abs=2e-8)
+        mean = true.reshape(len(TILTS), -1).mean(axis=0)
         assert fit.value[8 * number : 8 * number + 8] == pytest.approx(mean, abs=2e-8)
     seen = np.array([told[f"{name} by tilt"] for name in AXIS]).T
     along, sense = "AB".index(letter), -1 if chain[0] == "-" else 1
@@ -75,6 +76,18 @@ def test_motions_of_both_axes_and_the_table_s_axis_at_each_tilt(chain):
         foot, along_c = there[:3, 3], there[:3, 2]
         foot = foot - foot[2] * along_c / along_c[2]
         assert seen[tilt] == pytest.approx([*foot[:2], -along_c[1], along_c[0]], abs=4e-8)
+
+
+def test_a_table_that_turns_clockwise_has_its_own_sense():
+    """With C alone: commanded angles grow, ECC is how far the table turns too much."""
+    plan = BallsPlanSettings(balls_m=THREE, axis_m=(0.0, 0.0, 0.06), chain="-C")
+    world = World(plan, axis=(4e-5, -3e-5, 2e-5, -5e-5))
+    world.motions[5] = 1e-5 * np.cos(3.0 * world.angles)
+    model = model_of(plan, world.solver, world.readings())
+    fit = fitted(model, np.ones(len(model.observed), dtype=bool), model.std, model.first)
+    assert fit.value[60:72] == pytest.approx(-world.motions[5], abs=5e-9)
+    assert fit.value[72:76] == pytest.approx(world.axis, abs=5e-9)
+    assert (world.angles[1:] < 0.0).all()
 
 
 def _ends(model):
