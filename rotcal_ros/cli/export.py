@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,12 +16,12 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.report.terminal.console import say, tell, understood
 
 if TYPE_CHECKING:
-    from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.request import ExportRequest
     from rotcal_ros.recordings.result_sources import ResultSource
 
 VOLUMETRIC: Final = "volumetric"
 """No controller, but all measured deviations as CSV and JSON."""
+AXIS: Final = "axis"
 
 
 @click.command(epilog="Controllers and their settings: docs/controllers.md.")
@@ -33,6 +33,12 @@ VOLUMETRIC: Final = "volumetric"
     required=True,
     shell_complete=installed(plugins.CONTROLLERS, VOLUMETRIC),
     help="Controller, or 'volumetric'.",
+)
+@click.option(
+    "--what",
+    type=click.Choice(["table", AXIS]),
+    default="table",
+    help="Compensation table, or where the axes are.",
 )
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
 @click.option(
@@ -89,6 +95,7 @@ def command(
     targets: Path | None,
     reverse: Path | None,
     settings: tuple[str, ...],
+    what: str,
     **options: Any,
 ) -> int:
     """Write the table of BAG (a folder, .mcap, .db3), TABLE or RESULT (.json) for a controller.
@@ -102,6 +109,9 @@ def command(
 
     The settings of the joint come from --machine-ini; a copy of that file, which uses the table,
     is written beside the table. The option is the same as --set machine_ini=FILE.
+
+    --what axis writes where the axes are instead, as the parameters of the controller's
+    kinematics, from a result of table_balls.
     """
     from rotcal_ros.compensation.request import ExportRequest, write_export
     from rotcal_ros.recordings.inputs import Input
@@ -114,49 +124,94 @@ def command(
         return read_source(path, Input(path, setup, targets, changes, announce=understood))
 
     forward = read(source)
-    if asked.controller == VOLUMETRIC:
+    if what == AXIS:
+        _refuse_what_only_tables_take(asked, reverse)
+        _write_location(forward, asked, as_json)
+    elif asked.controller == VOLUMETRIC:
         _refuse_what_only_controllers_take(asked, reverse)
         _show(_write_volumetric(forward, asked), as_json)
     else:
         backward = None if reverse is None else read(reverse)
         export, paths = write_export(forward, asked, backward)
-        _show_export(export, paths, as_json)
+        _show_written(export.files, paths, as_json, export.in_words())
     return 0
+
+
+def _given(options: dict[str, Any]) -> str:
+    """Return the names of the options that were given."""
+    return ", ".join(name for name, value in options.items() if value is not None)
+
+
+def _of_tables(asked: ExportRequest, reverse: Path | None) -> dict[str, Any]:
+    """Return the options that only a table of a controller uses."""
+    return {
+        "--spacing": asked.spacing, "--reference": asked.reference, "--reverse": reverse,
+        "--harmonics": asked.harmonics, "--revolutions": asked.revolutions,
+        "--replace": asked.replace or None, "--add-to": asked.add_to,
+    }  # fmt: skip
+
+
+def _refuse_what_only_tables_take(asked: ExportRequest, reverse: Path | None) -> None:
+    """Raise ConfigurationError for options that the place of an axis does not use."""
+    if given := _given(_of_tables(asked, reverse)):
+        raise ConfigurationError(
+            f"{given}: no use for --what axis, which writes no table; leave it out"
+        )
 
 
 def _refuse_what_only_controllers_take(asked: ExportRequest, reverse: Path | None) -> None:
     """Raise ConfigurationError for options that a volumetric table does not use."""
-    only_controllers = {
-        "--spacing": asked.spacing, "--reference": asked.reference, "--reverse": reverse,
-        "--harmonics": asked.harmonics, "--revolutions": asked.revolutions,
+    only_controllers = _of_tables(asked, reverse) | {
         "--machine-ini": asked.machine_ini, "--set": asked.settings or None,
-        "--replace": asked.replace or None, "--add-to": asked.add_to,
         "--accept-unverified": asked.accept_unverified or None,
     }  # fmt: skip
-    if given := [name for name, value in only_controllers.items() if value is not None]:
+    if given := _given(only_controllers):
         raise ConfigurationError(
-            f"{', '.join(given)}: no use for a volumetric table, which holds the deviations "
+            f"{given}: no use for a volumetric table, which holds the deviations "
             "as measured; leave it out"
         )
 
 
-def _write_volumetric(forward: ResultSource, asked: ExportRequest) -> tuple[Path, ...]:
-    """Write all deviations; contradictions are refused, or printed if accepted."""
+def _letter(forward: ResultSource, asked: ExportRequest) -> str:
+    """Return the axis to write for; contradictions are refused, or printed if accepted."""
     from rotcal_ros.compensation.agreement import MachineIdentity, require
+
+    machines, axis = asked.machines(), asked.measured_axis(forward)
+    known = forward.result.circumstances
+    measured = MachineIdentity(axis, known.identity.serial)
+    for note in require(measured, known.from_ns, machines, asked.accepted(), asked.now_ns):
+        say(f"warning: {note}")
+    return next(machine.axis for machine in machines.values()) or axis
+
+
+def _write_volumetric(forward: ResultSource, asked: ExportRequest) -> tuple[Path, ...]:
+    """Write all deviations."""
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
     from rotcal_ros.foundation.in_force import in_words
 
-    machines, accepted = asked.machines(), asked.accepted()
-    axis, result = asked.measured_axis(forward), forward.result
-    measured = MachineIdentity(axis, result.circumstances.identity.serial)
-    begun_ns = result.circumstances.from_ns
-    for note in require(measured, begun_ns, machines, accepted, asked.now_ns):
-        say(f"warning: {note}")
+    letter, result = _letter(forward, asked), forward.result
     say(in_words(result.measured_on))
-    letter = next(machine.axis for machine in machines.values()) or axis
     name = asked.name or f"{letter}_{VOLUMETRIC}".lower()
     return write_files(volumetric_files(result, name, letter), asked.out)
+
+
+def _write_location(forward: ResultSource, asked: ExportRequest, as_json: bool) -> None:
+    """Write where the axes are, and say what the controller cannot hold."""
+    from rotcal_ros.compensation.axis_location import prepare_location
+    from rotcal_ros.compensation.writing import write_files
+
+    files, words = prepare_location(
+        forward.result,
+        asked.controller,
+        now=asked.now,
+        axis=_letter(forward, asked),
+        settings=asked.controller_settings(),
+        stem=asked.name,
+        accept_unverified=asked.accept_unverified,
+        sources=forward.sha256,
+    )
+    _show_written(files, write_files(files, asked.out), as_json, words)
 
 
 def _is_of_configuration(setting: str) -> bool:
@@ -175,12 +230,14 @@ def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:
         tell(*files)
 
 
-def _show_export(export: ExportFiles, paths: Iterable[Path], as_json: bool) -> None:
-    """Print what was written, with its provenance and its warnings."""
+def _show_written(
+    files: Mapping[str, str], paths: Iterable[Path], as_json: bool, words: Iterable[str]
+) -> None:
+    """Print what was written, with its provenance and what to know of it, in ``words``."""
     from rotcal_ros.compensation.writing import PROVENANCE
 
-    side = next(text for file, text in export.files.items() if file.endswith(PROVENANCE))
+    side = next(text for file, text in files.items() if file.endswith(PROVENANCE))
     _show(paths, as_json, provenance=json.loads(side))
     if not as_json:
-        for line in export.in_words():
+        for line in words:
             say(line)

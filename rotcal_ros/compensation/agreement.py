@@ -116,6 +116,16 @@ def require(
     )
 
 
+def require_verified(title: str, unverified: Iterable[str]) -> None:
+    """Raise ConfigurationError if something about the controller ``title`` is not verified."""
+    if words := "; ".join(unverified):
+        raise ConfigurationError(
+            f"{title}: not verified: {words}. Give --accept-unverified to write the file "
+            "nevertheless, and test it with one small value first",
+            question=Question(ACCEPT, ((UNVERIFIED, f"{title}: not verified: {words}"),)),
+        )
+
+
 def _contradictions(
     measured: MachineIdentity, machines: Mapping[str, MachineIdentity]
 ) -> dict[str, list[str]]:

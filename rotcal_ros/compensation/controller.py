@@ -8,14 +8,16 @@ verifies a file before it counts as written. How to add one: ``docs/controllers.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Protocol
 
+from rotcal_ros.compensation.axis_location import AxisLine, Located
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import TURN
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 
 EVERY_TURN: Final = (-TURN, 2.0 * TURN)
@@ -119,6 +121,18 @@ class Controller(ABC):
         """Return copies of the machine's own files, changed so that it uses ``files``, by name."""
         del axis, files
         return {}
+
+    def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
+        """Return the parameters that say where axes are: the table's, and what tilts it.
+
+        Names of files begin with ``stem``; comments may repeat ``head``. Raises
+        ConfigurationError when the controller has no such parameters.
+        """
+        del lines, stem, head
+        raise ConfigurationError(
+            f"{self.facts.title}: no parameters are known for the place of an axis; 'csv' writes "
+            "it for people"
+        )
 
     @property
     def travel(self) -> tuple[float, float]:

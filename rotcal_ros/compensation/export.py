@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.agreement import ACCEPT, UNVERIFIED
+from rotcal_ros.compensation.agreement import require_verified
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held_table import in_force_of
@@ -35,7 +35,7 @@ from rotcal_ros.foundation.circumstances import NOTHING_MEASURED, SIMULATED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.foundation.curves.measured import gaps_of
-from rotcal_ros.foundation.errors import ConfigurationError, DataError, Question
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import in_words, known_hash
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 
@@ -160,13 +160,8 @@ def _refuse(
             f"the table is for axis {table.axis} and the export for axis {axis}: leave the "
             "axis out, or accept another one; nothing was written"
         )
-    if controller.unverified and not accept_unverified:
-        title, unverified = controller.facts.title, "; ".join(controller.unverified)
-        raise ConfigurationError(
-            f"{title}: not verified: {unverified}. Give --accept-unverified to write the file "
-            "nevertheless, and test it with one small value first",
-            question=Question(ACCEPT, ((UNVERIFIED, f"{title}: not verified: {unverified}"),)),
-        )
+    if not accept_unverified:
+        require_verified(controller.facts.title, controller.unverified)
 
 
 def _text(side: Mapping[str, Any]) -> str:

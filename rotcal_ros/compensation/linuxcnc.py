@@ -15,7 +15,7 @@ of the servo period (compute_screw_comp in control.c).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -23,6 +23,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.compensation.axis_location import AxisLine, Located
 from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
@@ -32,6 +33,7 @@ from rotcal_ros.compensation.controller_files import (
     require_at_most,
     with_line,
 )
+from rotcal_ros.compensation.linuxcnc_kinematics import KINEMATICS, machine_of, pins
 from rotcal_ros.compensation.linuxcnc_machine import (
     AGENT,
     ENCODING,
@@ -46,7 +48,7 @@ from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE, NANOSECOND
 from rotcal_ros.foundation.untrusted import read_bytes
 
 MAX_ROWS: Final = 256
@@ -121,6 +123,11 @@ class LinuxCnc(Controller):
         0.0, doc="deg/s, fastest programmed feed; 0: MAX_VELOCITY", minimum=0.0
     )
     home_deg: float = setting(0.0, doc="deg, HOME of the joint, where the trim begins with 0")
+    kinematics: str = setting(
+        KINEMATICS[0],
+        doc="that get the place of the axes, in mm; machine_ini tells both",
+        choices=KINEMATICS,
+    )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table and the two ini lines that must go with it.
@@ -196,6 +203,13 @@ class LinuxCnc(Controller):
             servo_period_ns=self.servo_period_ns or joint.servo_period_ns,
             home_deg=self.home_deg or joint.home_deg,
         )
+
+    def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
+        """Return HAL lines for the pins of the kinematics."""
+        kinematics, unit_m = self.kinematics, MILLIMETRE
+        if self.machine_ini:
+            kinematics, unit_m = machine_of(Ini.read(Path(self.machine_ini)))
+        return pins(lines, stem, head, kinematics, unit_m)
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
         """Return what remains because of the lag of the trim."""

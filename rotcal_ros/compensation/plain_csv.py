@@ -7,12 +7,13 @@ circle ends with the row at 360 deg, equal to the first.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.compensation.axis_location import AxisLine, Located, millimetres
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
@@ -79,6 +80,19 @@ class PlainCsv(Controller):
         if table.std_reverse is None:
             columns.append(np.full(len(angles), SAME_STD))
         return {f"{stem}.csv": self.text_of(np.column_stack(columns))}
+
+    def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
+        """Return a point of each axis in mm, and its direction."""
+        del head
+        names = [f"{part}{axis}" for part in ("point_mm_", "direction_") for axis in "xyz"]
+        rows = [["axis", *names]]
+        values = dict[str, float]()
+        for line in lines:
+            numbers = [*millimetres(line.point), *np.round(line.direction, ANGLE_DECIMALS)]
+            values |= {f"{line.letter} {n}": float(x) for n, x in zip(names, numbers, strict=True)}
+            rows.append([line.letter, *(fixed(x, ANGLE_DECIMALS) for x in numbers)])
+        text = "\n".join(",".join(row) for row in rows) + "\n"
+        return Located({f"{stem}.csv": text}, values, self.facts.source)
 
     def read(self, files: Mapping[str, str]) -> CsvTable:
         """Read the table back; BagError names the row that is damaged."""

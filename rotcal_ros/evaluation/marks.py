@@ -237,16 +237,20 @@ def beside_the_curves(result: Result, *, valid: bool) -> list[str]:
 
 def _axis_line(details: Mapping[str, Any], *, valid: bool) -> list[str]:
     """Return where the axis average line is (ISO 230-1: XOC and so on), if the method finds it."""
-    axis = details.get("axis")
-    if not isinstance(axis, Mapping) or "names" not in axis:
-        return []
+    lines = [details.get(which) for which in ("axis", "tilting_axis")]
+    return [
+        _line(axis, valid=valid) for axis in lines if isinstance(axis, Mapping) and "names" in axis
+    ]
+
+
+def _line(axis: Mapping[str, Any], *, valid: bool) -> str:
     found = []
     for name, number, std in zip(axis["names"], axis["value"], axis["std"], strict=True):
         unit, label = SHOWN_IN["rad" if name[0] in "ABC" else "m"]
         text = minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
         found.append(f"{name} {text if valid else text.split(' ')[0]} {label}")
     place = ", ".join(f"{x / MILLIMETRE:g}" for x in axis["origin"])
-    return [phrase("Axis at ({0}) mm, from its nominal place: {1}.", place, ", ".join(found))]
+    return phrase("Axis at ({0}) mm, from its nominal place: {1}.", place, ", ".join(found))
 
 
 def reversals(result: Result, *, valid: bool) -> list[str]:

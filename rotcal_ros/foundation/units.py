@@ -9,4 +9,5 @@ MICRORADIAN: Final = 1e-6
 MILLIMETRE: Final = 1e-3
 MICROMETRE: Final = 1e-6
 NANOSECOND: Final = 1e-9
+MINUTE: Final = 60.0
 HOUR: Final = 3600.0

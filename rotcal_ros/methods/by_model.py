@@ -91,7 +91,7 @@ class ByModel:
     arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
     nominal: See = lambda _step: (0.0, 0.0, 0.0)
     coordinates: int = 1
-    further: int = 0
+    further: Callable[[Configuration], int] = lambda _configuration: 0
     counts_from: str = "first angle"
 
     def solve(
@@ -101,7 +101,7 @@ class ByModel:
         found, read = self._adjusted(configuration, observations), Readings.of(observations)
         statement = self.states(configuration, found)
         components = self.components(configuration)
-        count = (len(found.value) - self.further) // len(components)
+        count = (len(found.value) - self.further(configuration)) // len(components)
         result = found.result(
             self.name,
             np.array(plan.table_angles[:count]),
@@ -126,10 +126,8 @@ class ByModel:
     ) -> Trials:
         """Prepare Monte Carlo trials about accepted observations."""
         prepared = self._adjusted(configuration, observations).trials
-        if self.further:
-            prepared = DrawnTrials(
-                prepared.value[: -self.further], prepared.causes[: -self.further]
-            )
+        if further := self.further(configuration):
+            prepared = DrawnTrials(prepared.value[:-further], prepared.causes[:-further])
         arrivals = self.arrivals(configuration)
         if arrivals is None:
             return prepared
@@ -159,7 +157,8 @@ class ByModel:
         )
         seen = zip(plan.steps, map(tuple, values.tolist()), strict=True)
         read = tuple(step.observed(point) for step, point in seen)
-        curves = (model.outputs @ unknowns)[: len(model.outputs) - self.further]
+        further = self.further(configuration)
+        curves = (model.outputs @ unknowns)[: len(model.outputs) - further]
         return DisturbedMeasurement(read, self._curves(configuration, curves, plan))
 
     def method(self, *, disturbances: Sequence[Disturbance] = (), **more: Any) -> Method:

@@ -29,11 +29,23 @@ def turned(*angles):
     return found
 
 
+def without(motions, angles, pairs):
+    """Return motions (6, n) without what pairs of them have that turns with the angles (n,)."""
+    found = motions.copy()
+    for x, y in pairs:
+        plane = (motions[x] + 1j * motions[y]) * np.exp(-1j * angles)
+        plane = (plane - plane.mean()) * np.exp(1j * angles)
+        found[x], found[y] = plane.real, plane.imag
+    return found
+
+
 @dataclass
 class World:
     """Truth: ``axis`` (4,) place and lean, ``motions`` (6, p), ``linear`` (3, 3), balls as found.
 
-    The machine reads p + linear (p - foot), the axis and its motions refer to the foot.
+    The machine reads p + linear (p - foot), the axis and its motions refer to the foot. On a
+    tilting axis (``plan.chain``) ``motions`` are (6, t p), tilt after tilt; ``line`` (4,) is the
+    place and direction of that axis, ``tilting`` (6, t) its motions.
     """
 
     plan: BallsPlanSettings
@@ -42,6 +54,8 @@ class World:
     motions: np.ndarray = None
     linear: np.ndarray = None
     missed: np.ndarray = None
+    line: tuple = (6e-5, -4e-5, 3e-5, -2e-5)
+    tilting: np.ndarray = None
 
     def __post_init__(self):
         self.angles = np.radians(
@@ -49,9 +63,14 @@ class World:
             or self.plan.table_start_deg
             + self.plan.table_step_deg * np.arange(self.plan.table_positions)
         )
+        if self.plan.chain.endswith("-C"):
+            self.angles = -self.angles
         self.balls = np.reshape(self.plan.balls_m, (-1, 3)) - self.plan.axis_m
+        tilts = max(1, len(self.plan.tilts_deg))
         if self.motions is None:
-            self.motions = np.zeros((6, len(self.angles)))
+            self.motions = np.zeros((6, tilts * len(self.angles)))
+        if self.tilting is None:
+            self.tilting = np.zeros((6, tilts))
         if self.linear is None:
             self.linear = np.zeros((3, 3))
         if self.missed is None:
@@ -63,21 +82,65 @@ class World:
         solver = solver or BallsSolverSettings()
         world = cls(plan, solver)
         shift, tilt = solver.error_motion_std_m, np.radians(solver.tilt_std_arcsec / 3600)
-        size = np.array([shift, shift, shift, tilt, tilt, 3e-5])
-        world.motions = size[:, None] * rng.standard_normal((6, len(world.angles)))
+        moves = np.array([shift, shift, shift, tilt, tilt, 3e-5])
+        world.motions = moves[:, None] * rng.standard_normal(world.motions.shape)
         scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
         size = np.triu(np.full((3, 3), square)) + (scale - square) * np.eye(3)
         world.linear = 1e-6 * size * rng.standard_normal((3, 3))
         world.axis = tuple(1e-4 * rng.standard_normal(4))
         world.missed = placing * rng.standard_normal(world.balls.shape)
+        if plan.chain.strip("-") != "C":
+            world.line = tuple(1e-4 * rng.standard_normal(4))
+            world.tilting = moves[:, None] * rng.standard_normal(world.tilting.shape)
+            world.obey_the_definitions()
         return world
 
-    def centre(self, position, ball):
+    def obey_the_definitions(self):
+        """Take from the motions what belongs to lines, to balls, and to the motions below.
+
+        At each tilt the table's have no mean, over all tilts no part that turns with the table;
+        those of the tilting axis have neither.
+        """
+        count, sense = len(self.angles), -1 if self.plan.chain[0] == "-" else 1
+        turns, tilts = np.tile(self.angles, len(self.plan.tilts_deg)), self.plan.tilts_deg
+        along, alpha = "AB".index(self.plan.chain.strip("-")[0]), sense * np.radians(tilts)
+        across = (along + 1) % 3, (along + 2) % 3
+        pairs = [across, tuple(3 + k for k in across)]
+        for _ in range(200):  # both at once: each spoils the other a little
+            each = self.motions.reshape(6, -1, count)
+            self.motions = (each - each.mean(axis=2, keepdims=True)).reshape(6, -1)
+            self.motions = without(self.motions, turns, [(0, 1), (3, 4)])
+            self.tilting = self.tilting - self.tilting.mean(axis=1, keepdims=True)
+            self.tilting = without(self.tilting, alpha, pairs)
+
+    def tilted(self, tilt):
+        """Return what the tilting axis does (4, 4) to all that stands on it, from the foot."""
+        if self.plan.chain.strip("-") == "C":
+            return np.eye(4)
+        along = "AB".index(self.plan.chain.strip("-")[0])
+        across = [k for k in range(3) if k != along]
+        place, lean, turn = np.zeros((3, 3))
+        place[across], lean[across] = self.line[:2], self.line[2:]
+        sense = -1 if self.plan.chain[0] == "-" else 1
+        turn[along] = sense * np.radians(self.plan.tilts_deg[tilt])
+        shift, tip = self.tilting[:3, tilt], self.tilting[3:, tilt]
+        to = shifted(np.subtract(self.plan.tilting_axis_m, self.plan.axis_m) + place)
+        there = to @ turned(*lean)
+        return (
+            to
+            @ shifted(shift)
+            @ turned(*tip)
+            @ turned(*lean)
+            @ turned(*turn)
+            @ np.linalg.inv(there)
+        )
+
+    def centre(self, position, ball, tilt=0):
         """Return where the machine finds a ball (3,), m."""
         x, y, a, b = self.axis
-        exc, eyc, ezc, eac, ebc, ecc = self.motions[:, position]
+        exc, eyc, ezc, eac, ebc, ecc = self.motions[:, tilt * len(self.angles) + position]
         chain = (
-            shifted((x, y, 0.0)) @ turned(a, b, 0.0) @ shifted((exc, eyc, ezc))
+            self.tilted(tilt) @ shifted((x, y, 0.0)) @ turned(a, b, 0.0) @ shifted((exc, eyc, ezc))
             @ turned(eac, ebc, 0.0) @ turned(0.0, 0.0, self.angles[position] + ecc)
         )  # fmt: skip
         place = chain @ np.append(self.balls[ball] + self.missed[ball], 1.0)
@@ -86,15 +149,17 @@ class World:
     def readings(self, noise=0.0, rng=None, keep=slice(None)):
         """Return all readings of the plan, run by run, the first position again at the end."""
         count, balls = len(self.angles), len(self.balls)
+        tilts = len(self.plan.tilts_deg)
         rows = [
             (position, ball, run)
-            for run in range(self.plan.runs)
+            for run in range(tilts or self.plan.runs)
             for position in range(count)
             for ball in range(balls)
         ]
         if self.plan.closing:
-            rows += [(0, ball, self.plan.runs - 1) for ball in range(balls)]
-        points = np.array([self.centre(position, ball) for position, ball, _ in rows])
+            last = range(tilts) if tilts else [self.plan.runs - 1]
+            rows += [(0, ball, run) for run in last for ball in range(balls)]
+        points = np.array([self.centre(p, ball, run if tilts else 0) for p, ball, run in rows])
         if rng is not None:
             points = points + noise * rng.standard_normal(points.shape)
         columns = (*np.array(rows).T, points[:, 0], np.arange(len(rows)), points)

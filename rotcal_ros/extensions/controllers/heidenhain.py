@@ -7,10 +7,13 @@ axis; 256 entries, of which a rotary axis uses 0 .. 360. Sources: ``Heidenhain.f
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
+from rotcal_ros.compensation.axis_location import AxisLine, Located, millimetres
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
@@ -34,6 +37,12 @@ OPEN: Final = (
     "the text form of the files (BEGIN, NR, [END])",
     "how the table continues beyond 360 deg",
 )
+CHAIN_SOURCE: Final = "Technical Manual iTNC 530 HSCI (July 2013) pp. 670, 722"
+CHAIN_OPEN: Final = (
+    "the sign of the rows Trans, and that they count from the machine's zero: compare with those "
+    "that the machine holds, the difference has to be small",
+)
+LEANS: Final = "the rows hold no leans of the axes: KinematicsOpt changes only places, too"
 DIFFERENCE: Final = (
     "a BACKLASH of differences: the manual (p. 716) has values measured in negative direction"
 )
@@ -62,6 +71,18 @@ class Heidenhain(Controller):
     def unverified(self) -> tuple[str, ...]:
         """What has not been confirmed yet; differences contradict the manual."""
         return OPEN if self.backlash == ABSOLUTE else (*OPEN, DIFFERENCE)
+
+    def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
+        """Return rows of a kinematics description, which go to the table's axis at last."""
+        rows, at, values = list[str](), np.zeros(3), dict[str, float]()
+        for line in reversed(lines):
+            for axis, x in zip("XYZ", millimetres(line.point - at), strict=True):
+                rows.append(f"Trans     {axis} {x:+.4f}")
+                values[f"{axis} before {line.letter}"] = float(x)
+            rows.append(f"MachAxis  {line.letter}")
+            at = line.point
+        text = "\n".join([*(f"; {line}" for line in head), "KEY       AXIS COORD", *rows])
+        return Located({f"{stem}.txt": text + "\n"}, values, CHAIN_SOURCE, (LEANS,), CHAIN_OPEN)
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the .COM table and its .CMA table; ConfigurationError above 256 rows."""

@@ -11,12 +11,13 @@ Manual Extended Functions K3, 6FC5397-1BP40-3BA1 (03/2013) pp. 237-264; 808D Fun
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.compensation.axis_location import AxisLine, Located, millimetres
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
@@ -40,6 +41,12 @@ from rotcal_ros.foundation.units import DEGREE
 DECIMALS: Final = 7
 STEP_DEG: Final = 1e-6
 ENC_COMP: Final = "enc_comp"
+AXIS_DECIMALS: Final = 9
+CHAIN_SOURCE: Final = "6FC5397-1DP40-6BA1 (12/2017) p. 572"
+CHAIN_OPEN: Final = (
+    "that the vectors count from the machine's zero, and the sign of MD24570 and MD24572: compare "
+    "with what the machine holds, the difference has to be small",
+)
 
 
 @dataclass(frozen=True)
@@ -113,6 +120,35 @@ class Sinumerik(Controller):
     def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
         """Return the files with a comment below the head."""
         return with_line(files, ".ini", 2, f"; {text}")
+
+    def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
+        """Return machine data of a five-axis transformation with a swivel table (type 40).
+
+        I2 leads from the machine's zero to the first axis, I3 from there to the table's, and I4 =
+        -(I2 + I3) back; axes that move the work have their directions reversed.
+        """
+        table, *tilting = lines
+        vectors = {"MD24500 $MC_TRAFO5_PART_OFFSET_1": millimetres(-table.point)}
+        if tilting:
+            first = tilting[0].point
+            vectors |= {
+                "MD24550 $MC_TRAFO5_BASE_TOOL_1": millimetres(first),
+                "MD24558 $MC_TRAFO5_JOINT_OFFSET_PART_1": millimetres(table.point - first),
+                "MD24570 $MC_TRAFO5_AXIS1_1": np.round(-tilting[0].direction, AXIS_DECIMALS),
+            }
+        vectors["MD24572 $MC_TRAFO5_AXIS2_1"] = np.round(-table.direction, AXIS_DECIMALS)
+        values = {
+            f"{name.split()[1]}[{k}]": float(x) + 0.0
+            for name, vector in sorted(vectors.items())
+            for k, x in enumerate(vector)
+        }
+        rows = [f"{name}={fixed(x, AXIS_DECIMALS)}" for name, x in values.items()]
+        notes = () if tilting else (
+            "the tilting axis was not measured: MD24558 $MC_TRAFO5_JOINT_OFFSET_PART_1 has to be "
+            "-(MD24500 + MD24550), so that the vectors close",
+        )  # fmt: skip
+        text = "\n".join([*(f"; {line}" for line in head), "CHANDATA(1)", *rows, "M17"]) + "\n"
+        return Located({f"{stem}.ini": text}, values, CHAIN_SOURCE, notes, CHAIN_OPEN)
 
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read ENC_COMP or a pair of CEC tables back; BagError when something is missing."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +13,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.model import Model, require_determined
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import (
@@ -24,7 +26,7 @@ from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.protection import Effect, Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Table
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.by_model import OF_AXES, ByModel, Statement
@@ -56,10 +58,12 @@ from rotcal_ros.methods.table_balls.settings import (
     BallsPlanSettings,
     BallsSimulationSettings,
     BallsSolverSettings,
+    below_the_table,
 )
 from rotcal_ros.methods.table_balls.simulation import simulated_instrument
-from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.plan import Pause, Plan, Point, Step, pauses_at_stations
 from rotcal_ros.planning.readings import Readings
+from rotcal_ros.planning.table_angles import table_angles
 
 NAME: Final = "table_balls"
 TURN: Final = 2.0 * np.pi
@@ -80,6 +84,8 @@ AXIS_SHOWN: Final = (
     (ARCSEC, "arcsec"),
 )
 """Units in which people read :data:`AXIS`."""
+AXES: Final = ("axis", "tilting_axis")
+"""Details of a result that tell a line."""
 ARRIVALS: Final = 1.0
 """What arrivals that scatter do before they are found, per what noise does: by simulation, as
 scripts/power_table.py does."""
@@ -93,20 +99,23 @@ def balls_of(configuration: Configuration, read: Readings | None = None) -> Ball
 def plan(configuration: Configuration) -> Plan:
     """Return the plan: every run goes through all angles, at each to all balls, there and back.
 
-    A step's ``station`` is its run. Raises ConfigurationError for a ball without place, PlanError
-    for angles that do not ascend.
+    A step's ``station`` is its run; with a tilting axis its tilt, to which a person brings it.
+    Raises ConfigurationError for a ball without place and for tilts that do not fit the chain,
+    PlanError for angles that do not ascend.
     """
     settings: BallsPlanSettings = configuration.plan
+    _check_chain(settings, configuration.source)
     balls = balls_of(configuration)
     if not len(balls.places):
         raise ConfigurationError(f"{configuration.source}: plan.balls_m: state at least one ball")
-    places = balls.turned(balls.places) + balls.origin
+    places = planned_places(balls)
     kind = KINDS[settings.measure]
     steps: list[Step] = []
-    for run, position, angle in _stops(settings, balls):
+    stops = list(_stops(settings))
+    for number, (run, position, angle) in product(range(balls.tilts), stops):
         ways = range(len(balls.places))
         for ball in ways if position % 2 == 0 else ways[::-1]:
-            x, y, z = places[position, ball].tolist()
+            x, y, z = places[number, position, ball].tolist()
             steps.append(
                 Step(
                     index=len(steps),
@@ -116,18 +125,54 @@ def plan(configuration: Configuration) -> Plan:
                     kind=kind,
                     target=ball,
                     position=(x, y, z),
-                    station=run,
+                    station=run if balls.tilting is None else number,
                     n_points=settings.points_per_ball if kind == PointKind.SURFACE else 1,
                     ball_diameter=settings.ball_diameter_m,
                 )
             )
     targets = tuple((x, y, z) for x, y, z in (balls.places + balls.origin).tolist())
-    return Plan(NAME, tuple(balls.angles.tolist()), targets, tuple(steps))
+    pauses: tuple[Pause, ...] = ()
+    if balls.tilting is not None:
+        letter = balls.tilting.letter
+        turn = [f"turn {letter} to {degrees:g} deg" for degrees in balls.tilting.degrees]
+        pauses = pauses_at_stations(steps, letter, turn)
+    return Plan(NAME, table_angles(settings), targets, tuple(steps), pauses)
 
 
-def _stops(settings: BallsPlanSettings, balls: BallsOnTable) -> Iterator[tuple[int, int, float]]:
+def _check_chain(settings: BallsPlanSettings, source: str) -> None:
+    """Raise ConfigurationError for tilts without an axis, too few, or beyond its limits."""
+    tilts, (lowest, highest) = settings.tilts_deg, settings.tilt_limits_deg
+    letter = below_the_table(settings.chain)
+    if not letter:
+        if tilts:
+            raise ConfigurationError(
+                f"{source}: plan.tilts_deg: no axis of the chain {settings.chain} tilts the "
+                "table: state plan.chain, such as AC"
+            )
+        return
+    if len(set(tilts)) < 2:
+        raise ConfigurationError(
+            f"{source}: plan.tilts_deg: {len(set(tilts))} tilts do not tell where "
+            f"{letter} stands, expected two or more, as far apart as can be"
+        )
+    if beyond := [tilt for tilt in tilts if not lowest <= tilt <= highest]:
+        raise ConfigurationError(
+            f"{source}: plan.tilts_deg: {beyond[0]:g} deg is beyond plan.tilt_limits_deg, "
+            f"{lowest:g} to {highest:g}"
+        )
+
+
+def planned_places(balls: BallsOnTable) -> Floats:
+    """Return where each ball is planned at each angle of each tilt (t, p, k, 3), m."""
+    flat = balls.turned(balls.places) + balls.origin
+    if balls.tilting is None:
+        return flat[None]
+    return np.array([balls.tilting.forth(flat, tilt) for tilt in range(balls.tilts)])
+
+
+def _stops(settings: BallsPlanSettings) -> Iterator[tuple[int, int, float]]:
     """Yield run, table position and commanded angle (rad) of every stop of the table."""
-    angles = balls.angles
+    angles = np.array(table_angles(settings))
     step = float(np.diff(angles).max(initial=0.0))
     whole = angles[-1] + step - angles[0] > TURN * (1.0 - 1e-9)
     on = TURN if whole and settings.turns_on else 0.0
@@ -165,9 +210,9 @@ def model(configuration: Configuration, read: Readings) -> Model:
     A displacement counts from where the nest was sent, which is where the ball is planned.
     """
     if configuration.plan.measure == DISPLACEMENT:
-        planned = balls_of(configuration)
-        sent = planned.turned(planned.places) + planned.origin
-        read = replace(read, points=read.points + sent[read.position, read.target])
+        planned = balls_of(configuration, read)
+        sent = planned_places(planned)[planned.tilt, planned.position, planned.ball]
+        read = replace(read, points=read.points + sent)
     found = model_of(configuration.plan, configuration.solver, read)
     balls = balls_of(configuration, read)
     assert found.start is not None
@@ -181,7 +226,7 @@ def model(configuration: Configuration, read: Readings) -> Model:
         raise DataError(
             f"ball {ball} seems to stand at ({x:.4f}, {y:.4f}, {z:.4f}) m at table angle 0, "
             f"{away.max() / MILLIMETRE:.3g} mm from its place in plan.balls_m: correct that or "
-            "plan.axis_m, or the table turns the other way, or z points into it"
+            "plan.axis_m, or the table turns the other way (plan.chain), or z points into it"
         )
     return found
 
@@ -234,41 +279,40 @@ def _linear_axes(configuration: Configuration) -> Iterator[tuple[str, Effect, fl
 
 
 def _details(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:
-    """Return the axis with its covariance, SI; and which motions the balls do not tell."""
-    axis = slice(-len(AXIS), None)
-    return {
-        "axis": {
-            "names": list(AXIS),
-            "value": found.value[axis],
-            "std": found.std[axis],
-            "covariance": found.covariance[axis, axis],
-            "origin": balls.origin,
-        },
+    """Return the axes with their covariances, SI; and which motions the balls do not tell."""
+    tilting, four = balls.tilting, len(AXIS)
+    end = len(found.value) - (0 if tilting is None else four)
+    details = {
+        "axis": _line(found, slice(end - four, end), AXIS, balls.origin),
         "untold": [name for name in COMPONENTS if name not in balls.shown],
+    }
+    if tilting is not None:
+        line = _line(found, slice(end, end + four), tilting.line, tilting.point)
+        details |= {"tilting_axis": line, "tilts": np.array(tilting.degrees) * DEGREE}
+    return details
+
+
+def _line(found: Adjusted, at: slice, names: Sequence[str], origin: Floats) -> dict[str, Any]:
+    return {
+        "names": list(names),
+        "value": found.value[at],
+        "std": found.std[at],
+        "covariance": found.covariance[at, at],
+        "origin": origin,
     }
 
 
 def tables(result: Result) -> list[ResultTable]:
-    """Return the axis, the motions of balls, and what is found of the linear axes."""
-    axis, also = result.details["axis"], result.details["also"]
-    factor = np.array([si for si, _ in AXIS_SHOWN])
-    units = [unit for _, unit in AXIS_SHOWN]
-    x, y, z = np.asarray(axis["origin"]) / MILLIMETRE
-    found = [
-        ResultTable.of(
-            "axis",
-            f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
-            quantity=axis["names"],
-            unit=units,
-            value=np.asarray(axis["value"]) / factor,
-            U_value=COVERAGE_FACTOR * np.asarray(axis["std"]) / factor,
-        )
-    ]
-    for name, rows in also.items():
-        suffix = "um" if "motion" in name else "um_per_m"
+    """Return the axes, motions that are no deviations, and what is found of the linear axes."""
+    details = result.details
+    found = [_line_table(name, details[name]) for name in AXES if name in details]
+    for name, rows in details["also"].items():
+        si, suffix = MICROMETRE, "um" if "motion" in name else "um_per_m"
+        if name[:3].isupper():
+            si, suffix = (MICROMETRE, "um") if set(name[:2]) & set("XYZ") else (ARCSEC, "arcsec")
         columns = {
-            f"value_{suffix}": np.asarray(rows["value"]) / MICROMETRE,
-            f"U_value_{suffix}": COVERAGE_FACTOR * np.asarray(rows["std"]) / MICROMETRE,
+            f"value_{suffix}": np.asarray(rows["value"]) / si,
+            f"U_value_{suffix}": COVERAGE_FACTOR * np.asarray(rows["std"]) / si,
         }
         number = range(len(rows["value"]))
         found.append(
@@ -277,14 +321,35 @@ def tables(result: Result) -> list[ResultTable]:
     return found
 
 
+def _line_table(name: str, axis: Mapping[str, Any]) -> ResultTable:
+    x, y, z = np.asarray(axis["origin"]) / MILLIMETRE
+    titles = (
+        f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
+        f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
+    )
+    factor = np.array([si for si, _ in AXIS_SHOWN])
+    return ResultTable.of(
+        name,
+        titles[AXES.index(name)],
+        quantity=axis["names"],
+        unit=[unit for _, unit in AXIS_SHOWN],
+        value=np.asarray(axis["value"]) / factor,
+        U_value=COVERAGE_FACTOR * np.asarray(axis["std"]) / factor,
+    )
+
+
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
     """Return the figures that only this method can fill."""
     return [
-        Figure(
-            "Axis average line",
-            "Where the axis stands and which way it leans, from its nominal place; U (k = 2).",
-            _axis(result.details["axis"]),
-            "set-up",
+        *(
+            Figure(
+                "Axis average line",
+                "Where the axis stands and which way it leans, from its nominal place; U (k = 2).",
+                _axis(result.details[name]),
+                "set-up",
+            )
+            for name in AXES
+            if name in result.details
         ),
         Figure(
             "Polar plots",
@@ -355,18 +420,24 @@ def _linear(effect: Effect, what: str) -> Disturbance:
 
 
 COLUMNS: Final = {"position": "table_position", "ball": "target"}
-CENTRES: Final = planned_table(COLUMNS, dict.fromkeys(("x_m", "y_m", "z_m"), FARTHEST_M))
-DISPLACEMENTS: Final = planned_table(
-    COLUMNS, dict.fromkeys(("dx_m", "dy_m", "dz_m"), LARGEST_DISPLACEMENT_M)
-)
+TILTED: Final = {**COLUMNS, "tilt": "station"}
+AT: Final = dict.fromkeys(("x_m", "y_m", "z_m"), FARTHEST_M)
+OFF: Final = dict.fromkeys(("dx_m", "dy_m", "dz_m"), LARGEST_DISPLACEMENT_M)
+READERS: Final = [planned_table(c, v) for c in (COLUMNS, TILTED) for v in (AT, OFF)]
 
 
 def read_rows(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
     """Return the centres of a table, or the displacements, as its columns say."""
-    displaced = "dx_m" in table.header
+    displaced, tilted = "dx_m" in table.header, "tilt" in table.header
+    if tilted != bool(below_the_table(configuration.plan.chain)):
+        has, needs = ("a", "states an axis for it") if tilted else ("no", "has none, as C")
+        raise DataError(
+            f"{table.path} has {has} column of tilts, expected a plan.chain that {needs}: "
+            f"plan.chain is {configuration.plan.chain}"
+        )
     measure = DISPLACEMENT if displaced else CENTRE
     configuration = replace(configuration, plan=replace(configuration.plan, measure=measure))
-    return (DISPLACEMENTS if displaced else CENTRES).read(configuration, table, targets)
+    return READERS[2 * tilted + displaced].read(configuration, table, targets)
 
 
 BY_MODEL: Final = ByModel(
@@ -376,7 +447,9 @@ BY_MODEL: Final = ByModel(
     components=lambda configuration: components_of(balls_of(configuration)),
     nominal=nominal,
     coordinates=3,
-    further=len(AXIS),
+    further=lambda configuration: (
+        len(AXIS) * (2 if below_the_table(configuration.plan.chain) else 1)
+    ),
     counts_from="mean",
 )
 METHOD: Final = BY_MODEL.method(
@@ -398,7 +471,10 @@ METHOD: Final = BY_MODEL.method(
     gauge=gauge.without_axis_and_artefact,
     zero=gauge.in_words,
     table=TableReader(
-        (*CENTRES.headers, *DISPLACEMENTS.headers), read_rows, CENTRES.columns, runs="runs"
+        tuple(header for reader in READERS for header in reader.headers),
+        read_rows,
+        TILTED,
+        runs="runs",
     ),
     tables=tables,
     figures=figures,

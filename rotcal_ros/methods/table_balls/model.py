@@ -12,6 +12,9 @@ reads more per y, x per z, y per z: the squareness of the linear axes. Names and
 and 230-7; metres, radians. Products of tilts among each other (below 1e-8 of the radius) are left
 out.
 
+Where the table stands on an axis that tilts it, that is what p is with the tilt at 0, and c0 stays
+where it is: :mod:`.tilting`. The motions of the table are then its own at every tilt.
+
 What the equations leave open is a matter of definition, see :func:`definitions`. Of the motions
 at one angle that no ball tells, the statement of the settings takes the place of observations.
 """
@@ -36,16 +39,23 @@ from rotcal_ros.adjust.model import (
     knocks,
 )
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
+from rotcal_ros.methods.table_balls.settings import (
+    BallsPlanSettings,
+    BallsSolverSettings,
+    sense_of,
+)
+from rotcal_ros.methods.table_balls.tilting import Tilting
 from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
 
 AXIS: Final = ("XOC", "YOC", "AOC", "BOC")
 """Position (m) and direction (rad) of the axis average line, named as in ISO 230-1."""
+TILTING: Final = "tilting axis"
+"""The block of the line of the axis below the table, see :attr:`.tilting.Tilting.line`."""
 MOTIONS: Final = ("radial motion", "tangential motion", "axial motion")
 """Of a ball, in the directions that turn with it."""
 ENTRIES: Final = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
@@ -67,6 +77,10 @@ UM: Final = Unit("um", MICROMETRE)
 class BallsOnTable:
     """Which ball is seen at which angle: ``angles`` (p,) rad; ``position``, ``ball`` (n,).
 
+    The angles count counter-clockwise; ``sense`` times them are those that were commanded.
+
+    ``tilting``: the axis below the table, if there is one, and ``tilt`` (n,), which of its t
+    tilts; the motions (6, t p) of the table are those at all angles, tilt after tilt.
     ``origin`` (3,): c0 in the machine's coordinates. ``places`` (k, 3): nominal places of the
     balls from there, with the table at angle 0; ``stated`` (6,): standard deviations of the
     motions, m and rad; ``sigma``: that of a coordinate of a centre, m.
@@ -79,6 +93,9 @@ class BallsOnTable:
     ball: Ints
     stated: Floats
     sigma: float
+    sense: float
+    tilting: Tilting | None
+    tilt: Ints
 
     @classmethod
     def of(
@@ -86,24 +103,44 @@ class BallsOnTable:
     ) -> BallsOnTable:
         """Return those of what was read, or of one run in which every ball is seen.
 
+        With a tilting axis the station of what was read is the tilt.
+
         Raises PlanError for coordinates that are no points and angles that do not ascend.
         """
-        angles = np.array(table_angles(plan))
+        sense = sense_of(plan.chain, "C")
+        angles = sense * np.array(table_angles(plan))
         balls = np.array(triples(plan.balls_m, "balls_m")).reshape(-1, 3)
         origin = np.array(plan.axis_m)
-        position, ball = np.indices((len(angles), len(balls))).reshape(2, -1)
+        tilting = Tilting.of(plan)
+        tilts = 1 if tilting is None else len(tilting.tilts)
+        tilt, position, ball = np.indices((tilts, len(angles), len(balls))).reshape(3, -1)
         if read is not None:
             position, ball = read.position, read.target
-        shift, tilt = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
-        stated = np.array([shift, shift, shift, tilt, tilt, UNSTATED_RAD])
+            tilt = np.zeros_like(position) if tilting is None else read.station
+        shift, lean = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
+        stated = np.array([shift, shift, shift, lean, lean, UNSTATED_RAD])
         places = balls - origin
-        return cls(angles, origin, places, position, ball, stated, solver.sigma_centre_m)
+        sigma = solver.sigma_centre_m
+        return cls(angles, origin, places, position, ball, stated, sigma, sense, tilting, tilt)
+
+    @property
+    def tilts(self) -> int:
+        """How many tilts there are; 1 without a tilting axis."""
+        return 1 if self.tilting is None else len(self.tilting.tilts)
+
+    @property
+    def stop(self) -> Ints:
+        """Which of the motions (6, t p) is seen (n,)."""
+        return self.tilt * len(self.angles) + self.position
 
     @cached_property
     def blocks(self) -> dict[str, int]:
         """How many unknowns there are of each kind; ``ball`` are three coordinates of each."""
-        motions = {name: len(self.angles) for name in COMPONENTS}
-        return {"axis": 4, "ball": self.places.size, **motions, "scale": 3, "squareness": 3}
+        motions = {name: self.tilts * len(self.angles) for name in COMPONENTS}
+        table = {"axis": 4, "ball": self.places.size, **motions, "scale": 3, "squareness": 3}
+        if self.tilting is None:
+            return table
+        return table | {TILTING: 4, **dict.fromkeys(self.tilting.motions, self.tilts)}
 
     @cached_property
     def first(self) -> dict[str, int]:
@@ -116,12 +153,12 @@ class BallsOnTable:
         return np.asarray(places @ np.swapaxes(rotation_about_z(self.angles), -1, -2))
 
     def untold(self, places: Floats, seen: Floats | float) -> Floats:
-        """Return rows (p, 6, 6), per unit of a statement, of motions that no ball tells there.
+        """Return rows (t p, 6, 6), per unit of a statement, of motions that no ball tells there.
 
-        Balls at ``places`` (k, 3); ``seen`` (p, k, 1, 1): 0 for those that are not. Rows of zeros
-        are none. A motion counts as told if a centre tells more of it than the statement does.
+        Balls at ``places`` (k, 3); ``seen`` (t p, k, 1, 1): 0 for those that are not. Rows of
+        zeros are none. A motion counts as told if a centre tells more of it than its statement.
         """
-        turned = self.turned(places)
+        turned = np.tile(self.turned(places), (self.tilts, 1, 1))
         shifts = np.broadcast_to(np.eye(3), (*turned.shape, 3))
         moves = np.concatenate([shifts, -cross_matrix(turned)], axis=-1) * self.stated * seen
         rows = np.pad(moves.reshape(len(turned), -1, 6), ((0, 0), (0, 6), (0, 0)))
@@ -138,6 +175,8 @@ class BallsOnTable:
 
     def started(self, points: Floats) -> Floats:
         """Return unknowns (u,) of a perfect table that fits ``points`` (n, 3) best."""
+        if self.tilting is not None:
+            points = self.tilting.back(points, self.tilt)
         turn = rotation_about_z(self.angles[self.position])
         design = np.zeros((*points.shape, 2 + self.places.size))
         design[:, [0, 1], [0, 1]] = 1.0
@@ -152,11 +191,40 @@ class BallsOnTable:
 
     def __call__(self, x: Floats) -> tuple[Floats, Floats]:
         """Return what the machine shows (3 n,) with unknowns ``x`` (u,), and its derivatives."""
-        first, position, n = self.first, self.position, np.arange(len(self.ball))
-        places = x[first["ball"] : first["EXC"]].reshape(-1, 3)[self.ball]
-        motions = x[first["EXC"] : first["scale"]].reshape(6, -1).T[position]
+        first = self.first
         show = np.eye(3)
-        show[ENTRIES] += x[first["scale"] :]
+        show[ENTRIES] += x[first["scale"] : first["scale"] + 6]
+        if self.tilting is None:
+            away, rows = self._on_table(x, show)
+        else:
+            away, rows = self._on_tilting(self.tilting, x, show)
+        for number, (row, column) in enumerate(zip(*ENTRIES, strict=True), first["scale"]):
+            rows[:, row, number] = away[:, column]
+        return (self.origin + away @ show.T).ravel(), rows.reshape(-1, len(x))
+
+    def _on_tilting(self, axis: Tilting, x: Floats, show: Floats) -> tuple[Floats, Floats]:
+        """Return the same as :meth:`_on_table` where the table is tilted."""
+        n, line = np.arange(len(self.tilt)), self.first[TILTING]
+        away, rows = self._on_table(x, np.eye(3))
+        from_point = self.origin - axis.point
+        away, by_away, by_line, by_motions = axis.tilted(
+            away + from_point, self.tilt, x[line : line + 4], x[line + 4 :].reshape(6, -1)
+        )
+        rows = show @ by_away @ rows
+        rows[:, :, line : line + 4] = show @ by_line
+        for number, name in enumerate(axis.motions):
+            rows[n, :, self.first[name] + self.tilt] = (show @ by_motions)[:, :, number]
+        return away - from_point, rows
+
+    def _on_table(self, x: Floats, show: Floats) -> tuple[Floats, Floats]:
+        """Return where the balls are (n, 3), from c0, as with a tilt of 0.
+
+        And what unknowns of the table do to them in a machine with the S of ``show``.
+        """
+        first, position, n = self.first, self.position, np.arange(len(self.ball))
+        stop = self.stop
+        places = x[first["ball"] : first["EXC"]].reshape(-1, 3)[self.ball]
+        motions = x[first["EXC"] : first["scale"]].reshape(6, -1).T[stop]
         turn = rotation_about_z(self.angles[position] + motions[:, 5])
         carried = np.einsum("nij,nj->ni", turn, places)
         tilt = np.eye(3) + cross_matrix(motions[:, 3:5] @ np.eye(2, 3))
@@ -172,11 +240,9 @@ class BallsOnTable:
         by_rotation[:, :, 2] = np.einsum("nij,nj->ni", fixed @ tilt, np.cross([0, 0, 1], carried))
         for axis in range(3):
             rows[n, :, first["ball"] + 3 * self.ball + axis] = by_place[:, :, axis]
-            rows[n, :, first[COMPONENTS[axis]] + position] = fixed[:, axis]
-            rows[n, :, first[COMPONENTS[3 + axis]] + position] = by_rotation[:, :, axis]
-        for number, (row, column) in enumerate(zip(*ENTRIES, strict=True), first["scale"]):
-            rows[:, row, number] = away[:, column]
-        return (self.origin + away @ show.T).ravel(), rows.reshape(-1, len(x))
+            rows[n, :, first[COMPONENTS[axis]] + stop] = fixed[:, axis]
+            rows[n, :, first[COMPONENTS[3 + axis]] + stop] = by_rotation[:, :, axis]
+        return away, rows
 
 
 def _direction(about_x: float, about_y: float) -> tuple[Floats, Floats, Floats]:
@@ -186,15 +252,17 @@ def _direction(about_x: float, about_y: float) -> tuple[Floats, Floats, Floats]:
     return y @ x, y @ by_x @ x, by_y @ y @ x
 
 
-def definitions(angles: Floats) -> Iterator[dict[str, Floats]]:
+def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
     """Yield what is zero by definition: sums over the ``angles`` (p,) of motions, by their names.
 
     No motion has a mean: that is the place and direction of the average line, of the balls along
     it and around it. EXC, EYC and EAC, EBC have no part that turns with the table: that is the
-    place of the balls. Where balls tell less, fewer of these are needed.
+    place of the balls. Where balls tell less, fewer of these are needed. Of several ``tilts``
+    each has its own means: that is the motion of what tilts.
     """
-    mean, c, s = np.ones(len(angles)), np.cos(angles), np.sin(angles)
-    yield from ({name: mean} for name in COMPONENTS)
+    c, s = np.tile(np.cos(angles), tilts), np.tile(np.sin(angles), tilts)
+    for mean in np.repeat(np.eye(tilts), len(angles), axis=1):
+        yield from ({name: mean} for name in COMPONENTS)
     for x, y in (("EXC", "EYC"), ("EAC", "EBC")):
         yield from ({x: c, y: s}, {x: -s, y: c})
 
@@ -206,12 +274,14 @@ def stated(balls: BallsOnTable, places: Floats, solver: BallsSolverSettings) -> 
     (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
     """
     rows = _untold_rows(balls, places)
-    sums = np.array([spread(balls, each) for each in definitions(balls.angles)])
+    sums = np.array([spread(balls, each) for each in definitions(balls.angles, balls.tilts)])
     taken = rows @ np.linalg.qr(sums.T)[0]
     left, ways = np.linalg.eigh(np.eye(len(rows)) - taken @ taken.T)
     kept = left > SHARED
     rows = (
-        (ways[:, kept] / np.sqrt(left[kept])).T @ rows / np.repeat(balls.stated, len(balls.angles))
+        (ways[:, kept] / np.sqrt(left[kept])).T
+        @ rows
+        / np.repeat(balls.stated, balls.tilts * len(balls.angles))
     )
     first, end = balls.first["EXC"], balls.first["scale"]
     scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
@@ -224,8 +294,9 @@ def stated(balls: BallsOnTable, places: Floats, solver: BallsSolverSettings) -> 
 
 def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
     """Return orthonormal rows (k, 6 p), per unit of a statement, of what no ball tells."""
-    position, seen = np.arange(len(balls.angles)), np.zeros((len(balls.angles), len(places), 1, 1))
-    seen[balls.position, balls.ball] = 1.0
+    count = balls.tilts * len(balls.angles)
+    position, seen = np.arange(count), np.zeros((count, len(places), 1, 1))
+    seen[balls.stop, balls.ball] = 1.0
     untold = balls.untold(places, seen)
     rows = np.zeros((*untold.shape, len(position)))
     rows[position, :, :, position] = untold
@@ -234,8 +305,8 @@ def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
 
 
 def spread(balls: BallsOnTable, sums: dict[str, Floats]) -> Floats:
-    """Return factors (6 p,) of all motions, those of ``sums`` and zeros."""
-    zeros = np.zeros(len(balls.angles))
+    """Return factors (6 t p,) of all motions, those of ``sums`` and zeros."""
+    zeros = np.zeros(balls.tilts * len(balls.angles))
     return np.concatenate([sums.get(name, zeros) for name in COMPONENTS])
 
 
@@ -250,14 +321,16 @@ def defined(balls: BallsOnTable, telling: Floats) -> Floats:
     size = np.pad(size, (0, len(ways) - len(size)))
     open_, chosen = ways[size <= WEAK * size[0]], np.zeros((0, len(scale)))
     known, radius = np.zeros((0, len(open_))), float(np.abs(balls.places).max())
-    for sums in definitions(balls.angles):
+    of_tilting = () if balls.tilting is None else balls.tilting.definitions()
+    for sums in (*definitions(balls.angles, balls.tilts), *of_tilting):
         row = np.zeros(len(scale))
-        row[balls.first["EXC"] : balls.first["scale"]] = spread(balls, sums)
+        for name, factors in sums.items():
+            row[balls.first[name] : balls.first[name] + len(factors)] = factors
         felt = open_ @ (row / scale)
         new = felt - known.T @ (known @ felt)
         if np.linalg.norm(new) > SHARED * np.linalg.norm(row / scale):
             known = np.concatenate([known, new[None] / np.linalg.norm(new)])
-            lever = 1.0 if sums.keys() <= set(TRANSLATIONS) else radius
+            lever = 1.0 if all(name[1] in "XYZ" for name in sums) else radius
             chosen = np.concatenate([chosen, row[None] * lever / len(balls.angles)])
     return chosen / (HELD * balls.sigma)
 
@@ -271,8 +344,34 @@ def ball_motions(balls: BallsOnTable, place: Floats) -> Iterator[Floats]:
         parts = np.concatenate([direction, np.cross(place, direction)], axis=1)
         rows = np.zeros((len(place), sum(balls.blocks.values())))
         for number, name in enumerate(COMPONENTS):
-            rows += parts[:, number, None] * block_rows(balls.blocks, name)
+            rows += parts[:, number, None] * mean_of_tilts(balls, name)
         yield rows
+
+
+def _deviation(balls: BallsOnTable, name: str) -> Floats:
+    """Return rows (p, u) of a deviation: the mean of the tilts; ECC by the sense of the table."""
+    return mean_of_tilts(balls, name) * (balls.sense if name == "ECC" else 1.0)
+
+
+def mean_of_tilts(balls: BallsOnTable, name: str) -> Floats:
+    """Return rows (p, u) of a motion of the table, the mean of all tilts."""
+    rows = block_rows(balls.blocks, name)
+    if balls.tilts == 1:
+        return rows
+    return np.asarray(rows.reshape(balls.tilts, -1, rows.shape[1]).mean(axis=0))
+
+
+def _by_tilt(balls: BallsOnTable, tilting: Tilting) -> dict[str, Floats]:
+    """Return rows of the table's axis and its motions at each tilt, and of the tilting axis."""
+    blocks, found = balls.blocks, dict[str, Floats]()
+    for number, (name, rows) in enumerate(tilting.table_axis(balls.origin).items()):
+        axis = np.repeat(block_rows(blocks, "axis")[number][None], balls.tilts, axis=0)
+        axis[:, balls.first[TILTING] :] += rows
+        found[f"{name} by tilt"] = axis
+    for name in components_of(balls):
+        sense = balls.sense if name == "ECC" else 1.0
+        found[f"{name} by tilt"] = sense * block_rows(blocks, name)
+    return found | {name: block_rows(blocks, name) for name in tilting.motions}
 
 
 def components_of(balls: BallsOnTable) -> tuple[str, ...]:
@@ -284,8 +383,9 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     """Return unknowns, centres and what could spoil them.
 
     Outputs are the :func:`components_of` the balls at the table positions, and below them
-    :data:`AXIS` at the height of the origin. ``also``: the motions of each ball where the balls do
-    not tell all six of the table, and the errors of the linear axes.
+    :data:`AXIS` at the height of the origin and the line of the tilting axis. ``also``: the
+    motions of each ball where the balls do not tell all six of the table, the errors of the linear
+    axes, and what happens at each tilt. Deviations are the means of the tilts.
     """
     balls = BallsOnTable.of(plan, solver, read)
     start = balls.started(read.points)
@@ -293,16 +393,23 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     known = stated(balls, places, solver)
     known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
     blocks, axis = balls.blocks, np.tile(np.arange(3), len(read.points))
-    outputs = [block_rows(blocks, name) for name in components_of(balls)]
+    outputs = [_deviation(balls, name) for name in components_of(balls)]
+    outputs.append(block_rows(blocks, "axis"))
     also = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
     for name in ("scale", "squareness"):
         also[name] = block_rows(blocks, name)
-    numbers = (read.position, read.target, read.station)
-    position, target, station = (np.repeat(number, 3) for number in numbers)
+    if balls.tilting is not None:
+        outputs.append(block_rows(blocks, TILTING))
+        also |= _by_tilt(balls, balls.tilting)
+    numbers = (balls.stop, read.position, read.target, read.station)
+    stop, position, target, station = (np.repeat(number, 3) for number in numbers)
+    run = "run" if balls.tilting is None else "tilt"
     when = np.repeat(read.when, 3)
     names = [
-        f"{'xyz'[a]} of ball {ball} at position {at}, run {run}"
-        for a, ball, at, run in zip(axis, target, position, station, strict=True)
+        f"{'xyz'[a]} of ball {ball} at position {at}, run {number}"
+        if balls.tilting is None
+        else f"{'xyz'[a]} of ball {ball} at position {at}, tilt {number}"
+        for a, ball, at, number in zip(axis, target, position, station, strict=True)
     ]
     largest = solver.largest_shift_um * MICROMETRE
     model = Model(
@@ -310,15 +417,15 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
         observed=read.points.ravel(),
         std=np.full(read.points.size, balls.sigma),
         equations=balls,
-        outputs=np.concatenate([*outputs, block_rows(blocks, "axis")]),
+        outputs=np.concatenate(outputs),
         words=Words("coordinates", "dirt, heat or a loose ball", "at the balls", "at the ball"),
         unit=UM,
         start=start,
         also=also,
         components=("the centres",),
         groupings=(
-            Grouping("position", position),  # of each the start trusts the better part
-            Grouping("run", station, along=when),
+            Grouping("position", stop),  # of each the start trusts the better part
+            Grouping(run, station, along=when),
             Grouping("ball", target),
         ),
         effects=(

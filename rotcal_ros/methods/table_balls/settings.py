@@ -42,6 +42,25 @@ class BallsPlanSettings(TableAngleSettings):
         first=True,
     )
     ball_diameter_m: float = setting(0.025, doc="m, of the balls", minimum=1e-4, first=True)
+    chain: str = setting(
+        "C",
+        doc="rotary axes from the machine to the work: C alone, or on A or B, which tilts it; '-' "
+        "before one that turns clockwise, seen against its direction",
+        choices=tuple(f"{below}{c}" for below in ("", "A", "-A", "B", "-B") for c in ("C", "-C")),
+    )
+    tilts_deg: tuple[float, ...] = setting(
+        (),
+        doc="deg, where the tilting axis stops; 0 need not be among them",
+    )
+    tilt_limits_deg: tuple[float, float] = setting(
+        (-120.0, 120.0), doc="deg, between which the tilting axis may stand"
+    )
+    tilting_axis_m: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        doc="m, nominal point of the tilting axis: YOA and ZOA (XOB and ZOB) count from it",
+        minimum=-FARTHEST_M,
+        maximum=FARTHEST_M,
+    )
     runs: int = setting(
         2,
         doc="how often the table goes through its angles; with one ball only a second run checks "
@@ -61,6 +80,16 @@ class BallsPlanSettings(TableAngleSettings):
         first=True,
     )
     points_per_ball: int = points_setting(5)
+
+
+def below_the_table(chain: str) -> str:
+    """Return the axis that tilts the table, A or B; empty: none does."""
+    return chain.replace("-", "")[:-1]
+
+
+def sense_of(chain: str, letter: str) -> float:
+    """Return 1 for an axis of the chain that turns counter-clockwise, -1 for the others."""
+    return -1.0 if f"-{letter}" in chain else 1.0
 
 
 @dataclass(frozen=True)

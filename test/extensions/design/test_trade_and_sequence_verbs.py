@@ -60,6 +60,32 @@ def test_stations_that_see_nothing_are_refused():
         data_of("trade", "mirror", "--stations", "2")
 
 
+def test_balls_of_a_perfect_table_reach_the_bound_and_take_what_is_stated(tmp_path):
+    """Of one ball that only the noise keeps from telling the axis: a circle is the best plan."""
+    setup = tmp_path / "setup.yaml"
+    setup.write_text(
+        "method: table_balls\nballs_m: [[0.15, 0.0, 0.08]]\naxis_m: [0.0, 0.0, 0.08]\n"
+        "closing: false\nerror_motion_std_m: 1.0e-9\ntilt_std_arcsec: 0.001\n"
+        "scale_std_um_per_m: 0.001\nsquareness_std_um_per_m: 0.001\n"
+    )
+    options = ("--angles", "4,12", "--runs", "1,2", "--touch-s", "2", "--way-s", "3")
+    ways = data_of("trade", "balls", str(setup), *options, "--turn-deg-s", "10")["ways"]
+    assert {way["balls"] for way in ways} == {1}
+    for way in ways:
+        assert way["bound"] == pytest.approx(2e-6 / np.sqrt(way["centres"]))
+        # both coordinates share the radius, which is not known: sin and cos, each n / 2
+        assert way["bound"] <= way["place"] < 1.5 * way["bound"]
+        assert way["touches"] == 5 * way["centres"] == 5 * way["angles"] * way["runs"]
+        turned = 360.0 * way["runs"] - 360.0 / way["angles"]
+        assert way["seconds"] == pytest.approx(13.0 * way["centres"] + turned / 10.0)
+    done = run("trade", "balls", str(setup), *options, "--need-um", "1.0")
+    assert "fewest touches for U <= 1 um: " in done.stderr
+    done = run("trade", "balls", str(setup), *options, "--need-um", "0.001")
+    assert "none of these reaches 0.001 um within 15 minutes" in done.stderr
+    with pytest.raises(PlanError, match="none of these numbers of balls"):
+        data_of("trade", "balls", str(setup), "--balls", "3")
+
+
 def test_tables_for_people():
     done = run("trade", "plate", "--grid", "12", "--balls", "6")
     assert done.exception is None

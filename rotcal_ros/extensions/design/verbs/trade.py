@@ -17,7 +17,7 @@ from rotcal_ros.extensions.design.verbs.options import (
     positive_whole_numbers,
 )
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE, MINUTE
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
 
 
@@ -67,7 +67,8 @@ def trade(context: click.Context, as_json: bool) -> int:
     Without a method: the usual case of each.
     """
     if context.invoked_subcommand is None:
-        tables = {"tracer": _usual(tracer), "plate": _usual(plate), "mirror": _usual(mirror)}
+        methods = {"tracer": tracer, "plate": plate, "mirror": mirror, "balls": balls}
+        tables = {name: _usual(command) for name, command in methods.items()}
         if as_json:
             print_json({name: table.data for name, table in tables.items()})
             return 0
@@ -242,6 +243,66 @@ def mirror(
     ]
     title = "plane mirror: stations, reflectors and hours (U with k = 2, rms)"
     return TradeTable(_rows(rows), columns, title)
+
+
+@trade.command(cls=TradeCommand)
+@click.argument("configuration", type=path_type, metavar="[CONFIG]", required=False)
+@shown_option("--need-um", type=positive, default=1.0, help="um, wanted U of the axis, k = 2.")
+@shown_option("--minutes", type=positive, default=15.0, help="min, that it may take.")
+@shown_option("--balls", "numbers", default="1,2,3", help="Numbers of balls, of those of CONFIG.")
+@shown_option("--angles", default="6,8,12,18", help="Table angles in a turn.")
+@shown_option("--runs", default="1,2,3", help="Runs through the angles.")
+@shown_option("--touch-s", type=positive, default=2.0, help="s, one touch.")
+@shown_option("--way-s", type=positive, default=3.0, help="s, the way to a ball.")
+@shown_option("--turn-deg-s", type=positive, default=12.0, help="deg/s, of the table.")
+@json_option
+def balls(
+    configuration: Path | None,
+    need_um: float,
+    minutes: float,
+    numbers: str,
+    angles: str,
+    runs: str,
+    touch_s: float,
+    way_s: float,
+    turn_deg_s: float,
+) -> TradeTable:
+    """Touches and minutes that balls on the table take, for CONFIG or the usual case."""
+    from rotcal_ros.extensions.design.balls_trade import USUAL, balls_trade
+    from rotcal_ros.methods import parse_configuration, read_configuration
+
+    rows = balls_trade(
+        read_configuration(configuration) if configuration else parse_configuration(USUAL),
+        positive_whole_numbers(numbers, "--balls"),
+        positive_whole_numbers(angles, "--angles"),
+        positive_whole_numbers(runs, "--runs"),
+        touch_s=touch_s,
+        way_s=way_s,
+        turn_deg_s=turn_deg_s,
+    )
+    need, limit = need_um * MICROMETRE, minutes * MINUTE
+    good = [row for row in rows if row.place <= need and row.seconds <= limit]
+    fewest = min(good, key=lambda row: (row.touches, row.seconds), default=None)
+    if fewest is None:
+        note = f"none of these reaches {need_um:g} um within {minutes:g} minutes"
+    else:
+        note = (
+            f"fewest touches for U <= {need_um:g} um: {fewest.touches}, with {fewest.balls} balls "
+            f"at {fewest.angles} angles, runs: {fewest.runs}"
+        )
+    columns = [
+        Column("balls", [row.balls for row in rows]),
+        Column("angles", [row.angles for row in rows]),
+        Column("runs", [row.runs for row in rows]),
+        Column("touches", [row.touches for row in rows]),
+        column_of("minutes", [row.seconds for row in rows], MINUTE, ".1f"),
+        column_of("U(XOC)/um", [row.place for row in rows], MICROMETRE, ".2f"),
+        column_of("no plan below/um", [row.bound for row in rows], MICROMETRE, ".2f"),
+        column_of("U(AOC)/arcsec", [row.lean for row in rows], ARCSEC, ".2f"),
+        column_of("U(ECC)/arcsec", [row.turn for row in rows], ARCSEC, ".2f"),
+    ]
+    title = "balls on the table: touches, minutes and U of the axis (k = 2)"
+    return TradeTable({"need_m": need, **_rows(rows)}, columns, title, (note,))
 
 
 def _rows(rows: Sequence[Any]) -> dict[str, Any]:

@@ -1,0 +1,175 @@
+"""Where rotary axes stand, as the parameters of a controller's kinematics.
+
+A result of :mod:`~rotcal_ros.methods.table_balls` tells the axis average line of the table, and
+of the axis that tilts it, in the machine's coordinates. A controller that moves the tool with the
+table has numbers for this; each kind writes its own (:meth:`.controller.Controller.locate`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.compensation.agreement import require_verified
+from rotcal_ros.compensation.table import check_verdict
+from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.circumstances import NOTHING_MEASURED, SIMULATED
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
+
+KIND: Final = "rotcal_axis_location"
+TABLE_AXIS: Final = "axis"
+TILTING_AXIS: Final = "tilting_axis"
+"""Details of a result, each with names, value, covariance, origin and what it is parallel to."""
+ALONG: Final = {"A": 0, "B": 1, "C": 2}
+"""The direction that an axis is nominally parallel to."""
+DECIMALS: Final = 6
+"""Of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxisLine:
+    """The axis average line of the axis ``letter``, in the machine's coordinates.
+
+    ``point`` (3,), m, is on it; ``direction`` (3,) points along it at a length of about 1; both
+    with the other rotary axes at zero. ``found``: the values (4,) by name, with their standard
+    uncertainties, m and rad.
+    """
+
+    letter: str
+    point: Floats
+    direction: Floats
+    found: Mapping[str, tuple[float, float]]
+
+    @classmethod
+    def of(cls, found: Mapping[str, Any]) -> AxisLine:
+        """Return the line that details of a result tell; two places, then two small turns."""
+        names, value = list(found["names"]), np.asarray(found["value"], dtype=np.float64)
+        letter = names[0][-1]
+        point, turn = np.array(found["origin"], dtype=np.float64), np.zeros(3)
+        for name, number in zip(names[:2], value[:2], strict=True):
+            point["XYZ".index(name[0])] += number
+        for name, number in zip(names[2:], value[2:], strict=True):
+            turn["ABC".index(name[0])] = number
+        along = np.eye(3)[ALONG[letter]]
+        values = dict(zip(names, zip(value.tolist(), found["std"], strict=True), strict=True))
+        return cls(letter, point, along + np.cross(turn, along), values)
+
+    def in_words(self) -> str:
+        """Return place and lean with U (k = 2); files of controllers hold no other signs."""
+        x, y, z = self.point / MILLIMETRE
+        parts = []
+        for name, (value, std) in self.found.items():
+            unit, word = (MICROMETRE, "um") if name[0] in "XYZ" else (ARCSEC, "arcsec")
+            u = COVERAGE_FACTOR * std / unit
+            parts.append(f"{name} {value / unit:.4g} {word} (U {u:.2g})")
+        return f"{self.letter} at ({x:.4f}, {y:.4f}, {z:.4f}) mm: {', '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class Located:
+    """What a controller is given: ``files`` by name, and ``notes`` on what they leave.
+
+    ``values`` are the parameters by name, in the unit of the controller. ``unverified``: what
+    nobody has confirmed on a real control.
+    """
+
+    files: Mapping[str, str]
+    values: Mapping[str, float]
+    source: str
+    notes: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
+
+
+def axis_lines(result: Result) -> tuple[AxisLine, ...]:
+    """Return the table's axis, and the one that tilts it where it was measured.
+
+    Raises DataError for a result that tells no place of an axis.
+    """
+    details = [result.details[n] for n in (TABLE_AXIS, TILTING_AXIS) if n in result.details]
+    if not details or "origin" not in details[0]:
+        raise DataError(
+            f"the {result.method} result does not say where the axis stands: measure with "
+            "table_balls, or leave out --what axis"
+        )
+    return tuple(AxisLine.of(found) for found in details)
+
+
+def prepare_location(
+    result: Result,
+    controller_name: str,
+    *,
+    now: datetime,
+    axis: str = "C",
+    settings: Mapping[str, Any] | None = None,
+    stem: str | None = None,
+    accept_unverified: bool = False,
+    sources: Mapping[str, str] | None = None,
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return the files that tell ``controller_name`` where the axes are, and what to know of them.
+
+    ``stem`` is the file name without extension (else axis, controller, "axis"), ``sources`` maps
+    what the numbers come from to its SHA-256. Raises DataError for a verdict other than "ok" and a
+    result without place, ConfigurationError for a controller that has no such parameters, or whose
+    meaning nobody has verified unless ``accept_unverified``. Writes nothing.
+    """
+    from rotcal_ros.compensation.controllers import make_controller
+
+    check_verdict(result)
+    lines = axis_lines(result)
+    controller = make_controller(controller_name, settings)
+    marked = f"_{SIMULATED.lower()}" if result.simulated else ""
+    name = check_stem(stem or f"{check_axis(axis)}_{controller_name}_axis{marked}".lower())
+    head = [
+        *(line.in_words() for line in lines),
+        *([NOTHING_MEASURED] if result.simulated else []),
+    ]
+    located = controller.locate(lines, name, head)
+    if not accept_unverified:
+        require_verified(controller.facts.title, located.unverified)
+    notes = (*located.notes, *(f"not verified: {text}" for text in located.unverified))
+    side = {
+        "schema": SCHEMA,
+        "kind": KIND,
+        "written": now.isoformat(timespec="seconds"),
+        "controller": controller_name,
+        "controller_title": controller.facts.title,
+        "settings": asdict(controller),
+        "source": located.source,
+        "method": result.method,
+        "simulated": result.simulated,
+        "item": result.circumstances.identity.title,
+        "serial": result.circumstances.identity.serial,
+        "verdict": result.verdict,
+        "verdict_line": result.verdict_line,
+        "axes": {
+            line.letter: {
+                "point_m": line.point.tolist(),
+                "direction": line.direction.tolist(),
+                "found": {n: {"value": v, "std": s} for n, (v, s) in line.found.items()},
+            }
+            for line in lines
+        },
+        "values": dict(located.values),
+        "notes": list(notes),
+        "sources_sha256": dict(sources or {}),
+        "files_sha256": {
+            file: hashlib.sha256(text.encode()).hexdigest() for file, text in located.files.items()
+        },
+    }
+    text = json.dumps(side, indent=1) + "\n"
+    return {**located.files, f"{name}{PROVENANCE}": text}, (*head, *notes)
+
+
+def millimetres(values: Sequence[float] | Floats, unit_m: float = MILLIMETRE) -> Floats:
+    """Return lengths (n,), m, in ``unit_m``, rounded as they are written."""
+    return np.round(np.asarray(values, dtype=np.float64) / unit_m, DECIMALS) + 0.0
