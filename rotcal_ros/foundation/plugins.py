@@ -41,6 +41,8 @@ FIGURES: Final = "rotcal_ros.figures"
 """Figures of a result, which it asks of the rooms above it."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """The writer of certificates for ``rotcal report``."""
+HISTORIES: Final = "rotcal_ros.histories"
+"""Functions that keep a result, and say what has changed since the last one."""
 KINDS: Final = {
     METHODS: "method",
     CONTROLLERS: "controller",

@@ -1,0 +1,115 @@
+"""The outlook of all tables of a history, computed where something is new."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from hashlib import sha256
+from typing import Final
+
+import numpy as np
+from scipy.special import chdtrc
+
+from rotcal_ros.extensions.history.database import RESULT, History, Item, day_of
+from rotcal_ros.extensions.history.outlook import (
+    VERSION,
+    DeviationOutlook,
+    Finding,
+    Outlook,
+    outlook,
+    with_finding,
+)
+from rotcal_ros.extensions.history.settings import HistorySettings
+from rotcal_ros.foundation.errors import BagError
+
+KEPT_AFTER: Final = 100
+"""New outlooks that are kept at once."""
+_FITS: Final = 0.01
+"""A jump goes to another table if that would show more in one of a hundred such curves."""
+_CLEARLY: Final = 10.0
+"""By this logarithm of a likelihood ratio the other table explains it better."""
+
+
+def park(
+    history: History,
+    settings: HistorySettings,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[Outlook]:
+    """Return the outlooks of all axes with results, by serial number."""
+    bases, known = history.bases(), history.forecasts()
+    items, found, new = history.items(), list[Outlook](), list[tuple[int, str, str]]()
+    for done, item in enumerate(items, 1):
+        basis = _basis(bases.get(item.id, ""), settings)
+        text = known.get((item.id, basis))
+        one = None
+        if text is not None:
+            with suppress(ValueError):
+                one = Outlook.from_json(text)
+        if one is None and (one := outlook_of(history, item, settings)) is not None:
+            new.append((item.id, basis, one.to_json()))
+        if one is not None:
+            found.append(one)
+        if len(new) >= KEPT_AFTER or done == len(items):
+            with suppress(BagError):  # a history that may only be read is shown all the same
+                history.note_forecasts(new)
+            new = []
+        progress(done, len(items))
+    return _with_swaps(found)
+
+
+def outlook_of(history: History, item: Item, settings: HistorySettings) -> Outlook | None:
+    """Return the outlook of one axis; None for one without results."""
+    entries = history.of_item(item)
+    if not any(entry.kind == RESULT for entry in entries):
+        return None
+    return outlook(item.serial, item.axis, history.campaigns(item), entries, settings)
+
+
+def _basis(entries: str, settings: HistorySettings) -> str:
+    """Return the hash of everything that an outlook follows from."""
+    plain = replace(settings, database="", period_s=1.0)
+    return sha256(f"{VERSION} {plain} {entries}".encode()).hexdigest()
+
+
+def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
+    """Name the tables whose jump shows the curve of another one: a swapped serial number."""
+    named = list(outlooks)
+    for number, one in enumerate(outlooks):
+        jumped = [d for d in one.deviations if d.alarm is not None]
+        others = [other for other in outlooks if other is not one]
+        fits = [(fit, other) for other in others if (fit := _fit(jumped, other)) > -np.inf]
+        if not jumped or not fits:
+            continue
+        best, other = max(fits, key=lambda pair: pair[0])
+        if best < sum(map(_own_fit, jumped)) + _CLEARLY:
+            continue
+        time_ns = max(d.times_ns[d.alarm or 0] for d in jumped)
+        words = (
+            f"the result of {day_of(time_ns)} has the curve of {other.title}: were the serial "
+            "numbers swapped?"
+        )
+        named[number] = with_finding(one, Finding("swapped", time_ns, words))
+    return named
+
+
+def _fit(jumped: Sequence[DeviationOutlook], other: Outlook) -> float:
+    """Return the log-likelihood of jumped curves as those of another table; -inf: they differ."""
+    theirs = {d.component: d for d in other.deviations if d.expected}
+    total = 0.0
+    for mine in jumped:
+        their = theirs.get(mine.component)
+        if their is None or len(their.expected[0]) != len(mine.found):
+            return -np.inf
+        mean, std = map(np.array, their.expected)
+        apart = (np.array(mine.found) - mean) / std
+        if chdtrc(len(mean), float(apart @ apart)) < _FITS:
+            return -np.inf
+        total += -0.5 * float(apart @ apart) - float(np.sum(np.log(std)))
+    return total if jumped else -np.inf
+
+
+def _own_fit(mine: DeviationOutlook) -> float:
+    mean, std = map(np.array, mine.expected)
+    apart = (np.array(mine.found) - mean) / std
+    return -0.5 * float(apart @ apart) - float(np.sum(np.log(std)))
