@@ -31,12 +31,15 @@ VERSION: Final = 1
 DAY_NS: Final = 86_400_000_000_000
 ENOUGH: Final = 3
 """Fewest campaigns since the last step for a forecast."""
-_DATES: Final = 16
+_DATES, _LEVELS = 16, 3
+"""A due date is looked for among so many dates, then between two of them, and so on."""
 _SIGNIFICANT: Final = 3.0
 """Standard uncertainties of a change that is called one."""
+_SURELY: Final = 0.997
+"""Probability of a drift that changes, from which on a person is told."""
 _CLOSE: Final = 0.8
+"""Staircase: within this share of the tolerance the next interval is longer."""
 _LONGER, _SHORTER = 1.25, 0.7
-"""Staircase: by this much the next interval differs, after one within, or not within, 80 %."""
 Standing = Literal["ok", "suspect", "failed", "none"]
 
 
@@ -44,7 +47,7 @@ Standing = Literal["ok", "suspect", "failed", "none"]
 class Finding:
     """Something that a person has to look at, and when it was seen."""
 
-    kind: Literal["jump", "drift", "beyond", "verdict", "swapped"]
+    kind: Literal["jump", "drift", "wear", "beyond", "verdict", "swapped"]
     time_ns: int
     words: str
 
@@ -55,6 +58,7 @@ class DeviationOutlook:
 
     ``largest`` |deviation| of each campaign at ``times_ns``. ``rate`` per year with its standard
     uncertainty, at the ``angle`` (rad) that moves most; ``moved``: more than chance explains.
+    ``wearing`` is the probability that the drift itself changes.
     ``due_ns`` is None where nothing can be forecast. ``probability`` is that of conformity on the
     day of the newest campaign. ``intervals_days`` by method. ``per_kelvin`` is the temperature
     coefficient at that angle and its standard uncertainty. ``alarm`` is the campaign of a jump;
@@ -70,6 +74,7 @@ class DeviationOutlook:
     rate_std: float
     angle: float
     moved: bool
+    wearing: float
     due_ns: int | None
     probability: float | None
     decision: str
@@ -175,7 +180,7 @@ def _due(
     settings: HistorySettings,
 ) -> tuple[int, str]:
     """Return when a table is due, and why."""
-    urgent = [f for f in findings if f.kind in ("verdict", "jump", "beyond")]
+    urgent = [f for f in findings if f.kind not in ("drift", "wear")]
     if urgent:
         return min(f.time_ns for f in urgent), urgent[0].words
     latest = newest.measured_ns + round(settings.longest_days * DAY_NS)
@@ -203,6 +208,9 @@ def _findings(one: DeviationOutlook) -> list[Finding]:
     if one.decision == "beyond":
         words = f"{one.component} is beyond its tolerance"
         found.append(Finding("beyond", one.times_ns[-1], words))
+    if one.alarm is None and one.wearing > _SURELY:
+        words = f"{one.component} does not drift evenly: something wears, such as a bearing"
+        found.append(Finding("wear", one.times_ns[-1], words))
     if one.moved:
         found.append(Finding("drift", one.times_ns[-1], f"drift: {one.trend}"))
     return found
@@ -218,7 +226,7 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
     decision = decide(curve.deviation, std, tolerance) if tolerance else ""
     plain = DeviationOutlook(
         component=name, tolerance=tolerance, times_ns=times, largest=largest, rate=None,
-        rate_std=0.0, angle=0.0, moved=False, due_ns=None, probability=None, decision=decision,
+        rate_std=0.0, angle=0.0, moved=False, wearing=0.0, due_ns=None, probability=None, decision=decision,
         intervals_days={}, per_kelvin=None, alarm=None, orders=int(curves.series.orders.max()),
         expected=(), found=(), notes=curves.notes,
     )  # fmt: skip
@@ -234,6 +242,7 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
         rate_std=rate_std,
         angle=float(curve.angles[at]),
         moved=moved,
+        wearing=trend.wearing,
         per_kelvin=_per_kelvin(curves, trend, at),
         alarm=alarm,
         expected=tuple(tuple(map(float, row)) for row in trend.expected(watched)),
@@ -268,7 +277,7 @@ def due_date(
 
     low, high = begun, begun + round(settings.longest_days * DAY_NS)
     today = 1.0
-    for level in range(2):
+    for level in range(_LEVELS):
         times = np.linspace(low, high, _DATES + 1).astype(np.int64)
         held = conforming(times)
         today = float(held[0]) if level == 0 else today

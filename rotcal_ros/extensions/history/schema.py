@@ -48,9 +48,10 @@ ENTRIES: Final = _table(
     _given("added_by", sa.Text),
     _given("why", sa.Text),
     _given("content_sha256", sa.Text),
-    _given("sha256", sa.Text, sa.CheckConstraint("length(sha256) = 64"), sa.UniqueConstraint()),
+    _given("sha256", sa.Text, sa.CheckConstraint("length(sha256) = 64")),
     sa.Column("replaces", WHOLE, sa.ForeignKey("entries.id"), unique=True),
     _given("content", sa.LargeBinary),
+    sa.UniqueConstraint("sha256"),
     sa.Index("entries_of_item", "item_id", "measured_ns"),
     sa.Index(
         "entries_once",

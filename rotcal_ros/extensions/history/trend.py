@@ -1,13 +1,13 @@
 """What a series of deviation curves says of the table: its drift, its jumps, its future.
 
 Each curve is split into modes, the harmonics of a circle or the cosines of an arc. Of a mode its
-coefficients y(t) are a Gaussian process
+coefficients are a Gaussian process
 
-    y = level + drift t + random walk + season + temperature + error of measurement
+    y = level + drift t + random walk + wear + season + temperature + error of measurement
 
 with a level that nothing is known of and that every step (an event, another table in force) makes
-unknown again. Errors of campaigns with the same artefacts are correlated. The sizes of drift,
-random walk, season, and of what the stated uncertainty lacks, are integrated over a grid, so that
+unknown again. Wear is a drift that walks itself, as of a bearing that goes bad. Errors of campaigns with the same artefacts are correlated. The sizes of drift,
+random walk, wear, season, and of what the stated uncertainty lacks, are integrated over a grid, so that
 what the few curves of a table leave open widens its forecast: generalised least squares whose
 weights are themselves uncertain (Rasmussen and Williams 2006, 2.2 and 5.2).
 
@@ -18,7 +18,7 @@ series costs nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Final, TypeAlias
@@ -31,15 +31,17 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 YEAR_NS: Final = 365.25 * 86_400e9
 SIZES: Final = (0.0, 0.4, 2.0, 10.0)
 """Drifts per year, and random walks after a year, in standard uncertainties of a coefficient."""
+WEARS: Final = (0.0, 3.0)
+"""Changes of the drift after a year, in the same per year."""
 SEASONS: Final = (0.0, 3.0)
 """Amplitudes of a season, in the same."""
 SCALES: Final = (1.0, 2.0, 6.0)
 """Errors of measurement, in what is stated."""
-_ABSENT: Final = 0.4
-"""Probability, before anything is measured, that there is no drift; so of a random walk."""
-_STILL: Final = 0.7
-"""The same for a season, and for uncertainties that are stated rightly."""
-_SCALE_PRIORS: Final = np.log([_STILL, (1.0 - _STILL) / 2.0, (1.0 - _STILL) / 2.0])
+ABSENT: Final = (0.4, 0.85, 0.95, 0.9)
+"""Probability, before anything is measured, that a mode has no drift, walk, wear, season."""
+_AS_STATED: Final = 0.9
+"""The same that the uncertainties are stated rightly."""
+_SCALE_PRIORS: Final = np.log([_AS_STATED, *[(1.0 - _AS_STATED) / 2.0] * 2])
 _LIKELY: Final = 1e-3
 """Processes with less weight are left out of forecasts."""
 WIDE: Final = 1e4
@@ -94,7 +96,7 @@ _Beside: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 class Mode:
     """The k likely Gaussian processes of one mode, in its ``unit``.
 
-    ``sizes`` (k, 3) of drift, random walk and season, ``weights`` (k,), Cholesky ``factors``
+    ``sizes`` (k, 4) of drift, random walk, wear and season, ``weights`` (k,), Cholesky ``factors``
     (k, m, m) of the covariances, ``white`` (k, m, c) whitened values of its c coefficients.
     """
 
@@ -156,6 +158,11 @@ class Trend:
         years = self.series.years
         moved, std = self._moments(self._beside(years[[first, -1]]), np.array([-1.0, 1.0]))
         return moved, std, float(years[-1] - years[first])
+
+    @property
+    def wearing(self) -> float:
+        """The probability that some mode drifts faster and faster, or changes its drift."""
+        return float(max(mode.weights @ (mode.sizes[:, 2] > 0.0) for mode in self.modes))
 
     def expected(self, campaign: int) -> tuple[Floats, Floats]:
         """Return what the earlier campaigns forecast (p,) for one, and its standard uncertainty.
@@ -230,22 +237,29 @@ def fit(series: Series) -> Trend:
 
 
 def _grid(series: Series) -> tuple[Floats, Floats]:
-    """Return sizes (g, 3) of drift, random walk and season, and logarithms of their priors."""
+    """Return sizes (g, 4), of drift, random walk, wear, season, and logarithms of their priors."""
     long = len(series.values) >= _SEASON_FROM and series.years[-1] >= 1.0
-    seasons = SEASONS if long else SEASONS[:1]
-    moving = [_ABSENT, *[(1.0 - _ABSENT) / (len(SIZES) - 1)] * (len(SIZES) - 1)]
-    yearly = [_STILL, 1.0 - _STILL]
-    sizes = np.array(list(product(SIZES, SIZES, seasons)))  # the first does not move at all
-    priors = np.array([a * b * c for a, b, c in product(moving, moving, yearly[: len(seasons)])])
-    return sizes, np.log(priors / priors.sum())
+    causes = (SIZES, SIZES, WEARS, SEASONS if long else SEASONS[:1])
+    sizes = np.array(list(product(*causes)))  # the first does not move
+    shares = product(*(_priors(each, absent) for each, absent in zip(causes, ABSENT, strict=True)))
+    priors = np.array([np.prod(each) for each in shares])
+    return sizes, np.log(priors)
+
+
+def _priors(sizes: Sequence[float], absent: float) -> list[float]:
+    """Return the probabilities of the sizes of one cause, of which the first is zero."""
+    others = len(sizes) - 1
+    return [absent, *[(1.0 - absent) / others] * others] if others else [1.0]
 
 
 def _moving(a: Floats, b: Floats, sizes: Floats) -> Floats:
     """Return the covariance (n, m) of the moving table at times (n,) and (m,) years."""
-    drift, walk, season = sizes
-    apart = 2.0 * np.pi * (a[:, None] - b)
-    moved = drift**2 * a[:, None] * b + walk**2 * np.minimum(a[:, None], b)
-    return np.asarray(moved + season**2 * np.cos(apart), dtype=np.float64)
+    drift, walk, wear, season = sizes
+    a = a[:, None]
+    less = np.minimum(a, b)
+    worn = less**2 * (3.0 * np.maximum(a, b) - less) / 6.0  # a random walk, integrated
+    moved = drift**2 * a * b + walk**2 * less + wear**2 * worn
+    return np.asarray(moved + season**2 * np.cos(2.0 * np.pi * (a - b)), dtype=np.float64)
 
 
 def _fit_mode(series: Series, sizes: Floats, mode: int) -> tuple[float, Floats, Floats]:
