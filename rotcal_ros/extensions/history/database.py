@@ -11,7 +11,7 @@ import json
 import os
 import time
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
@@ -162,9 +162,9 @@ class History:
     ) -> Added:
         """Add a result, or put it in the place of the entry ``corrects``; ``why`` is for people.
 
-        ``serial``, ``axis`` and ``measured_ns`` give what it does not state itself. Raises DataError
-        for a result without identity or date, or of another table than it says, and for one that
-        is there as the result of another table.
+        ``serial``, ``axis`` and ``measured_ns`` give what it does not state itself. Raises
+        DataError for a result without identity or date, or of another table than it says, and for
+        one that is there as the result of another table.
         """
         serial, axis = _identified(result, serial, axis, where, corrected=corrects is not None)
         measured_ns = result.circumstances.from_ns or measured_ns
@@ -319,7 +319,7 @@ class History:
                 connection.execute(self._insert(FORECASTS), rows)
 
     def check(self) -> list[str]:
-        """Return what is wrong, in a sentence each: hashes, references, curves, the file itself."""
+        """Return what is wrong, in a sentence each: hashes, references, curves, the file."""
         wrong = self._file_faults()
         known: dict[int, str] = {}
         for entry in self.entries(content=True):
@@ -362,9 +362,7 @@ class History:
         with self._connected(writing=True) as connection:
             replaced = _replaced(connection, entry)
             own = ITEMS.c.serial == entry.serial, ITEMS.c.axis == entry.axis
-            connection.execute(
-                self._insert(ITEMS), {"serial": entry.serial, "axis": entry.axis}
-            )
+            connection.execute(self._insert(ITEMS), {"serial": entry.serial, "axis": entry.axis})
             item_id = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one()
             entry = replace(entry, sha256=entry.sha256 or entry.hashed(replaced))
             row = {
@@ -394,7 +392,9 @@ class History:
         (old,) = self.entries(sa.or_(ENTRIES.c.sha256 == entry.sha256, same))
         facts = ("serial", "axis", "kind", "content_sha256")
         if any(getattr(old, name) != getattr(entry, name) for name in facts):
-            did = f"entry {entry.replaces} was corrected" if entry.replaces else f"{where} is there"
+            did = (
+                f"entry {entry.replaces} was corrected" if entry.replaces else f"{where} is there"
+            )
             raise DataError(
                 f"{did} already, by entry {old.id} as {old.kind} of {old.serial}/{old.axis} "
                 f"({old.added_by}, {day_of(old.added_ns)}): correct that one"

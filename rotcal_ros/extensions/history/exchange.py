@@ -36,7 +36,8 @@ def export(history: History, folder: Path) -> int:
     def entries() -> Iterator[dict[str, Any]]:
         nonlocal count
         known: dict[int, str] = {}
-        for count, entry in enumerate(history.entries(content=True), 1):
+        for entry in history.entries(content=True):
+            count += 1
             known[entry.id] = entry.sha256
             replaced = "" if entry.replaces is None else known[entry.replaces]
             yield asdict(entry) | {"replaces": replaced}

@@ -40,7 +40,6 @@ _SURELY: Final = 0.997
 _CLOSE: Final = 0.8
 """Staircase: within this share of the tolerance the next interval is longer."""
 _LONGER, _SHORTER = 1.25, 0.7
-Standing = Literal["ok", "suspect", "failed", "none"]
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class Outlook:
     version: int
     results: int
     last_ns: int
-    verdict: Standing
+    verdict: str
     verdict_line: str
     covered: bool
     measured_on: str
@@ -160,9 +159,10 @@ def outlook(
         findings.insert(0, Finding("verdict", newest.measured_ns, words))
     due_ns, reason = _due(newest, each, findings, settings)
     return Outlook(
-        serial, axis, VERSION, len(campaigns), newest.measured_ns, newest.verdict,  # type: ignore[arg-type]
-        newest.verdict_line, newest.covered, newest.measured_on, due_ns, reason, tuple(findings),
-        each,
+        serial=serial, axis=axis, version=VERSION, results=len(campaigns),
+        last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=newest.verdict_line,
+        covered=newest.covered, measured_on=newest.measured_on, due_ns=due_ns, reason=reason,
+        findings=tuple(findings), deviations=each,
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -126,7 +127,9 @@ def _curves(
         temperature_c=None if None in temperatures else np.array(temperatures, dtype=np.float64),
     )
     dropped = len(campaigns) - len(kept)
-    notes = (f"{dropped} results of {component} have too few angles or another arc",) * bool(dropped)
+    notes = (f"{dropped} results of {component} have too few angles or another arc",) * bool(
+        dropped
+    )
     return Curves(
         component, tuple(kept), series, basis[:, 1:], left @ newest.deviation,
         left @ newest.covariance @ left.T, int(zero[0]) if len(zero) == 1 else None, notes,
@@ -149,7 +152,7 @@ def _modes(curve: MeasuredCurve, orders: int) -> tuple[Floats, Floats]:
 def _steps(campaigns: Sequence[Campaign], jumps: Sequence[int]) -> Ints:
     """Count the jumps before each campaign: events, and other tables in force."""
     count = np.zeros(len(campaigns), dtype=np.int64)
-    for i, (before, after) in enumerate(zip(campaigns, campaigns[1:], strict=False), 1):
+    for i, (before, after) in enumerate(pairwise(campaigns), 1):
         between = any(before.measured_ns < t <= after.measured_ns for t in jumps)
         count[i] = count[i - 1] + (between or before.measured_on != after.measured_on)
     return count

@@ -6,13 +6,14 @@ coefficients are a Gaussian process
     y = level + drift t + random walk + wear + season + temperature + error of measurement
 
 with a level that nothing is known of and that every step (an event, another table in force) makes
-unknown again. Wear is a drift that walks itself, as of a bearing that goes bad. Errors of campaigns with the same artefacts are correlated. The sizes of drift,
-random walk, wear, season, and of what the stated uncertainty lacks, are integrated over a grid, so that
-what the few curves of a table leave open widens its forecast: generalised least squares whose
-weights are themselves uncertain (Rasmussen and Williams 2006, 2.2 and 5.2).
+unknown again. Wear is a drift that walks itself, as of a bearing that goes bad. Errors of
+campaigns with the same artefacts are correlated. The sizes of drift, random walk, wear, season,
+and of what the stated uncertainty lacks, are integrated over a grid, so that what the few curves
+of a table leave open widens its forecast: generalised least squares whose weights are themselves
+uncertain (Rasmussen and Williams 2006, 2.2 and 5.2).
 
-The Cholesky factor of the covariance in order of time has the factors of all earlier times inside.
-So its standardised residuals are those of forecasts one step ahead, and the evidence of all earlier
+The Cholesky factor of the covariance in order of time has those of all earlier times inside. So
+its standardised residuals are those of forecasts one step ahead, and the evidence of all earlier
 series costs nothing.
 """
 
@@ -173,7 +174,9 @@ class Trend:
         for number, mode in enumerate(self.modes, 1):
             columns = np.flatnonzero(self.series.orders == number)
             std = mode.factors[:, campaign, campaign, None]
-            mean = self.series.values[campaign, columns] / mode.unit - std * mode.white[:, campaign]
+            mean = (
+                self.series.values[campaign, columns] / mode.unit - std * mode.white[:, campaign]
+            )
             found[:, columns] = mode.mixed(mean, std**2)
         return found[0], found[1]
 

@@ -80,9 +80,7 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
     Without a further word: the tables of the park, those that need somebody first.
     """
     if context.invoked_subcommand:
-        context.default_map = {
-            name: {"database": settings.database} for name in command.commands
-        }
+        context.default_map = {name: {"database": settings.database} for name in command.commands}
         return 0
     outlooks = _park(settings)
     if as_json:
@@ -165,9 +163,7 @@ def _add_result(history: History, source: Path, given: dict[str, Any]) -> list[A
 @click.option("--date", "day", required=True, help="When it happened, as 2026-03-31.")
 @why_option
 @asked
-def event(
-    serial: str, what: str, axis: str, day: str, why: str, settings: HistorySettings
-) -> int:
+def event(serial: str, what: str, axis: str, day: str, why: str, settings: HistorySettings) -> int:
     """Note what happened to the table SERIAL.
 
     After another encoder, another bearing or a repair it is another table: earlier results say
@@ -222,7 +218,7 @@ def show(
     settings: HistorySettings,
     as_json: bool,
 ) -> int:
-    """Show all entries of the table SERIAL, what has changed, and when it is due, by what method."""
+    """Show all entries of the table SERIAL, what has changed, and when it is due."""
     from rotcal_ros.extensions.history.park import outlook_of
 
     if (number is None) != (output is None):

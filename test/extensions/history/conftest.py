@@ -46,7 +46,9 @@ def postgresql(tmp_path_factory):
     subprocess.run(initdb, check=True, **options)
     settings = f"-k {folder} -c listen_addresses= -c fsync=on"
     control = [place / "pg_ctl", "-D", data, "-w", "-t", "300"]
-    subprocess.run([*control, "-o", settings, "-l", folder / "log", "start"], check=True, **options)
+    subprocess.run(
+        [*control, "-o", settings, "-l", folder / "log", "start"], check=True, **options
+    )
     yield f"postgresql://rotcal@/{{}}?host={folder}"
     subprocess.run([*control, "-m", "immediate", "stop"], check=True, **options)
     shutil.rmtree(folder, ignore_errors=True)

@@ -1,7 +1,8 @@
 """Adds a result again and again in processes that die, or whose disk fails, at each call in turn.
 
-usage: dying_writer.py DATABASE ERRNO, with dying_writer.so preloaded; ERRNO 0: SIGKILL. Prints a
-line of JSON for each call: how the process ended (4: before that call), and what the history holds afterwards.
+usage: dying_writer.py DATABASE ERRNO, with dying_writer.so preloaded; ERRNO 0: SIGKILL.
+Prints a line of JSON for each call: how the process ended (4: before that call), and what the
+history holds afterwards.
 """
 
 import ctypes
@@ -26,8 +27,7 @@ def add(database, number, error, result):
     if child := os.fork():
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     code, library = SURVIVED, ctypes.CDLL(None)
-    with open(os.devnull, "w") as nothing:
-        os.dup2(nothing.fileno(), 2)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     library.arm(number, error, int("://" in database))
     try:
         with History(database) as history:
@@ -58,7 +58,8 @@ def main():
             "ended": ended, "kept": kept, "new": again.new, "entries": len(entries) - base,
             "expected": number, "same": same, "wrong": wrong,
         }  # fmt: skip
-        print(json.dumps(line), flush=True)
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()
         if ended == WHOLE or number > MOST:
             break
 

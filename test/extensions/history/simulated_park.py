@@ -93,7 +93,9 @@ def measured(
         deviation = basis() @ (table.modes(year) + walked)
         deviation = deviation + table.u * rng.standard_normal(len(ANGLES))
         time_ns = BEGIN_NS + round(year * YEAR_NS)
-        yield result(table.serial, time_ns, deviation, table.u, tolerance=table.tolerance, axis=axis)
+        yield result(
+            table.serial, time_ns, deviation, table.u, tolerance=table.tolerance, axis=axis
+        )
 
 
 def drawn(number: int, rng: np.random.Generator) -> Table:

@@ -1,5 +1,7 @@
 """The node that tells a cell how its tables stand."""
 
+import os
+
 import numpy as np
 import pytest
 from simulated_park import Table, measured
@@ -44,17 +46,32 @@ def test_statuses_have_verdict_due_and_table_in_force(database):
 
 
 def test_a_late_listener_hears_the_latched_status(database, cell):
+    import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from live_cell import wait_until
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
 
     from rotcal_ros.nodes.runtime.qos import LATCHED
-    from rotcal_ros.nodes.runtime.running import helper_node
 
     live = cell()
     arguments = ("-p", f"history.database:={database}", "-p", "serial:=HIT")
     live.start("calibration_status", arguments=arguments)
-    heard = []
-    with helper_node("listener", "/cell") as spun:
-        spun.create_subscription(DiagnosticArray, "calibration_status", heard.append, LATCHED)
-        wait_until(lambda: heard, "the status is heard")
+    live.wait_for_log("calibration_status", "told: 1 tables")
+    heard, context = [], Context()
+    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+    node = rclpy.create_node("listener", namespace="/cell", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    node.create_subscription(DiagnosticArray, "calibration_status", heard.append, LATCHED)
+
+    def look():
+        executor.spin_once(timeout_sec=0.05)
+        return heard
+
+    try:
+        wait_until(look, "the status is heard")
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
     assert [status.name for status in heard[0].status] == ["HIT/C"]

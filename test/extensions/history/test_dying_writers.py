@@ -1,4 +1,4 @@
-"""A kill, a full disk, a lost network at every call of an addition: nothing lost, nothing twice."""
+"""A kill, a full disk, a lost network at every call of ``add``: nothing lost, nothing twice."""
 
 import errno
 import json

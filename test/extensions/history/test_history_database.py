@@ -129,9 +129,11 @@ def test_no_row_is_ever_changed(database, statement):
         history.note_forecasts([(history.item("4711").id, "basis", "{}")])
         for table in METADATA.sorted_tables:
             column = next(iter(table.c)).name
-            with pytest.raises(BagError, match="never changed in place: add a correction"):
-                with history._connected(writing=True) as connection:
-                    connection.exec_driver_sql(statement.format(table.name, column, column))
+            with (
+                pytest.raises(BagError, match="never changed in place: add a correction"),
+                history._connected(writing=True) as connection,
+            ):
+                connection.exec_driver_sql(statement.format(table.name, column, column))
         assert history.check() == []
 
 
@@ -223,7 +225,9 @@ def test_a_damaged_export_is_refused(tmp_path):
 def test_the_steps_lead_to_the_schema_that_is_used(database):
     with History(database) as history, history._engine.connect() as connection:
         options = {"compare_type": True}
-        assert compare_metadata(MigrationContext.configure(connection, opts=options), METADATA) == []
+        assert (
+            compare_metadata(MigrationContext.configure(connection, opts=options), METADATA) == []
+        )
 
 
 def test_a_history_of_a_later_rotcal_is_refused(tmp_path):
@@ -231,7 +235,7 @@ def test_a_history_of_a_later_rotcal_is_refused(tmp_path):
     History(str(path)).__exit__()
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE alembic_version SET version_num = '99'")
-    with pytest.raises(BagError, match="written by a later rotcal .*update rotcal"):
+    with pytest.raises(BagError, match=r"written by a later rotcal .*update rotcal"):
         History(str(path))
 
 

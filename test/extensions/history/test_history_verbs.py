@@ -13,10 +13,13 @@ YEARS = np.linspace(0.0, 5.0, 11)
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Return files of a table that drifts out of its tolerance in 2028, and of one that is still."""
+    """Return files of a table that leaves its tolerance in 2029, and of one that is still."""
     folder, rng = tmp_path_factory.mktemp("results"), np.random.default_rng(1)
     start = np.array([1.0, 0.5, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
-    tables = [Table("DRIFTS", start, drift=0.6 * np.eye(8)[0], tolerance=6.0), Table("STAYS", start)]
+    tables = [
+        Table("DRIFTS", start, drift=0.6 * np.eye(8)[0], tolerance=6.0),
+        Table("STAYS", start),
+    ]
     for table in tables:
         for number, each in enumerate(measured(table, YEARS, rng)):
             (folder / f"{table.serial}_{number:02}.json").write_text(each.to_json())
@@ -77,7 +80,9 @@ def test_what_happened_is_noted_and_mistakes_are_corrected(history, results, tmp
     assert f"{number},2021-01-01,result" in history("show", "STAYS").stdout
     refused = history("correct", number, "--withdraw", "--why", "again")
     assert (refused.returncode, "was corrected already" in refused.stderr) == (3, True)
-    back = history("show", "DRIFTS", "--entry", corrected.stderr.split()[1][:-1], "-o", "back.json")
+    back = history(
+        "show", "DRIFTS", "--entry", corrected.stderr.split()[1][:-1], "-o", "back.json"
+    )
     assert back.returncode == 0, back.stderr
     original = next(path for path in results if path.name == "STAYS_00.json")
     assert json.loads((tmp_path / "back.json").read_text()) == json.loads(original.read_text())

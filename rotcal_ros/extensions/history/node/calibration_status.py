@@ -89,9 +89,8 @@ class CalibrationStatus(CellNode):
             self._state = NodeState(State.READY)
             if told != self._told:
                 self._told = told
-                self._publisher.publish(
-                    DiagnosticArray(header=header(self.now_ns()), status=told)
-                )
+                self.get_logger().info(f"told: {len(told)} tables")
+                self._publisher.publish(DiagnosticArray(header=header(self.now_ns()), status=told))
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {"tables": str(len(self._told))}
