@@ -7,7 +7,7 @@ import itertools
 import os
 import socket
 import tempfile
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +15,7 @@ DOMAINS: Final = 100
 """Domains 1 to 100 use ports below the range that the kernel gives to outgoing connections."""
 DEFAULT_DOMAIN: Final = 0
 """The domain that ROS uses if none is set."""
+_FIRST_PORT: Final = 7410
 _PORTS_PER_DOMAIN: Final = 250
 
 _SOCKETS: Final = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
@@ -28,12 +29,12 @@ _held: dict[int, int] = {}
 
 
 def free_domain() -> int:
-    """Return a domain (1 to 100) in which no participant is seen; a new one at every call.
+    """Return a domain (1 to 100) whose first participant's port is free; a new one at every call.
 
     It stays reserved for this process until its end or `release_domains`: another process of this
-    user gets another one even before the first participant is there. Participant i has the port
-    7410 + 250 domain + 2 i (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned
-    nevertheless: sharing a domain is better than not starting.
+    user gets another one even before the first participant is there. The port is 7410 + 250 domain
+    (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned nevertheless: sharing a domain
+    is better than not starting.
     """
     for _ in range(DOMAINS):
         domain = 1 + next(_turn) % DOMAINS
@@ -66,16 +67,12 @@ def _hold(domain: int) -> bool:
 
 
 def _is_free(domain: int) -> bool:
-    """Tell whether no port of a domain is taken; the first participant may have left others."""
-    if any(path.exists() for path in _SOCKETS):
-        return domain not in domains_in_use()
-    with ExitStack() as probes:
-        for offset in _OFFSETS:
-            probe = probes.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            try:
-                probe.bind(("127.0.0.1", _BASE_PORT + _PORTS_PER_DOMAIN * domain + offset))
-            except OSError:
-                return False
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # Each participant of a domain binds a port of its own; the first one takes this.
+            probe.bind(("127.0.0.1", _FIRST_PORT + _PORTS_PER_DOMAIN * domain))
+        except OSError:
+            return False
     return True
 
 

@@ -160,21 +160,11 @@ def _entry_schema() -> Any:
 
 def _deviation_schema() -> Any:
     pa, _ = arrow()
-    return pa.schema(
-        [
-            ("serial", pa.string()),
-            ("axis", pa.string()),
-            ("entry", pa.int64()),
-            ("measured", pa.timestamp("ns", tz="UTC")),
-            ("verdict", pa.string()),
-            ("verdict_line", pa.string()),
-            ("temperature_c", pa.float64()),
-            ("component", pa.string()),
-            ("angle_rad", pa.float64()),
-            ("deviation", pa.float64()),
-            ("std", pa.float64()),
-        ]
-    )
+    texts = ("serial", "axis", "verdict", "verdict_line", "component")
+    numbers = ("temperature_c", "angle_rad", "deviation", "std")
+    kinds = {"entry": pa.int64(), "measured": pa.timestamp("ns", tz="UTC")}
+    kinds |= dict.fromkeys(texts, pa.string()) | dict.fromkeys(numbers, pa.float64())
+    return pa.schema(list(kinds.items()))
 
 
 def _deviations(history: History) -> Iterator[dict[str, Any]]:

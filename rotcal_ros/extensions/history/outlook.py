@@ -226,8 +226,8 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
     decision = decide(curve.deviation, std, tolerance) if tolerance else ""
     plain = DeviationOutlook(
         component=name, tolerance=tolerance, times_ns=times, largest=largest, rate=None,
-        rate_std=0.0, angle=0.0, moved=False, wearing=0.0, due_ns=None, probability=None, decision=decision,
-        intervals_days={}, per_kelvin=None, alarm=None, orders=int(curves.series.orders.max()),
+        rate_std=0.0, angle=0.0, moved=False, wearing=0.0, due_ns=None, probability=None,
+        decision=decision, intervals_days={}, per_kelvin=None, alarm=None, orders=int(curves.series.orders.max()),
         expected=(), found=(), notes=curves.notes,
     )  # fmt: skip
     if len(times) < 2:

@@ -82,7 +82,7 @@ def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
         if not jumped or not fits:
             continue
         best, other = max(fits, key=lambda pair: pair[0])
-        if best < sum(map(_own_fit, jumped)) + _CLEARLY:
+        if best < sum(_compared(mine, mine)[1] for mine in jumped) + _CLEARLY:
             continue
         time_ns = max(d.times_ns[d.alarm or 0] for d in jumped)
         words = (
@@ -96,20 +96,20 @@ def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
 def _fit(jumped: Sequence[DeviationOutlook], other: Outlook) -> float:
     """Return the log-likelihood of jumped curves as those of another table; -inf: they differ."""
     theirs = {d.component: d for d in other.deviations if d.expected}
-    total = 0.0
+    total = 0.0 if jumped else -np.inf
     for mine in jumped:
         their = theirs.get(mine.component)
-        if their is None or len(their.expected[0]) != len(mine.found):
+        if their is None or len(their.found) != len(mine.found):
             return -np.inf
-        mean, std = map(np.array, their.expected)
-        apart = (np.array(mine.found) - mean) / std
-        if chdtrc(len(mean), float(apart @ apart)) < _FITS:
+        square, density = _compared(mine, their)
+        if chdtrc(len(mine.found), square) < _FITS:
             return -np.inf
-        total += -0.5 * float(apart @ apart) - float(np.sum(np.log(std)))
-    return total if jumped else -np.inf
+        total += density
+    return total
 
 
-def _own_fit(mine: DeviationOutlook) -> float:
-    mean, std = map(np.array, mine.expected)
-    apart = (np.array(mine.found) - mean) / std
-    return -0.5 * float(apart @ apart) - float(np.sum(np.log(std)))
+def _compared(mine: DeviationOutlook, their: DeviationOutlook) -> tuple[float, float]:
+    """Return T2 and the log-density of what one deviation showed where another was expected."""
+    mean, std = map(np.array, their.expected)
+    square = float(np.sum(((np.array(mine.found) - mean) / std) ** 2))
+    return square, -0.5 * square - float(np.sum(np.log(std)))

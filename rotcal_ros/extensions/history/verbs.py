@@ -102,14 +102,7 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
 @asked
 @json_option
 def add(
-    sources: tuple[Path, ...],
-    serial: str,
-    axis: str,
-    measured: str,
-    why: str,
-    kind: str | None,
-    settings: HistorySettings,
-    as_json: bool,
+    sources: tuple[Path, ...], measured: str, kind: str | None, as_json: bool, **asked: Any
 ) -> int:
     """Add results: result.json, bags, sessions with their reports; none of them twice.
 
@@ -121,14 +114,13 @@ def add(
     from rotcal_ros.extensions.history.database import History, time_of
 
     measured_ns = time_of(measured) if measured else 0
-    done = []
+    done, settings = [], asked.pop("settings")
     with History(settings.database) as history, progress("adding") as shown:
         for number, source in enumerate(sources, 1):
             if kind is None:
-                given = {"serial": serial, "axis": axis, "measured_ns": measured_ns, "why": why}
-                added = _add_result(history, source, given)
+                added = _add_result(history, source, {**asked, "measured_ns": measured_ns})
             else:
-                item = history.item(serial, axis)
+                item = history.item(asked["serial"], asked["axis"])
                 day = measured_ns or round(source.stat().st_mtime) * 1_000_000_000
                 facts = (item.serial, item.axis, kind, source.name, day)
                 added = [history.add_document(*facts, source.read_bytes())]
@@ -211,18 +203,14 @@ def correct(
 @asked
 @json_option
 def show(
-    serial: str,
-    axis: str,
-    number: int | None,
-    output: Path | None,
-    settings: HistorySettings,
-    as_json: bool,
+    serial: str, axis: str, number: int | None, output: Path | None, as_json: bool, **asked: Any
 ) -> int:
     """Show all entries of the table SERIAL, what has changed, and when it is due."""
     from rotcal_ros.extensions.history.park import outlook_of
 
     if (number is None) != (output is None):
         raise click.UsageError("--entry and --output belong together")
+    settings = asked["settings"]
     with _open(settings) as history:
         item = history.item(serial, axis)
         if number is not None and output is not None:
@@ -263,21 +251,14 @@ def show(
     "-o", "--output", type=NamedFile(".svg", bare=False), required=True, help="The figure, .svg."
 )
 @asked
-def plot(
-    serial: str,
-    axis: str,
-    component: str,
-    chart: Any,
-    basis: Any,
-    output: Path,
-    settings: HistorySettings,
-) -> int:
+def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> int:
     """Draw one deviation of the table SERIAL over time, its forecast, and a control chart."""
     from rotcal_ros.extensions.history.figures import chart_and_forecast
     from rotcal_ros.extensions.history.outlook import DAY_NS
     from rotcal_ros.extensions.history.series import series_of, usable
     from rotcal_ros.extensions.history.trend import fit
 
+    settings: HistorySettings = asked["settings"]
     with _open(settings) as history:
         item = history.item(serial, axis)
         campaigns, entries = history.campaigns(item), history.of_item(item)
@@ -291,8 +272,8 @@ def plot(
     newest = campaigns[-1]
     tolerance = newest.tolerance_m if component in COMPONENTS[:3] else newest.tolerance_rad
     until = newest.measured_ns + round(2 * settings.interval_days * DAY_NS)
-    figure = chart_and_forecast(curves, fit(curves.series), until, chart, basis, tolerance)
-    write_atomically(output, figure)
+    drawn = (until, asked["chart"], asked["basis"], tolerance)
+    write_atomically(output, chart_and_forecast(curves, fit(curves.series), *drawn))
     say(f"drawn: {output.absolute()}")
     return 0
 
