@@ -52,7 +52,7 @@ def statistic(chart: Chart, deviates: Floats) -> Floats:
     if chart == "shewhart":
         return given
     if chart == "t2":
-        return np.sum(given**2, axis=1, keepdims=True)
+        return np.asarray(np.sum(given**2, axis=1, keepdims=True), dtype=np.float64)
     found, up, down = np.zeros_like(given), np.zeros(given.shape[1]), np.zeros(given.shape[1])
     for row, value in enumerate(given):
         if chart == "ewma":

@@ -13,8 +13,9 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
@@ -49,7 +50,8 @@ CUTTING: Final = ("encoder", "bearing", "repair")
 """After these a table is another one; after all other events its curve may have jumped."""
 PATIENCE_S: Final = 60
 """Time to wait for another writer."""
-_INSERT: Final = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
+_OF_ITEM: Final = ("serial", "axis")
+_INSERT: Final[Mapping[str, Any]] = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
 _NS: Final = 1_000_000_000
 _VERB: Final = "rotcal history"
 
@@ -203,8 +205,8 @@ class History:
             return self._add(replace(new, replaces=entry_id), None, f"entry {entry_id}")
         serial, axis = serial or old.serial, axis or old.axis
         if old.kind == RESULT:
-            given = {"serial": serial, "axis": axis, "measured_ns": old.measured_ns}
-            return self.add_result(result_of(old), **given, why=why, corrects=entry_id)
+            moved = partial(self.add_result, result_of(old), serial=serial, axis=axis)
+            return moved(measured_ns=old.measured_ns, why=why, corrects=entry_id)
         new = _entry(serial, axis, old.kind, old.what, old.measured_ns, why, old.content)
         return self._add(replace(new, replaces=entry_id), None, f"entry {entry_id}")
 
@@ -218,10 +220,10 @@ class History:
         if not whole or entry.hashed(replaced) != entry.sha256:
             raise DataError(f"{where} is not as its hash says: copy the export again")
         if replaced:
-            found = self._ids(ENTRIES.c.sha256 == replaced)
-            if not found:
+            found = next(self.entries(ENTRIES.c.sha256 == replaced), None)
+            if found is None:
                 raise DataError(f"{where} replaces an entry that is missing: export all of them")
-            entry = replace(entry, replaces=found[0])
+            entry = replace(entry, replaces=found.id)
         result = result_of(entry) if entry.kind == RESULT else None
         return self._add(entry, result, where)
 
@@ -256,18 +258,16 @@ class History:
 
     def entries(self, *wanted: Any, content: bool = False) -> Iterator[Entry]:
         """Yield entries in the order in which they were added."""
-        columns = [ENTRIES.c.content] if content else []
-        asked = (
-            sa.select(
-                ENTRIES.c.id, ITEMS.c.serial, ITEMS.c.axis, ENTRIES.c.kind, ENTRIES.c.what,
-                ENTRIES.c.measured_ns, ENTRIES.c.added_ns, ENTRIES.c.added_by, ENTRIES.c.why,
-                ENTRIES.c.content_sha256, ENTRIES.c.sha256, ENTRIES.c.replaces, *columns,
-            ).join(ITEMS).where(*wanted).order_by(ENTRIES.c.id)
-        )  # fmt: skip
+        names = [field.name for field in fields(Entry) if content or field.name != "content"]
+        columns = [ITEMS.c[n] if n in _OF_ITEM else ENTRIES.c[n] for n in names]
+        asked = sa.select(*columns).select_from(ENTRIES.join(ITEMS)).where(*wanted)
         with self._connected() as connection:
-            for row in connection.execution_options(yield_per=200).execute(asked):
-                *facts, packed = row if content else (*row, b"")
-                yield Entry(*facts, zlib.decompress(packed) if content else b"")
+            streamed = connection.execution_options(yield_per=200)
+            for row in streamed.execute(asked.order_by(ENTRIES.c.id)):
+                facts = row._asdict()
+                if content:
+                    facts["content"] = zlib.decompress(facts["content"])
+                yield Entry(**facts)
 
     def campaigns(self, item: Item) -> list[Campaign]:
         """Return the valid results of an axis with their curves, by time of measurement."""
@@ -279,15 +279,7 @@ class History:
         with self._connected() as connection:
             for row in connection.execute(measured):
                 curves.setdefault(row.entry_id, {})[row.component] = _unpacked(row)
-            return [
-                Campaign(
-                    row.entry_id, row.measured_ns, row.method, row.verdict, row.verdict_line,
-                    bool(row.covered), bool(row.simulated), row.measured_on,
-                    json.loads(row.instruments), row.temperature_c, row.tolerance_rad,
-                    row.tolerance_m, curves.get(row.entry_id, {}),
-                )
-                for row in connection.execute(asked)
-            ]  # fmt: skip
+            return [_campaign(row, curves) for row in connection.execute(asked)]
 
     def bases(self) -> dict[int, str]:
         """Return, by number of an axis, the hash of its valid entries."""
@@ -365,13 +357,8 @@ class History:
             connection.execute(self._insert(ITEMS), {"serial": entry.serial, "axis": entry.axis})
             item_id = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one()
             entry = replace(entry, sha256=entry.sha256 or entry.hashed(replaced))
-            row = {
-                "item_id": item_id, "kind": entry.kind, "what": entry.what,
-                "measured_ns": entry.measured_ns, "added_ns": entry.added_ns,
-                "added_by": entry.added_by, "why": entry.why, "replaces": entry.replaces,
-                "content_sha256": entry.content_sha256, "sha256": entry.sha256,
-                "content": zlib.compress(entry.content),
-            }  # fmt: skip
+            row = {n: v for n, v in asdict(entry).items() if n not in ("id", *_OF_ITEM)}
+            row |= {"item_id": item_id, "content": zlib.compress(entry.content)}
             asked = self._insert(ENTRIES).values(row).returning(ENTRIES.c.id)
             entry_id = connection.execute(asked).scalar_one_or_none()
             if entry_id is not None and result is not None:
@@ -400,10 +387,6 @@ class History:
                 f"({old.added_by}, {day_of(old.added_ns)}): correct that one"
             )
         return old
-
-    def _ids(self, *wanted: Any) -> list[int]:
-        with self._connected() as connection:
-            return list(connection.execute(sa.select(ENTRIES.c.id).where(*wanted)).scalars())
 
     def _insert(self, table: sa.Table) -> Any:
         """Return an insertion that does nothing where the row is there already."""
@@ -635,6 +618,12 @@ def _unpacked(row: Any) -> MeasuredCurve:
     )
     n = len(angles)
     return MeasuredCurve(angles, deviation, covariance.reshape(n, n), row.period)
+
+
+def _campaign(row: Any, curves: Mapping[int, Mapping[str, MeasuredCurve]]) -> Campaign:
+    facts = row._asdict() | {"instruments": json.loads(row.instruments)}
+    facts |= {name: bool(facts[name]) for name in ("covered", "simulated")}
+    return Campaign(**facts, curves=curves.get(row.entry_id, {}))
 
 
 def _hash(content: bytes) -> str:

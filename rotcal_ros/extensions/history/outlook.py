@@ -77,7 +77,7 @@ class DeviationOutlook:
     due_ns: int | None
     probability: float | None
     decision: str
-    intervals_days: dict[str, float]
+    intervals_days: tuple[tuple[str, float], ...]
     per_kelvin: tuple[float, float] | None
     alarm: int | None
     orders: int
@@ -227,8 +227,8 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
     plain = DeviationOutlook(
         component=name, tolerance=tolerance, times_ns=times, largest=largest, rate=None,
         rate_std=0.0, angle=0.0, moved=False, wearing=0.0, due_ns=None, probability=None,
-        decision=decision, intervals_days={}, per_kelvin=None, alarm=None, orders=int(curves.series.orders.max()),
-        expected=(), found=(), notes=curves.notes,
+        decision=decision, intervals_days=(), per_kelvin=None, alarm=None,
+        orders=int(curves.series.orders.max()), expected=(), found=(), notes=curves.notes,
     )  # fmt: skip
     if len(times) < 2:
         return plain
@@ -252,11 +252,11 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
     if not tolerance or since_step < ENOUGH:
         return found
     due_ns, probability = due_date(curves, trend, tolerance, settings)
-    days = {
-        "model": (due_ns - times[-1]) / DAY_NS,
-        "staircase": _staircase(times, largest, tolerance, settings),
-        "control chart": _control_chart(times, largest, tolerance, settings),
-    }
+    days = (
+        ("model", (due_ns - times[-1]) / DAY_NS),
+        ("staircase", _staircase(largest, tolerance, settings)),
+        ("control chart", _control_chart(times, largest, tolerance, settings)),
+    )
     return replace(found, due_ns=due_ns, probability=probability, intervals_days=days)
 
 
@@ -319,9 +319,7 @@ def _jump(trend: Trend) -> int | None:
     return next((row for row in reversed(found) if row > since), None)
 
 
-def _staircase(
-    times: Sequence[int], largest: Sequence[float], tolerance: float, settings: HistorySettings
-) -> float:
+def _staircase(largest: Sequence[float], tolerance: float, settings: HistorySettings) -> float:
     """Return the next interval (days) by method 1 of OIML D 10: automatic adjustment."""
     days = settings.interval_days
     for value in largest[1:]:

@@ -137,7 +137,7 @@ def over_time(one: DeviationOutlook, entries: Sequence[Entry]) -> str:
 
 
 def _intervals(one: DeviationOutlook) -> str:
-    return ", ".join(f"{name} {days:.0f} days" for name, days in one.intervals_days.items())
+    return ", ".join(f"{name} {days:.0f} days" for name, days in one.intervals_days)
 
 
 def _entry_row(history: History, entry: Entry, folder: Path) -> tuple[Entry, str]:

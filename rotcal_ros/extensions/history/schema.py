@@ -12,7 +12,7 @@ from typing import Any, Final
 import sqlalchemy as sa
 
 WHOLE: Final = sa.BigInteger().with_variant(sa.Integer, "sqlite")
-NUMBER: Final = sa.Double().with_variant(sa.REAL, "sqlite")
+NUMBER: Final[sa.types.TypeEngine[float]] = sa.Double().with_variant(sa.REAL, "sqlite")
 METADATA: Final = sa.MetaData()
 
 

@@ -50,7 +50,8 @@ class Curves:
     def curves_of(self, coefficients: Floats, rest: Floats) -> Floats:
         """Return curves (..., n) of coefficients (..., p), with their zero where it belongs."""
         curves = rest + coefficients @ self.basis.T
-        return curves if self.zero is None else curves - curves[..., self.zero, None]
+        moved = curves if self.zero is None else curves - curves[..., self.zero, None]
+        return np.asarray(moved, dtype=np.float64)
 
     def drawn_rest(self, draws: int) -> Floats:
         """Return draws (draws, 1, n) of what the modes leave."""

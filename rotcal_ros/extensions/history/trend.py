@@ -86,7 +86,7 @@ class Series:
         """Temperatures (m,) less their mean; None where they tell nothing."""
         if self.temperature_c is None or np.ptp(self.temperature_c) < _LEAST_KELVIN:
             return None
-        return self.temperature_c - np.mean(self.temperature_c)
+        return np.asarray(self.temperature_c - np.mean(self.temperature_c), dtype=np.float64)
 
 
 _Beside: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]

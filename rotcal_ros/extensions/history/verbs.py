@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
+from rotcal_ros.cli.options import shown_option
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
 KINDS: Final = ("check", "report", "table")
+CHARTS: Final = ("shewhart", "cusum", "ewma", "t2")
+BASES: Final = ("stated", "own", "model")
 """As in the database, which takes a second to load."""
 
 
@@ -193,12 +196,7 @@ def correct(
 @command.command()
 @click.argument("serial")
 @axis_option
-@click.option(
-    "--entry",
-    "number",
-    type=int,
-    help="Write the content of this entry to --output, as it was added.",
-)
+@click.option("--entry", "number", type=int, help="Write this entry to --output, as it was.")
 @click.option("-o", "--output", type=path_type, help="File for the content of --entry.")
 @asked
 @json_option
@@ -231,21 +229,14 @@ def show(
 @command.command()
 @click.argument("serial")
 @axis_option
-@click.option("--component", type=click.Choice(COMPONENTS), default="ECC", show_default=True)
-@click.option(
-    "--chart",
-    type=click.Choice(("shewhart", "cusum", "ewma", "t2")),
-    default="shewhart",
-    show_default=True,
-    help="Control chart below the forecast.",
-)
-@click.option(
+@shown_option("--component", type=click.Choice(COMPONENTS), default="ECC", help="Deviation.")
+@shown_option("--chart", type=click.Choice(CHARTS), default="shewhart", help="Control chart.")
+@shown_option(
     "--limits",
     "basis",
-    type=click.Choice(("stated", "own", "model")),
+    type=click.Choice(BASES),
     default="stated",
-    show_default=True,
-    help="From the stated uncertainties, the scatter of the series itself, or the fitted model.",
+    help="From stated uncertainties, the scatter of the series itself, or the fitted model.",
 )
 @click.option(
     "-o", "--output", type=NamedFile(".svg", bare=False), required=True, help="The figure, .svg."
@@ -305,12 +296,8 @@ def due(
     elif mail:
         tell(*letter(found, day).splitlines())
     elif found:
-        columns = [
-            Column("Due", [day_of(one.due_ns) for one in found]),
-            Column("Table", [one.title for one in found]),
-            Column("Why", [one.reason for one in found]),
-        ]
-        print_table(columns)
+        rows = [(day_of(one.due_ns), one.title, one.reason) for one in found]
+        _print_rows(("Due", "Table", "Why"), rows)
     else:
         say(f"no table is due before {day}")
     return int(bool(found))
@@ -357,14 +344,7 @@ def import_verb(folder: Path, settings: HistorySettings) -> int:
 
 
 @command.command()
-@click.option(
-    "-o",
-    "--output",
-    type=path_type,
-    default=Path("out/park"),
-    show_default=True,
-    help="Folder for park.html and the pages of the tables.",
-)
+@shown_option("-o", "--output", type=path_type, default=Path("out/park"), help="Folder for it.")
 @asked
 def page(output: Path, settings: HistorySettings) -> int:
     """Write the page of the park: a row for each table, and a page behind it."""
@@ -420,30 +400,26 @@ def _print_park(outlooks: Sequence[Outlook]) -> None:
     from rotcal_ros.extensions.history.outlook import urgent
 
     rows = sorted(outlooks, key=lambda one: (not urgent(one), one.due_ns, one.title))
-    columns = [
-        Column("Table", [one.title for one in rows]),
-        Column("Last", [day_of(one.last_ns) for one in rows]),
-        Column("Verdict", [one.verdict_line for one in rows]),
-        Column("Trend", [one.trend for one in rows]),
-        Column("Due", [day_of(one.due_ns) for one in rows]),
-        Column("Why", [one.reason for one in rows]),
+    facts = [
+        (o.title, day_of(o.last_ns), o.verdict_line, o.trend, day_of(o.due_ns), o.reason)
+        for o in rows
     ]
-    print_table(columns)
+    _print_rows(("Table", "Last", "Verdict", "Trend", "Due", "Why"), facts)
     print_words(f"{len(rows)} tables, {sum(bool(urgent(one)) for one in rows)} to look at")
 
 
 def _print_entries(entries: Sequence[Entry]) -> None:
     replaced = {entry.replaces for entry in entries}
-    columns = [
-        Column("Entry", [entry.id for entry in entries]),
-        Column("Date", [entry.day for entry in entries]),
-        Column("Kind", [entry.kind for entry in entries]),
-        Column("What", [entry.what for entry in entries]),
-        Column("By", [entry.added_by for entry in entries]),
-        Column("Why", [entry.why for entry in entries]),
-        Column("State", ["replaced" if entry.id in replaced else "" for entry in entries]),
+    facts = [
+        (e.id, e.day, e.kind, e.what, e.added_by, e.why, "replaced" if e.id in replaced else "")
+        for e in entries
     ]
-    print_table(columns)
+    _print_rows(("Entry", "Date", "Kind", "What", "By", "Why", "State"), facts)
+
+
+def _print_rows(headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    columns = zip(*rows, strict=True) if rows else ([] for _ in headings)
+    print_table([Column(*pair) for pair in zip(headings, columns, strict=True)])
 
 
 def _print_outlook(known: Outlook) -> None:
@@ -464,7 +440,7 @@ def _lines(one: Any) -> Iterator[str]:
     if one.probability is not None:
         yield f"{one.component} is within its tolerance with {100.0 * one.probability:.1f} %"
     if one.intervals_days:
-        days = (f"{name} {days:.0f} days" for name, days in one.intervals_days.items())
+        days = (f"{name} {days:.0f} days" for name, days in one.intervals_days)
         yield f"{one.component}, next interval: {', '.join(days)}"
     if one.per_kelvin is not None:
         value, std = (number / unit for number in one.per_kelvin)
