@@ -49,22 +49,18 @@ def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str,
     if earlier is None:
         return None
     day, last = earlier
-    html = ""
+    html, now = "", str(phrase("now"))
     for name in result.components:
         if name not in last.deviations:
             continue
         try:
-            curves = {
-                phrase("now"): measured_curve(result, name),
-                phrase("{0}", day): measured_curve(last, name),
-            }
-            now, before = curves
-            found = compare(curves[now], curves[before])
+            curves = {now: measured_curve(result, name), day: measured_curve(last, name)}
+            found = compare(*curves.values())
         except DataError:
             continue
         unit, label = unit_of(name)
         words = escape(phrase("{0} against {1}: {2}", name, day, found.in_words(unit, label)))
-        figure = curves_and_errors(curves, {(now, before): found}, name)
+        figure = curves_and_errors(curves, {(now, day): found}, name)
         html += f"<p>{words}</p>{inline(figure, name)}"
     return (TITLE, html) if html else None
 

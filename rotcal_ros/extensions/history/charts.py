@@ -48,7 +48,7 @@ def statistic(chart: Chart, deviates: Floats) -> Floats:
 
     Of a CUSUM it is the larger of both sums, with its sign.
     """
-    given = np.nan_to_num(deviates)
+    given: Floats = np.nan_to_num(deviates)
     if chart == "shewhart":
         return given
     if chart == "t2":

@@ -15,7 +15,7 @@ from typing import Final, Literal
 import numpy as np
 
 from rotcal_ros.evaluation.marks import decide
-from rotcal_ros.extensions.history.charts import FALSE_ALARM, alarms
+from rotcal_ros.extensions.history.charts import FALSE_ALARM, Chart, alarms
 from rotcal_ros.extensions.history.database import Campaign, Entry, day_of
 from rotcal_ros.extensions.history.series import Curves, series_of, usable
 from rotcal_ros.extensions.history.settings import HistorySettings
@@ -35,8 +35,6 @@ _DATES, _LEVELS = 16, 3
 """A due date is looked for among so many dates, then between two of them, and so on."""
 _SIGNIFICANT: Final = 3.0
 """Standard uncertainties of a change that is called one."""
-_SURELY: Final = 0.997
-"""Probability of a drift that changes, from which on a person is told."""
 _CLOSE: Final = 0.8
 """Staircase: within this share of the tolerance the next interval is longer."""
 _LONGER, _SHORTER = 1.25, 0.7
@@ -57,7 +55,7 @@ class DeviationOutlook:
 
     ``largest`` |deviation| of each campaign at ``times_ns``. ``rate`` per year with its standard
     uncertainty, at the ``angle`` (rad) that moves most; ``moved``: more than chance explains.
-    ``wearing`` is the probability that the drift itself changes.
+    ``wearing``: its drift changes itself.
     ``due_ns`` is None where nothing can be forecast. ``probability`` is that of conformity on the
     day of the newest campaign. ``intervals_days`` by method. ``per_kelvin`` is the temperature
     coefficient at that angle and its standard uncertainty. ``alarm`` is the campaign of a jump;
@@ -73,7 +71,7 @@ class DeviationOutlook:
     rate_std: float
     angle: float
     moved: bool
-    wearing: float
+    wearing: bool
     due_ns: int | None
     probability: float | None
     decision: str
@@ -208,7 +206,7 @@ def _findings(one: DeviationOutlook) -> list[Finding]:
     if one.decision == "beyond":
         words = f"{one.component} is beyond its tolerance"
         found.append(Finding("beyond", one.times_ns[-1], words))
-    if one.alarm is None and one.wearing > _SURELY:
+    if one.alarm is None and one.wearing:
         words = f"{one.component} does not drift evenly: something wears, such as a bearing"
         found.append(Finding("wear", one.times_ns[-1], words))
     if one.moved:
@@ -226,7 +224,7 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
     decision = decide(curve.deviation, std, tolerance) if tolerance else ""
     plain = DeviationOutlook(
         component=name, tolerance=tolerance, times_ns=times, largest=largest, rate=None,
-        rate_std=0.0, angle=0.0, moved=False, wearing=0.0, due_ns=None, probability=None,
+        rate_std=0.0, angle=0.0, moved=False, wearing=False, due_ns=None, probability=None,
         decision=decision, intervals_days=(), per_kelvin=None, alarm=None,
         orders=int(curves.series.orders.max()), expected=(), found=(), notes=curves.notes,
     )  # fmt: skip
@@ -234,7 +232,7 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
         return plain
     trend = fit(curves.series)
     rate, rate_std, at, moved = _rate(curves, trend)
-    alarm = _jump(trend)
+    alarm = _alarm(trend, "t2")
     watched = len(times) - 1 if alarm is None else alarm
     found = replace(
         plain,
@@ -242,7 +240,7 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
         rate_std=rate_std,
         angle=float(curve.angles[at]),
         moved=moved,
-        wearing=trend.wearing,
+        wearing=_alarm(trend, "cusum") is not None,
         per_kelvin=_per_kelvin(curves, trend, at),
         alarm=alarm,
         expected=tuple(tuple(map(float, row)) for row in trend.expected(watched)),
@@ -311,10 +309,13 @@ def _per_kelvin(curves: Curves, trend: Trend, at: int) -> tuple[float, float] | 
     return float(row @ found[0]), float(np.sqrt(row**2 @ found[1] ** 2))
 
 
-def _jump(trend: Trend) -> int | None:
-    """Return the newest campaign that no forecast explains; false for one table in 370."""
+def _alarm(trend: Trend, chart: Chart) -> int | None:
+    """Return the newest campaign that forecasts do not explain; false for one table in 370.
+
+    T2 finds jumps, a CUSUM what wears.
+    """
     run_length = FALSE_ALARM * max(1, len(trend.surprise) - 1)
-    found = [*alarms("t2", trend.surprise, run_length)]
+    found = alarms(chart, trend.surprise, run_length)
     since = int(np.searchsorted(trend.series.steps, trend.series.steps[-1]))
     return next((row for row in reversed(found) if row > since), None)
 

@@ -13,6 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from markupsafe import Markup
+
 from rotcal_ros.extensions.history.database import DOCUMENTS, EVENT, Entry, History, day_of
 from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook, urgent
 from rotcal_ros.foundation.components import unit_of
@@ -46,7 +48,7 @@ def write_park(history: History, outlooks: Sequence[Outlook], folder: Path, toda
     # No tag can begin in it.
     data = json.dumps(rows).replace("<", "\\u003c")
     counts = {kind: sum(row["state"] == kind for row in rows) for kind in ("look", "due", "well")}
-    text = render("park", data=template.Markup(data), tables=len(rows), counts=counts, today=today)
+    text = render("park", data=Markup(data), tables=len(rows), counts=counts, today=today)
     write_atomically(folder / PAGE, text)
     return folder / PAGE
 

@@ -160,11 +160,6 @@ class Trend:
         moved, std = self._moments(self._beside(years[[first, -1]]), np.array([-1.0, 1.0]))
         return moved, std, float(years[-1] - years[first])
 
-    @property
-    def wearing(self) -> float:
-        """The probability that some mode drifts faster and faster, or changes its drift."""
-        return float(max(mode.weights @ (mode.sizes[:, 2] > 0.0) for mode in self.modes))
-
     def expected(self, campaign: int) -> tuple[Floats, Floats]:
         """Return what the earlier campaigns forecast (p,) for one, and its standard uncertainty.
 

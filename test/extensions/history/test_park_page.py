@@ -55,7 +55,7 @@ def test_three_tables_with_their_reasons_and_reports(small, browser):
     folder, _ = small
     page = browser.new_page()
     errors = []
-    page.on("pageerror", errors.append)
+    page.on("pageerror", lambda error: errors.append(error))
     page.goto((folder / "park.html").as_uri())
     found = rows(page)
     assert [text.split("\t")[0] for text in found] == ["<HIT>/C", "DRIFTS/C", "STAYS/C"]
