@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.extensions.history.database import RESULT, Added, History, canonical, result_of
+from rotcal_ros.extensions.history.page import render
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.comparison import curves_and_errors
-from rotcal_ros.report.template import inline
 
 TITLE = phrase("Since last time")
 
@@ -49,20 +48,17 @@ def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str,
     if earlier is None:
         return None
     day, last = earlier
-    html, now = "", str(phrase("now"))
+    changes, now = [], SPOKEN.get().say(phrase("now"))
     for name in result.components:
-        if name not in last.deviations:
-            continue
         try:
             curves = {now: measured_curve(result, name), day: measured_curve(last, name)}
             found = compare(*curves.values())
-        except DataError:
+        except DataError:  # not measured then, or not comparable
             continue
         unit, label = unit_of(name)
-        words = escape(phrase("{0} against {1}: {2}", name, day, found.in_words(unit, label)))
-        figure = curves_and_errors(curves, {(now, day): found}, name)
-        html += f"<p>{words}</p>{inline(figure, name)}"
-    return (TITLE, html) if html else None
+        words = phrase("{0} against {1}: {2}", name, day, phrase(found.in_words(unit, label)))
+        changes.append((words, curves_and_errors(curves, {(now, day): found}, name), name))
+    return (TITLE, render("since_last_time", changes=changes)) if changes else None
 
 
 def in_words(added: Added) -> str:

@@ -156,6 +156,7 @@ def outlook(
         words = f"the newest result is {newest.verdict_line}: measure again"
         findings.insert(0, Finding("verdict", newest.measured_ns, words))
     due_ns, reason = _due(newest, each, findings, settings)
+    reason = "; ".join([reason, *(found.words for found in findings if found.kind == "wear")])
     return Outlook(
         serial=serial, axis=axis, version=VERSION, results=len(campaigns),
         last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=newest.verdict_line,

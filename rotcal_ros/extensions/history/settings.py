@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 from rotcal_ros.foundation.settings import expert, setting
-
-PROMISE: Final = 0.95
-INTERVAL_DAYS: Final = 365.0
-LONGEST_DAYS: Final = 5 * 365.0
-COMMON_SHARE: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -27,21 +21,19 @@ class HistorySettings:
         first=True,
     )
     promise: float = setting(
-        PROMISE,
+        0.95,
         doc="probability with which a table is within its tolerance on the day it is due",
         minimum=0.5,
         maximum=0.9999,
     )
     interval_days: float = setting(
-        INTERVAL_DAYS,
+        365.0,
         doc="days until a table is due of which too little is known for a forecast",
         minimum=1.0,
     )
-    longest_days: float = setting(
-        LONGEST_DAYS, doc="days after which every table is due", minimum=1.0
-    )
+    longest_days: float = setting(1825.0, doc="days after which every table is due", minimum=1.0)
     common_share: float = expert(
-        COMMON_SHARE,
+        0.5,
         doc="share of the variance that calibrations with the same artefact or instrument have "
         "in common",
         minimum=0.0,

@@ -358,17 +358,12 @@ def page(output: Path, settings: HistorySettings) -> int:
 
 
 @command.command()
-@click.option("-o", "--output", type=path_type, help="File for the collector of text files.")
 @asked
-def metrics(output: Path | None, settings: HistorySettings) -> int:
+def metrics(settings: HistorySettings) -> int:
     """Print due dates and findings for monitoring, in the text format of Prometheus."""
     from rotcal_ros.extensions.history.exchange import metrics as of_all
 
-    text = of_all(_park(settings))
-    if output is None:
-        click.echo(text, nl=False)
-    else:
-        write_atomically(output, text)
+    click.echo(of_all(_park(settings)), nl=False)
     return 0
 
 

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from rotcal_ros.extensions.history.database import History, day_of
 from rotcal_ros.extensions.history.outlook import Outlook, urgent
-from rotcal_ros.extensions.history.park import outlook_of, park
+from rotcal_ros.extensions.history.park import park
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -54,11 +54,7 @@ def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]
 def outlooks_of(settings: HistorySettings, serial: str) -> list[Outlook]:
     """Return the outlooks of all axes of a machine; of all machines without a serial number."""
     with History(settings.database, must_exist=True) as history:
-        if not serial:
-            return park(history, settings)
-        items = [item for item in history.items() if item.serial == serial]
-        found = [outlook_of(history, item, settings) for item in items]
-        return [one for one in found if one is not None]
+        return [one for one in park(history, settings) if serial in ("", one.serial)]
 
 
 class CalibrationStatus(CellNode):
