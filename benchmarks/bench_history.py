@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
-from rotcal_ros.extensions.history.database import History, packed
+from rotcal_ros.extensions.history.database import ParkHistory, packed
 from rotcal_ros.extensions.history.park import outlook_of, park
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.circumstances import Circumstances
@@ -76,7 +76,7 @@ def rows() -> Iterator[Row]:
     settings = HistorySettings()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "history.db")
-        with History(str(path)) as history:
+        with ParkHistory(str(path)) as history:
             yield timed("add", RESULTS, lambda: [history.add_result(r) for r in results()])
             size = path.stat().st_size / RESULTS
             item = history.items()[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rotcal_ros.evaluation.compare import compare
-from rotcal_ros.extensions.history.database import RESULT, Added, History, canonical, result_of
+from rotcal_ros.extensions.history.database import RESULT, Added, ParkHistory, canonical, result_of
 from rotcal_ros.extensions.history.page import render
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
@@ -22,9 +22,9 @@ TITLE = phrase("Since last time")
 def keep(result: Result, database: str, axis: str = "", report: Path | None = None) -> str:
     """Add a result, and its report, to a history; return in words what became of it.
 
-    Raises what :meth:`History.add_result` does.
+    Raises what :meth:`ParkHistory.add_result` does.
     """
-    with History(database) as history:
+    with ParkHistory(database) as history:
         added = history.add_result(result, axis=_unless_stated(result, axis))
         if report is not None:
             entry, page = added.entry, report.read_bytes()
@@ -43,7 +43,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str,
     """Return title and HTML of the changes since the newest result before; None without one."""
     axis = _unless_stated(result, axis) or result.circumstances.axis
     serial = result.circumstances.identity.serial
-    with History(database) as history:
+    with ParkHistory(database) as history:
         earlier = _earlier(history, result, serial, axis)
     if earlier is None:
         return None
@@ -52,7 +52,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str,
     for name in result.components:
         try:
             curves = {now: measured_curve(result, name), day: measured_curve(last, name)}
-            found = compare(*curves.values())
+            found = compare(curves[now], curves[day])
         except DataError:  # not measured then, or not comparable
             continue
         unit, label = unit_of(name)
@@ -72,7 +72,7 @@ def _unless_stated(result: Result, axis: str) -> str:
 
 
 def _earlier(
-    history: History, result: Result, serial: str, axis: str
+    history: ParkHistory, result: Result, serial: str, axis: str
 ) -> tuple[str, Result] | None:
     for item in history.items():
         if (item.serial, item.axis) != (serial, axis):

@@ -71,7 +71,7 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Entry:
+class HistoryEntry:
     """One entry; ``content`` as it was added, times in ns since 1970.
 
     ``what``: the method of a result, the kind of an event, the name of a file. ``replaces`` is
@@ -110,7 +110,7 @@ class Entry:
 class Added:
     """What became of an addition: the entry, and whether it is new."""
 
-    entry: Entry
+    entry: HistoryEntry
     new: bool
 
 
@@ -136,7 +136,7 @@ class Campaign:
     curves: Mapping[str, MeasuredCurve]
 
 
-class History:
+class ParkHistory:
     """An open history; a context manager. Raises BagError where the database does not answer."""
 
     def __init__(self, database: str, *, must_exist: bool = False) -> None:
@@ -145,7 +145,7 @@ class History:
         with self._connected() as connection:
             _upgrade(connection, database)
 
-    def __enter__(self) -> History:
+    def __enter__(self) -> ParkHistory:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -210,7 +210,7 @@ class History:
         new = _entry(serial, axis, old.kind, old.what, old.measured_ns, why, old.content)
         return self._add(replace(new, replaces=entry_id), None, f"entry {entry_id}")
 
-    def restore(self, entry: Entry, replaced: str) -> Added:
+    def restore(self, entry: HistoryEntry, replaced: str) -> Added:
         """Add an entry of another history as it is there; ``replaced``: hash of what it replaces.
 
         Raises DataError if it is not as its hashes say.
@@ -245,20 +245,22 @@ class History:
         near = ", ".join(item.serial for item in self.items()[:10]) or "none yet"
         raise DataError(f"no table {serial!r} in {self.database}; there are: {near}")
 
-    def entry(self, entry_id: int) -> Entry:
+    def entry(self, entry_id: int) -> HistoryEntry:
         """Return an entry with its content; DataError if there is none."""
         for entry in self.entries(ENTRIES.c.id == entry_id, content=True):
             return entry
         raise DataError(f"no entry {entry_id} in {self.database}: `{_VERB} show` lists them")
 
-    def of_item(self, item: Item, *, valid: bool = True) -> list[Entry]:
+    def of_item(self, item: Item, *, valid: bool = True) -> list[HistoryEntry]:
         """Return the entries of an axis by time of measurement, without their content."""
         wanted = [ENTRIES.c.item_id == item.id, *([_valid()] if valid else [])]
         return sorted(self.entries(*wanted), key=lambda entry: (entry.measured_ns, entry.id))
 
-    def entries(self, *wanted: Any, content: bool = False) -> Iterator[Entry]:
+    def entries(self, *wanted: Any, content: bool = False) -> Iterator[HistoryEntry]:
         """Yield entries in the order in which they were added."""
-        names = [field.name for field in fields(Entry) if content or field.name != "content"]
+        names = [
+            field.name for field in fields(HistoryEntry) if content or field.name != "content"
+        ]
         columns = [ITEMS.c[n] if n in _OF_ITEM else ENTRIES.c[n] for n in names]
         asked = sa.select(*columns).select_from(ENTRIES.join(ITEMS)).where(*wanted)
         with self._connected() as connection:
@@ -267,7 +269,7 @@ class History:
                 facts = row._asdict()
                 if content:
                     facts["content"] = zlib.decompress(facts["content"])
-                yield Entry(**facts)
+                yield HistoryEntry(**facts)
 
     def campaigns(self, item: Item) -> list[Campaign]:
         """Return the valid results of an axis with their curves, by time of measurement."""
@@ -300,11 +302,11 @@ class History:
         with self._connected() as connection:
             return {(row.item_id, row.basis): row.content for row in connection.execute(asked)}
 
-    def note_forecasts(self, made: Iterable[tuple[int, str, str]]) -> None:
+    def note_forecasts(self, forecasts: Iterable[tuple[int, str, str]]) -> None:
         """Keep forecasts as (axis, basis, content)."""
         rows = [
             {"item_id": item, "basis": basis, "made_ns": time.time_ns(), "content": content}
-            for item, basis, content in made
+            for item, basis, content in forecasts
         ]
         if rows:
             with self._connected(writing=True) as connection:
@@ -326,7 +328,7 @@ class History:
                 wrong += [f"{where}: {text}" for text in self._derived_faults(entry)]
         return wrong
 
-    def _derived_faults(self, entry: Entry) -> list[str]:
+    def _derived_faults(self, entry: HistoryEntry) -> list[str]:
         """Compare the rows that follow from a result with its content, bit by bit."""
         result = result_of(entry)
         wanted = {(row["component"]): row for row in _curve_rows(entry.id, result)}
@@ -349,7 +351,7 @@ class History:
         faults = [f"SQLite: {text}" for text in whole if text != "ok"]
         return faults + [f"{row[0]}, row {row[1]}: it belongs to no {row[2]}" for row in loose]
 
-    def _add(self, entry: Entry, result: Result | None, where: str) -> Added:
+    def _add(self, entry: HistoryEntry, result: Result | None, where: str) -> Added:
         """Write an entry and what follows from it, all or nothing."""
         with self._connected(writing=True) as connection:
             replaced = _replaced(connection, entry)
@@ -369,7 +371,7 @@ class History:
             return Added(replace(entry, id=entry_id), new=True)
         return Added(self._there_already(entry, where), new=False)
 
-    def _there_already(self, entry: Entry, where: str) -> Entry:
+    def _there_already(self, entry: HistoryEntry, where: str) -> HistoryEntry:
         """Return the entry that was there before; DataError if it says something else."""
         same = sa.and_(
             ENTRIES.c.content_sha256 == entry.content_sha256, ENTRIES.c.replaces.is_(None)
@@ -407,7 +409,7 @@ class History:
             ) from error
 
 
-def result_of(entry: Entry) -> Result:
+def result_of(entry: HistoryEntry) -> Result:
     """Return the result that an entry holds, to the last bit."""
     return Result.from_dict(load_json(entry.content))
 
@@ -524,7 +526,7 @@ def _valid() -> Any:
     return sa.and_(ENTRIES.c.kind != WITHDRAWAL, ~replaced)
 
 
-def _replaced(connection: sa.Connection, entry: Entry) -> str:
+def _replaced(connection: sa.Connection, entry: HistoryEntry) -> str:
     """Return the hash of the entry that is replaced; empty for none, DataError if missing."""
     if entry.replaces is None:
         return ""
@@ -537,9 +539,9 @@ def _replaced(connection: sa.Connection, entry: Entry) -> str:
 
 def _entry(
     serial: str, axis: str, kind: str, what: str, measured_ns: int, why: str, content: bytes
-) -> Entry:
+) -> HistoryEntry:
     who = os.environ.get("ROTCAL_USER") or _user()
-    return Entry(
+    return HistoryEntry(
         0, serial, axis, kind, what, measured_ns, time.time_ns(), who, why, _hash(content), "",
         None, content,
     )  # fmt: skip

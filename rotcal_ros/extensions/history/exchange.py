@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.bags.parquet import arrow
-from rotcal_ros.extensions.history.database import Entry, History, day_of
+from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory, day_of
 from rotcal_ros.extensions.history.outlook import Outlook, urgent
 from rotcal_ros.foundation.arrays import std_of
 from rotcal_ros.foundation.errors import BagError
@@ -27,7 +27,7 @@ _GROUP: Final = 500
 _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 
 
-def export(history: History, folder: Path) -> int:
+def export(history: ParkHistory, folder: Path) -> int:
     """Write both files into ``folder``, each whole or not at all; return the entries' number."""
     arrow()
     folder.mkdir(parents=True, exist_ok=True)
@@ -47,7 +47,7 @@ def export(history: History, folder: Path) -> int:
     return count
 
 
-def restore(history: History, folder: Path) -> tuple[int, int]:
+def restore(history: ParkHistory, folder: Path) -> tuple[int, int]:
     """Add the entries of an export; return how many are new, and how many were there before.
 
     Raises BagError for files that are damaged, DataError for entries that do not fit.
@@ -60,7 +60,7 @@ def restore(history: History, folder: Path) -> tuple[int, int]:
             for batch in file.iter_batches(batch_size=_GROUP):
                 for row in batch.to_pylist():
                     replaced = row.pop("replaces")
-                    added = history.restore(Entry(**row, replaces=None), replaced)
+                    added = history.restore(HistoryEntry(**row, replaces=None), replaced)
                     new, old = new + added.new, old + (not added.new)
     except (OSError, pa.ArrowException, KeyError, TypeError) as error:
         raise BagError(f"{path} is no whole export of a history: {error}; export again") from error
@@ -70,16 +70,16 @@ def restore(history: History, folder: Path) -> tuple[int, int]:
 def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
     """Return the due dates as an iCalendar (RFC 5545): a whole day for each table."""
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//rotcal_ros//history//EN"]
-    for one in outlooks:
-        due = date.fromisoformat(day_of(one.due_ns))
+    for view in outlooks:
+        due = date.fromisoformat(day_of(view.due_ns))
         lines += [
             "BEGIN:VEVENT",
-            f"UID:{_escaped(one.title)}@rotcal",
+            f"UID:{_escaped(view.title)}@rotcal",
             f"DTSTAMP:{now.astimezone(timezone.utc):%Y%m%dT%H%M%SZ}",
             f"DTSTART;VALUE=DATE:{due:%Y%m%d}",
             f"DTEND;VALUE=DATE:{due + timedelta(days=1):%Y%m%d}",
-            f"SUMMARY:Calibrate {_escaped(one.title)}",
-            f"DESCRIPTION:{_escaped(one.reason)}",
+            f"SUMMARY:Calibrate {_escaped(view.title)}",
+            f"DESCRIPTION:{_escaped(view.reason)}",
             "END:VEVENT",
         ]
     return "".join(f"{part}\r\n" for line in [*lines, "END:VCALENDAR"] for part in _folded(line))
@@ -89,9 +89,9 @@ def letter(outlooks: Sequence[Outlook], before: str) -> str:
     """Return the due tables as the text of an e-mail, its subject first."""
     tables = "1 table is" if len(outlooks) == 1 else f"{len(outlooks)} tables are"
     lines = [f"Subject: {tables} due before {before}", ""]
-    for one in outlooks:
-        lines += [f"{day_of(one.due_ns)}  {one.title}: {one.reason}"]
-        lines += [f"            {found.words}" for found in urgent(one)[1:]]
+    for view in outlooks:
+        lines += [f"{day_of(view.due_ns)}  {view.title}: {view.reason}"]
+        lines += [f"            {found.words}" for found in urgent(view)[1:]]
     return "\n".join(lines) + "\n"
 
 
@@ -108,9 +108,9 @@ def metrics(outlooks: Sequence[Outlook]) -> str:
     for name, words, value in families:
         full = f"rotcal_calibration_{name}"
         lines += [f"# HELP {full} {words}", f"# TYPE {full} gauge"]
-        for one in outlooks:
-            labels = f'serial="{_label(one.serial)}",axis="{_label(one.axis)}"'
-            lines.append(f"{full}{{{labels}}} {value(one):.15g}")
+        for view in outlooks:
+            labels = f'serial="{_label(view.serial)}",axis="{_label(view.axis)}"'
+            lines.append(f"{full}{{{labels}}} {value(view):.15g}")
     return "\n".join(lines) + "\n"
 
 
@@ -155,7 +155,9 @@ def _entry_schema() -> Any:
     pa, _ = arrow()
     whole = dict.fromkeys(("id", "measured_ns", "added_ns"), pa.int64())
     kinds = {**whole, "content": pa.binary()}
-    return pa.schema([(name, kinds.get(name, pa.string())) for name in Entry.__dataclass_fields__])
+    return pa.schema(
+        [(name, kinds.get(name, pa.string())) for name in HistoryEntry.__dataclass_fields__]
+    )
 
 
 def _deviation_schema() -> Any:
@@ -167,7 +169,7 @@ def _deviation_schema() -> Any:
     return pa.schema(list(kinds.items()))
 
 
-def _deviations(history: History) -> Iterator[dict[str, Any]]:
+def _deviations(history: ParkHistory) -> Iterator[dict[str, Any]]:
     for item in history.items():
         for campaign in history.campaigns(item):
             common = {

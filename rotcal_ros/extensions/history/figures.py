@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from rotcal_ros.extensions.history.charts import Chart, limit, own_scatter, statistic
-from rotcal_ros.extensions.history.series import Curves
+from rotcal_ros.extensions.history.series import DeviationSeries
 from rotcal_ros.extensions.history.trend import DRAWS, Trend
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
@@ -33,7 +33,12 @@ def deviates(trend: Trend, basis: Basis) -> Floats:
 
 @style.styled
 def chart_and_forecast(
-    curves: Curves, trend: Trend, until_ns: int, chart: Chart, basis: Basis, tolerance: float
+    curves: DeviationSeries,
+    trend: Trend,
+    until_ns: int,
+    chart: Chart,
+    basis: Basis,
+    tolerance: float,
 ) -> str:
     """Draw the deviation at the angle that moves most with its forecast, above a control chart."""
     unit, label = unit_of(curves.component)

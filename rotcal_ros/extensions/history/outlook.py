@@ -16,8 +16,8 @@ import numpy as np
 
 from rotcal_ros.evaluation.marks import decide
 from rotcal_ros.extensions.history.charts import FALSE_ALARM, Chart, alarms
-from rotcal_ros.extensions.history.database import Campaign, Entry, day_of
-from rotcal_ros.extensions.history.series import Curves, series_of, usable
+from rotcal_ros.extensions.history.database import Campaign, HistoryEntry, day_of
+from rotcal_ros.extensions.history.series import DeviationSeries, series_of, usable
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.extensions.history.trend import DRAWS, YEAR_NS, Trend, fit
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -41,7 +41,7 @@ _LONGER, _SHORTER = 1.25, 0.7
 
 
 @dataclass(frozen=True)
-class Finding:
+class TableFinding:
     """Something that a person has to look at, and when it was seen."""
 
     kind: Literal["jump", "drift", "wear", "beyond", "verdict", "swapped"]
@@ -108,7 +108,7 @@ class Outlook:
     measured_on: str
     due_ns: int
     reason: str
-    findings: tuple[Finding, ...]
+    findings: tuple[TableFinding, ...]
     deviations: tuple[DeviationOutlook, ...]
 
     @property
@@ -139,7 +139,7 @@ def outlook(
     serial: str,
     axis: str,
     campaigns: Sequence[Campaign],
-    entries: Sequence[Entry],
+    entries: Sequence[HistoryEntry],
     settings: HistorySettings,
 ) -> Outlook:
     """Return the outlook of an axis with at least one result; DataError without any.
@@ -151,10 +151,10 @@ def outlook(
     newest, counting = campaigns[-1], usable(campaigns, entries)
     found = series_of(counting, entries, settings.common_share)
     each = tuple(_of_deviation(curves, settings) for curves in found.values())
-    findings = [f for one in each for f in _findings(one)]
+    findings = [f for view in each for f in _findings(view)]
     if newest.verdict != "ok":
         words = f"the newest result is {newest.verdict_line}: measure again"
-        findings.insert(0, Finding("verdict", newest.measured_ns, words))
+        findings.insert(0, TableFinding("verdict", newest.measured_ns, words))
     due_ns, reason = _due(newest, each, findings, settings)
     reason = "; ".join([reason, *(found.words for found in findings if found.kind == "wear")])
     return Outlook(
@@ -165,7 +165,7 @@ def outlook(
     )  # fmt: skip
 
 
-def with_finding(known: Outlook, finding: Finding) -> Outlook:
+def with_finding(known: Outlook, finding: TableFinding) -> Outlook:
     """Return the outlook with a finding in front, that makes it due at once."""
     findings = (finding, *known.findings)
     due_ns = min(known.due_ns, finding.time_ns)
@@ -175,7 +175,7 @@ def with_finding(known: Outlook, finding: Finding) -> Outlook:
 def _due(
     newest: Campaign,
     each: Sequence[DeviationOutlook],
-    findings: Sequence[Finding],
+    findings: Sequence[TableFinding],
     settings: HistorySettings,
 ) -> tuple[int, str]:
     """Return when a table is due, and why."""
@@ -195,27 +195,27 @@ def _due(
     return first.due_ns or 0, f"{first.component} is within its tolerance with {chance} until then"
 
 
-def _findings(one: DeviationOutlook) -> list[Finding]:
+def _findings(view: DeviationOutlook) -> list[TableFinding]:
     found = []
-    if one.alarm is not None:
-        time_ns = one.times_ns[one.alarm]
+    if view.alarm is not None:
+        time_ns = view.times_ns[view.alarm]
         words = (
-            f"{one.component} jumped before {day_of(time_ns)}: look at the table, then note what "
+            f"{view.component} jumped before {day_of(time_ns)}: look at the table, then note what "
             "happened as an event"
         )
-        found.append(Finding("jump", time_ns, words))
-    if one.decision == "beyond":
-        words = f"{one.component} is beyond its tolerance"
-        found.append(Finding("beyond", one.times_ns[-1], words))
-    if one.alarm is None and one.wearing:
-        words = f"{one.component} does not drift evenly: something wears, such as a bearing"
-        found.append(Finding("wear", one.times_ns[-1], words))
-    if one.moved:
-        found.append(Finding("drift", one.times_ns[-1], f"drift: {one.trend}"))
+        found.append(TableFinding("jump", time_ns, words))
+    if view.decision == "beyond":
+        words = f"{view.component} is beyond its tolerance"
+        found.append(TableFinding("beyond", view.times_ns[-1], words))
+    if view.alarm is None and view.wearing:
+        words = f"{view.component} does not drift evenly: something wears, such as a bearing"
+        found.append(TableFinding("wear", view.times_ns[-1], words))
+    if view.moved:
+        found.append(TableFinding("drift", view.times_ns[-1], f"drift: {view.trend}"))
     return found
 
 
-def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook:
+def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> DeviationOutlook:
     name, newest = curves.component, curves.campaigns[-1]
     tolerance = newest.tolerance_m if name in TRANSLATIONS else newest.tolerance_rad
     times = tuple(c.measured_ns for c in curves.campaigns)
@@ -260,7 +260,7 @@ def _of_deviation(curves: Curves, settings: HistorySettings) -> DeviationOutlook
 
 
 def due_date(
-    curves: Curves, trend: Trend, tolerance: float, settings: HistorySettings
+    curves: DeviationSeries, trend: Trend, tolerance: float, settings: HistorySettings
 ) -> tuple[int, float]:
     """Return the last moment (ns) at which the promise holds, and the probability today.
 
@@ -289,7 +289,7 @@ def due_date(
     return low, today
 
 
-def _rate(curves: Curves, trend: Trend) -> tuple[float | None, float, int, bool]:
+def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, int, bool]:
     """Return the change per year where it is largest, and whether it is one at all."""
     moved, std, years = trend.change()
     curve = curves.curves_of(moved, np.zeros(1))
@@ -302,7 +302,7 @@ def _rate(curves: Curves, trend: Trend) -> tuple[float | None, float, int, bool]
     return float(curve[at] / years), float(deviation[at] / years), at, bool(np.any(normal))
 
 
-def _per_kelvin(curves: Curves, trend: Trend, at: int) -> tuple[float, float] | None:
+def _per_kelvin(curves: DeviationSeries, trend: Trend, at: int) -> tuple[float, float] | None:
     found = trend.per_kelvin()
     if found is None:
         return None
@@ -345,6 +345,6 @@ def _control_chart(
     return float(min(days, settings.longest_days))
 
 
-def urgent(known: Outlook) -> tuple[Finding, ...]:
+def urgent(known: Outlook) -> tuple[TableFinding, ...]:
     """Return the findings that a person has to look at now: all but a mere drift."""
     return tuple(f for f in known.findings if f.kind != "drift")

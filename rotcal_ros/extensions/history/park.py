@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from rotcal_ros.extensions.history.database import RESULT, History, Item, day_of
+from rotcal_ros.extensions.history.database import RESULT, ParkHistory, Item, day_of
 from rotcal_ros.extensions.history.outlook import (
     VERSION,
     DeviationOutlook,
-    Finding,
+    TableFinding,
     Outlook,
     outlook,
     with_finding,
@@ -32,7 +32,7 @@ _CLEARLY: Final = 10.0
 
 
 def park(
-    history: History,
+    history: ParkHistory,
     settings: HistorySettings,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Outlook]:
@@ -42,14 +42,14 @@ def park(
     for done, item in enumerate(items, 1):
         basis = _basis(bases.get(item.id, ""), settings)
         text = known.get((item.id, basis))
-        one = None
+        view = None
         if text is not None:
             with suppress(ValueError):
-                one = Outlook.from_json(text)
-        if one is None and (one := outlook_of(history, item, settings)) is not None:
-            new.append((item.id, basis, one.to_json()))
-        if one is not None:
-            found.append(one)
+                view = Outlook.from_json(text)
+        if view is None and (view := outlook_of(history, item, settings)) is not None:
+            new.append((item.id, basis, view.to_json()))
+        if view is not None:
+            found.append(view)
         if len(new) >= KEPT_AFTER or done == len(items):
             with suppress(BagError):  # a history that may only be read is shown all the same
                 history.note_forecasts(new)
@@ -58,7 +58,7 @@ def park(
     return _with_swaps(found)
 
 
-def outlook_of(history: History, item: Item, settings: HistorySettings) -> Outlook | None:
+def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> Outlook | None:
     """Return the outlook of one axis; None for one without results."""
     entries = history.of_item(item)
     if not any(entry.kind == RESULT for entry in entries):
@@ -75,9 +75,9 @@ def _basis(entries: str, settings: HistorySettings) -> str:
 def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
     """Name the tables whose jump shows the curve of another one: a swapped serial number."""
     named = list(outlooks)
-    for number, one in enumerate(outlooks):
-        jumped = [d for d in one.deviations if d.alarm is not None]
-        others = [other for other in outlooks if other is not one]
+    for number, view in enumerate(outlooks):
+        jumped = [d for d in view.deviations if d.alarm is not None]
+        others = [other for other in outlooks if other is not view]
         fits = [(fit, other) for other in others if (fit := _fit(jumped, other)) > -np.inf]
         if not jumped or not fits:
             continue
@@ -89,7 +89,7 @@ def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
             f"the result of {day_of(time_ns)} has the curve of {other.title}: were the serial "
             "numbers swapped?"
         )
-        named[number] = with_finding(one, Finding("swapped", time_ns, words))
+        named[number] = with_finding(view, TableFinding("swapped", time_ns, words))
     return named
 
 

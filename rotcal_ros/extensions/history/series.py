@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.history.database import CUTTING, EVENT, Campaign, Entry
-from rotcal_ros.extensions.history.trend import Series
+from rotcal_ros.extensions.history.database import CUTTING, EVENT, Campaign, HistoryEntry
+from rotcal_ros.extensions.history.trend import CampaignSeries
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.curves.interpolation import harmonic_basis, harmonic_estimator
@@ -24,7 +24,7 @@ NEWEST: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Curves:
+class DeviationSeries:
     """The curves of one deviation since the last event that made the table another one.
 
     ``campaigns`` (m) are those of ``series``. A curve at the angles of the newest one is ``rest``
@@ -35,7 +35,7 @@ class Curves:
 
     component: str
     campaigns: tuple[Campaign, ...]
-    series: Series
+    series: CampaignSeries
     basis: Floats
     rest: Floats
     rest_covariance: Floats
@@ -61,7 +61,7 @@ class Curves:
         return np.asarray(self.rest + deviates @ root.T, dtype=np.float64)
 
 
-def usable(campaigns: Sequence[Campaign], entries: Sequence[Entry]) -> list[Campaign]:
+def usable(campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry]) -> list[Campaign]:
     """Return the campaigns that count since the last cut, the newest NEWEST of them.
 
     Results that are not ok, and simulated ones beside real ones, do not count.
@@ -74,8 +74,8 @@ def usable(campaigns: Sequence[Campaign], entries: Sequence[Entry]) -> list[Camp
 
 
 def series_of(
-    campaigns: Sequence[Campaign], entries: Sequence[Entry], common_share: float
-) -> dict[str, Curves]:
+    campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry], common_share: float
+) -> dict[str, DeviationSeries]:
     """Return the series of each deviation of campaigns in order of time.
 
     At an event, and where the table in force changes, the level may jump. A deviation whose
@@ -85,8 +85,8 @@ def series_of(
     found = {}
     for name in COMPONENTS:
         with_it = [c for c in campaigns if name in c.curves]
-        if with_it and (one := _curves(name, with_it, jumps, common_share)) is not None:
-            found[name] = one
+        if with_it and (view := _curves(name, with_it, jumps, common_share)) is not None:
+            found[name] = view
     return found
 
 
@@ -99,7 +99,7 @@ def coefficients_of(curve: MeasuredCurve, orders: int) -> tuple[Floats, Floats]:
 
 def _curves(
     component: str, campaigns: Sequence[Campaign], jumps: Sequence[int], common_share: float
-) -> Curves | None:
+) -> DeviationSeries | None:
     period = campaigns[-1].curves[component].period
     alike = [c for c in campaigns if c.curves[component].period == period]
     able = {c.entry_id: (len(c.curves[component].angles) - 1) // 2 for c in alike}
@@ -118,7 +118,7 @@ def _curves(
     zero = np.flatnonzero(np.diag(newest.covariance) <= 0.0)
     numbers = np.arange(1, orders + 1)
     temperatures = [c.temperature_c for c in kept]
-    series = Series(
+    series = CampaignSeries(
         times_ns=np.array([c.measured_ns for c in kept], dtype=np.int64),
         values=np.array([values for values, _ in fits]),
         std=np.sqrt(np.array(variances)),
@@ -131,7 +131,7 @@ def _curves(
     notes = (f"{dropped} results of {component} have too few angles or another arc",) * bool(
         dropped
     )
-    return Curves(
+    return DeviationSeries(
         component, tuple(kept), series, basis[:, 1:], left @ newest.deviation,
         left @ newest.covariance @ left.T, int(zero[0]) if len(zero) == 1 else None, notes,
     )  # fmt: skip

@@ -18,20 +18,19 @@ class HistorySettings:
         "history.db",
         doc="file of the history (SQLite), or postgresql://USER@HOST/NAME; a password belongs "
         "into PGPASSFILE",
-        first=True,
     )
-    promise: float = setting(
+    promise: float = expert(
         0.95,
         doc="probability with which a table is within its tolerance on the day it is due",
         minimum=0.5,
         maximum=0.9999,
     )
-    interval_days: float = setting(
+    interval_days: float = expert(
         365.0,
-        doc="days until a table is due of which too little is known for a forecast",
+        doc="days, interval of a table of which too little is known for a forecast",
         minimum=1.0,
     )
-    longest_days: float = setting(1825.0, doc="days after which every table is due", minimum=1.0)
+    longest_days: float = expert(1825.0, doc="days, longest interval of any table", minimum=1.0)
     common_share: float = expert(
         0.5,
         doc="share of the variance that calibrations with the same artefact or instrument have "
@@ -40,5 +39,5 @@ class HistorySettings:
         maximum=1.0,
     )
     period_s: float = expert(
-        60.0, doc="s between two looks of the node calibration_status", minimum=1.0
+        60.0, doc="s, time between two looks of the node calibration_status", minimum=1.0
     )

@@ -55,7 +55,7 @@ _LEAST_KELVIN: Final = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class CampaignSeries:
     """Coefficients of one deviation in m campaigns, in order of time, rad or m.
 
     ``times_ns`` (m,), ``values`` (m, p) with standard uncertainties ``std`` (m, p). ``orders``
@@ -130,7 +130,7 @@ class Trend:
     that does not move, with the stated uncertainties.
     """
 
-    series: Series
+    series: CampaignSeries
     modes: tuple[Mode, ...]
     surprise: Floats
     stated: Floats
@@ -207,7 +207,7 @@ class Trend:
         return found[0], found[1]
 
 
-def fit(series: Series) -> Trend:
+def fit(series: CampaignSeries) -> Trend:
     """Fit the model to a series of two campaigns or more; its uncertainties are above zero."""
     sizes, priors = _grid(series)
     count = int(series.orders.max())
@@ -234,7 +234,7 @@ def fit(series: Series) -> Trend:
     return Trend(series, tuple(modes), surprise, stated)
 
 
-def _grid(series: Series) -> tuple[Floats, Floats]:
+def _grid(series: CampaignSeries) -> tuple[Floats, Floats]:
     """Return sizes (g, 4), of drift, random walk, wear, season, and logarithms of their priors."""
     long = len(series.values) >= _SEASON_FROM and series.years[-1] >= 1.0
     causes = (SIZES, SIZES, WEARS, SEASONS if long else SEASONS[:1])
@@ -260,7 +260,7 @@ def _moving(a: Floats, b: Floats, sizes: Floats) -> Floats:
     return np.asarray(moved + season**2 * np.cos(2.0 * np.pi * (a - b)), dtype=np.float64)
 
 
-def _fit_mode(series: Series, sizes: Floats, mode: int) -> tuple[float, Floats, Floats]:
+def _fit_mode(series: CampaignSeries, sizes: Floats, mode: int) -> tuple[float, Floats, Floats]:
     """Return the unit, the Cholesky factors and the whitened values of one mode."""
     columns = series.orders == mode
     std = np.sqrt(np.mean(series.std[:, columns] ** 2, axis=1))

@@ -21,7 +21,7 @@ from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.extensions.history.database import Entry, History
+    from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory
     from rotcal_ros.extensions.history.outlook import Outlook
 
 EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
@@ -87,7 +87,7 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
         return 0
     outlooks = _park(settings)
     if as_json:
-        print_json({"tables": [_plain(one) for one in outlooks]})
+        print_json({"tables": [_plain(view) for view in outlooks]})
     else:
         _print_park(outlooks)
     return 0
@@ -114,11 +114,11 @@ def add(
     check, a report, a table in force.
     """
     from rotcal_ros.extensions.history.adding import in_words
-    from rotcal_ros.extensions.history.database import History, time_of
+    from rotcal_ros.extensions.history.database import ParkHistory, time_of
 
     measured_ns = time_of(measured) if measured else 0
     done, settings = [], asked.pop("settings")
-    with History(settings.database) as history, progress("adding") as shown:
+    with ParkHistory(settings.database) as history, progress("adding") as shown:
         for number, source in enumerate(sources, 1):
             if kind is None:
                 added = _add_result(history, source, {**asked, "measured_ns": measured_ns})
@@ -127,16 +127,16 @@ def add(
                 day = measured_ns or round(source.stat().st_mtime) * 1_000_000_000
                 facts = (item.serial, item.axis, kind, source.name, day)
                 added = [history.add_document(*facts, source.read_bytes())]
-            for one in added:
-                done.append({"new": one.new, **_facts(one.entry)})
-                say(in_words(one))
+            for view in added:
+                done.append({"new": view.new, **_facts(view.entry)})
+                say(in_words(view))
             shown(number, len(sources))
     if as_json:
         print_json({"entries": done})
     return 0
 
 
-def _add_result(history: History, source: Path, given: dict[str, Any]) -> list[Any]:
+def _add_result(history: ParkHistory, source: Path, given: dict[str, Any]) -> list[Any]:
     from rotcal_ros.foundation.session_folder import SessionFolder
     from rotcal_ros.recordings.result_sources import read_source
 
@@ -292,11 +292,11 @@ def due(
         write_atomically(ics, calendar(found, now))
         say(f"calendar: {ics.absolute()}")
     if as_json:
-        print_json({"before": day, "tables": [_plain(one) for one in found]})
+        print_json({"before": day, "tables": [_plain(view) for view in found]})
     elif mail:
         tell(*letter(found, day).splitlines())
     elif found:
-        rows = [(day_of(one.due_ns), one.title, one.reason) for one in found]
+        rows = [(day_of(view.due_ns), view.title, view.reason) for view in found]
         _print_rows(("Due", "Table", "Why"), rows)
     else:
         say(f"no table is due before {day}")
@@ -334,10 +334,10 @@ def export_verb(folder: Path, settings: HistorySettings) -> int:
 @asked
 def import_verb(folder: Path, settings: HistorySettings) -> int:
     """Add the entries of an export; those that are there already stay as they are."""
-    from rotcal_ros.extensions.history.database import History
+    from rotcal_ros.extensions.history.database import ParkHistory
     from rotcal_ros.extensions.history.exchange import restore
 
-    with History(settings.database) as history:
+    with ParkHistory(settings.database) as history:
         new, old = restore(history, folder)
     say(f"{new} entries added, {old} were there already")
     return 0
@@ -367,10 +367,10 @@ def metrics(settings: HistorySettings) -> int:
     return 0
 
 
-def _open(settings: HistorySettings) -> History:
-    from rotcal_ros.extensions.history.database import History
+def _open(settings: HistorySettings) -> ParkHistory:
+    from rotcal_ros.extensions.history.database import ParkHistory
 
-    return History(settings.database, must_exist=True)
+    return ParkHistory(settings.database, must_exist=True)
 
 
 def _park(settings: HistorySettings) -> list[Outlook]:
@@ -380,11 +380,11 @@ def _park(settings: HistorySettings) -> list[Outlook]:
         return park(history, settings, shown)
 
 
-def _plain(one: Outlook) -> dict[str, Any]:
-    return asdict(one) | {"trend": one.trend}
+def _plain(view: Outlook) -> dict[str, Any]:
+    return asdict(view) | {"trend": view.trend}
 
 
-def _facts(entry: Entry) -> dict[str, Any]:
+def _facts(entry: HistoryEntry) -> dict[str, Any]:
     facts = asdict(entry)
     del facts["content"]
     return facts
@@ -394,16 +394,16 @@ def _print_park(outlooks: Sequence[Outlook]) -> None:
     from rotcal_ros.extensions.history.database import day_of
     from rotcal_ros.extensions.history.outlook import urgent
 
-    rows = sorted(outlooks, key=lambda one: (not urgent(one), one.due_ns, one.title))
+    rows = sorted(outlooks, key=lambda view: (not urgent(view), view.due_ns, view.title))
     facts = [
         (o.title, day_of(o.last_ns), o.verdict_line, o.trend, day_of(o.due_ns), o.reason)
         for o in rows
     ]
     _print_rows(("Table", "Last", "Verdict", "Trend", "Due", "Why"), facts)
-    print_words(f"{len(rows)} tables, {sum(bool(urgent(one)) for one in rows)} to look at")
+    print_words(f"{len(rows)} tables, {sum(bool(urgent(view)) for view in rows)} to look at")
 
 
-def _print_entries(entries: Sequence[Entry]) -> None:
+def _print_entries(entries: Sequence[HistoryEntry]) -> None:
     replaced = {entry.replaces for entry in entries}
     facts = [
         (e.id, e.day, e.kind, e.what, e.added_by, e.why, "replaced" if e.id in replaced else "")
@@ -422,33 +422,33 @@ def _print_outlook(known: Outlook) -> None:
 
     print_words(f"due {day_of(known.due_ns)}: {known.reason}")
     print_words(*(found.words for found in known.findings))
-    for one in known.deviations:
-        print_words(*_lines(one), *one.notes)
+    for view in known.deviations:
+        print_words(*_lines(view), *view.notes)
 
 
-def _lines(one: Any) -> Iterator[str]:
+def _lines(view: Any) -> Iterator[str]:
     """Yield what is known of one deviation."""
     from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 
-    unit, label = unit_of(one.component)
-    yield f"{one.trend}" if one.rate is not None else f"{one.component}: one result"
-    if one.probability is not None:
-        yield f"{one.component} is within its tolerance with {100.0 * one.probability:.1f} %"
-    if one.intervals_days:
-        days = (f"{name} {days:.0f} days" for name, days in one.intervals_days)
-        yield f"{one.component}, next interval: {', '.join(days)}"
-    if one.per_kelvin is not None:
-        value, std = (number / unit for number in one.per_kelvin)
-        yield f"{one.component}: {value:+.2g} ± {COVERAGE_FACTOR * std:.2g} {label}/K"
-    if one.rate is not None and one.tolerance:
-        monthly = abs(one.rate) / 12.0 / unit
+    unit, label = unit_of(view.component)
+    yield f"{view.trend}" if view.rate is not None else f"{view.component}: one result"
+    if view.probability is not None:
+        yield f"{view.component} is within its tolerance with {100.0 * view.probability:.1f} %"
+    if view.intervals_days:
+        days = (f"{name} {days:.0f} days" for name, days in view.intervals_days)
+        yield f"{view.component}, next interval: {', '.join(days)}"
+    if view.per_kelvin is not None:
+        value, std = (number / unit for number in view.per_kelvin)
+        yield f"{view.component}: {value:+.2g} ± {COVERAGE_FACTOR * std:.2g} {label}/K"
+    if view.rate is not None and view.tolerance:
+        monthly = abs(view.rate) / 12.0 / unit
         yield (
-            f"next time: rotcal plan check RESULT --within {one.tolerance / unit:g} "
-            f"--ageing {max(monthly, one.rate_std / 12.0 / unit):.2g} plans the fewest lengths"
+            f"next time: rotcal plan check RESULT --within {view.tolerance / unit:g} "
+            f"--ageing {max(monthly, view.rate_std / 12.0 / unit):.2g} plans the fewest lengths"
         )
 
 
-def _write_content(entry: Entry, title: str, output: Path) -> None:
+def _write_content(entry: HistoryEntry, title: str, output: Path) -> None:
     if f"{entry.serial}/{entry.axis}" != title:
         raise DataError(f"entry {entry.id} is one of {entry.serial}/{entry.axis}, not of {title}")
     if output.exists():

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import simulated_park
 
-from rotcal_ros.extensions.history.database import BagError, History, canonical, result_of
+from rotcal_ros.extensions.history.database import BagError, ParkHistory, canonical, result_of
 
 SURVIVED, REFUSED, WHOLE = 0, 3, 4
 MOST = 500
@@ -30,7 +30,7 @@ def add(database, number, error, result):
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     library.arm(number, error, int("://" in database))
     try:
-        with History(database) as history:
+        with ParkHistory(database) as history:
             history.add_result(result)
     except BagError:
         code = REFUSED
@@ -41,13 +41,13 @@ def main():
     database, error = sys.argv[1], int(sys.argv[2])
     if "://" not in database:
         Path(database).unlink(missing_ok=True)
-    with History(database) as history:
+    with ParkHistory(database) as history:
         base = sum(1 for _ in history.entries())
     for number in count(1):
         time_ns = simulated_park.BEGIN_NS + number + error * 1000
         result = simulated_park.result("D1", time_ns, np.arange(6.0), 0.1 + number / 1e3)
         ended = add(database, number, error, result)
-        with History(database) as history:
+        with ParkHistory(database) as history:
             here = {e.content: e for e in history.entries(content=True)}
             kept = canonical(result) in here
             again = history.add_result(result)

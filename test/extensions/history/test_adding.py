@@ -5,7 +5,7 @@ import pytest
 from simulated_park import BEGIN_NS, YEAR_NS, result
 
 from rotcal_ros.extensions.history.adding import keep, since_last_time
-from rotcal_ros.extensions.history.database import History
+from rotcal_ros.extensions.history.database import ParkHistory
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import speaking
 
@@ -44,7 +44,7 @@ def test_a_report_is_kept_beside_its_result(database, tmp_path):
     page = tmp_path / "report.html"
     page.write_bytes(b"<html>")
     assert keep(some(0.0), database, report=page).endswith("there already")
-    with History(database) as history:
+    with ParkHistory(database) as history:
         assert [entry.kind for entry in history.entries()] == ["result", "report"]
 
 

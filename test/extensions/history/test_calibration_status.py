@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_park import Table, measured
 
-from rotcal_ros.extensions.history.database import History, day_of
+from rotcal_ros.extensions.history.database import ParkHistory, day_of
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -19,7 +19,7 @@ YEARS = np.linspace(0.0, 5.0, 11)
 def database(tmp_path):
     """Return a history of a still table and of one that was hit."""
     rng = np.random.default_rng(1)
-    with History(str(tmp_path / "history.db")) as history:
+    with ParkHistory(str(tmp_path / "history.db")) as history:
         for name, jump in (("STAYS", None), ("HIT", (4.8, 5.0 * np.eye(8)[1]))):
             for each in measured(Table(name, np.eye(8)[0], jump=jump), YEARS, rng):
                 history.add_result(each)

@@ -13,7 +13,7 @@ from alembic.runtime.migration import MigrationContext
 from simulated_park import BEGIN_NS, YEAR_NS, result
 
 from rotcal_ros.extensions.history.database import (
-    History,
+    ParkHistory,
     canonical,
     day_of,
     result_of,
@@ -47,7 +47,7 @@ def tamper(history, statement):
 def test_a_result_is_kept_once_and_comes_back_to_the_last_bit(database):
     real = [read_source(DATA / f"result_{name}.json").result for name in ("tracer", "ball_plate")]
     day = time_of("2026-03-31")
-    with History(database) as history:
+    with ParkHistory(database) as history:
         for serial, each in zip("AB", real, strict=True):
             given = {"serial": serial, "axis": "C", "measured_ns": day}
             first, second = (history.add_result(each, **given) for _ in range(2))
@@ -66,7 +66,7 @@ def test_a_result_is_kept_once_and_comes_back_to_the_last_bit(database):
 def test_numbers_that_only_float64_tells_apart_stay_apart(database):
     deviation = CURVE + np.array([5e-324, np.nextafter(1.0, 2.0), -0.0] * 8)
     added = result("4711", BEGIN_NS, deviation, 0.1)
-    with History(database) as history:
+    with ParkHistory(database) as history:
         entry = history.add_result(added).entry
         curve = history.campaigns(history.item("4711"))[0].curves["ECC"]
         assert curve.deviation.tobytes() == added.deviations["ECC"].tobytes()
@@ -86,7 +86,7 @@ def test_a_result_without_identity_is_refused_with_the_reason(
     tmp_path, serial, axis, given, words
 ):
     with (
-        History(str(tmp_path / "history.db")) as history,
+        ParkHistory(str(tmp_path / "history.db")) as history,
         pytest.raises((DataError, ConfigurationError), match=words),
     ):
         history.add_result(some(serial, axis=axis), **given)
@@ -95,7 +95,7 @@ def test_a_result_without_identity_is_refused_with_the_reason(
 def test_an_undated_result_is_refused_with_the_reason(tmp_path):
     undated = some()
     undated = replace(undated, circumstances=replace(undated.circumstances, begun_ns=None))
-    with History(str(tmp_path / "history.db")) as history:
+    with ParkHistory(str(tmp_path / "history.db")) as history:
         with pytest.raises(DataError, match="when it was measured: give the day with --measured"):
             history.add_result(undated)
         assert history.add_result(undated, measured_ns=BEGIN_NS).entry.day == day_of(BEGIN_NS)
@@ -103,7 +103,7 @@ def test_an_undated_result_is_refused_with_the_reason(tmp_path):
 
 def test_one_result_is_of_one_table_until_it_is_corrected(database):
     unnamed = some("")
-    with History(database) as history:
+    with ParkHistory(database) as history:
         wrong = history.add_result(unnamed, serial="4711").entry
         with pytest.raises(DataError, match="as result of 4711/C"):
             history.add_result(unnamed, serial="4712")
@@ -124,7 +124,7 @@ def test_one_result_is_of_one_table_until_it_is_corrected(database):
 
 @pytest.mark.parametrize("statement", ["UPDATE {} SET {} = {}", "DELETE FROM {}"])
 def test_no_row_is_ever_changed(database, statement):
-    with History(database) as history:
+    with ParkHistory(database) as history:
         history.add_result(some())
         history.note_forecasts([(history.item("4711").id, "basis", "{}")])
         for table in METADATA.sorted_tables:
@@ -149,7 +149,7 @@ def test_no_row_is_ever_changed(database, statement):
     ],
 )
 def test_check_names_what_was_changed(database, statement, words):
-    with History(database) as history:
+    with ParkHistory(database) as history:
         history.add_result(some())
         if "content" in statement:
             import zlib
@@ -164,17 +164,17 @@ def test_check_names_what_was_changed(database, statement, words):
 
 def test_check_sees_a_row_that_belongs_to_nothing(tmp_path):
     path = tmp_path / "history.db"
-    with History(str(path)) as history:
+    with ParkHistory(str(path)) as history:
         history.add_result(some())
     with sqlite3.connect(path) as connection:
         connection.execute("DROP TRIGGER items_delete")
         connection.execute("DELETE FROM items")
-    with History(str(path)) as history:
+    with ParkHistory(str(path)) as history:
         assert any("belongs to no items" in text for text in history.check())
 
 
 def test_events_and_files_are_kept_beside_the_results(database):
-    with History(database) as history:
+    with ParkHistory(database) as history:
         history.add_result(some())
         day = BEGIN_NS + YEAR_NS
         event = [history.add_event("4711", "C", "crash", day, "tailstock") for _ in range(2)]
@@ -189,15 +189,15 @@ def test_events_and_files_are_kept_beside_the_results(database):
 
 
 def test_export_and_import_are_round_trips(database, tmp_path):
-    with History(database) as history:
+    with ParkHistory(database) as history:
         wrong = history.add_result(some(year=1.0)).entry
-    with History(database) as history:
+    with ParkHistory(database) as history:
         history.add_event("4711", "C", "repair", BEGIN_NS, "new seals")
         history.add_document("4711", "C", "table", "c.ent", BEGIN_NS, bytes(range(256)))
         history.correct(wrong.id, "of the other", serial="4712")
         assert export(history, tmp_path / "out") == 4
         before = [replace(e, id=0, replaces=None) for e in history.entries(content=True)]
-    with History(str(tmp_path / "history2.db")) as other:
+    with ParkHistory(str(tmp_path / "history2.db")) as other:
         assert restore(other, tmp_path / "out") == (4, 0)
         assert restore(other, tmp_path / "out") == (0, 4)
         after = [replace(e, id=0, replaces=None) for e in other.entries(content=True)]
@@ -213,7 +213,7 @@ def test_export_and_import_are_round_trips(database, tmp_path):
 
 
 def test_a_damaged_export_is_refused(tmp_path):
-    with History(str(tmp_path / "history.db")) as history:
+    with ParkHistory(str(tmp_path / "history.db")) as history:
         history.add_result(some())
         export(history, tmp_path)
         path = tmp_path / "entries.parquet"
@@ -223,7 +223,7 @@ def test_a_damaged_export_is_refused(tmp_path):
 
 
 def test_the_steps_lead_to_the_schema_that_is_used(database):
-    with History(database) as history, history._engine.connect() as connection:
+    with ParkHistory(database) as history, history._engine.connect() as connection:
         options = {"compare_type": True}
         assert (
             compare_metadata(MigrationContext.configure(connection, opts=options), METADATA) == []
@@ -232,11 +232,11 @@ def test_the_steps_lead_to_the_schema_that_is_used(database):
 
 def test_a_history_of_a_later_rotcal_is_refused(tmp_path):
     path = tmp_path / "history.db"
-    History(str(path)).__exit__()
+    ParkHistory(str(path)).__exit__()
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE alembic_version SET version_num = '99'")
     with pytest.raises(BagError, match=r"written by a later rotcal .*update rotcal"):
-        History(str(path))
+        ParkHistory(str(path))
 
 
 @pytest.mark.parametrize("content", [b"no database at all, but long enough to look like one", b""])
@@ -245,10 +245,10 @@ def test_another_file_is_refused_or_begun(tmp_path, content):
     path.write_bytes(content)
     if content:
         with pytest.raises(BagError, match="not a database"):
-            History(str(path))
+            ParkHistory(str(path))
         assert path.read_bytes() == content
     else:
-        with History(str(path)) as history:
+        with ParkHistory(str(path)) as history:
             assert history.items() == []
 
 
@@ -258,17 +258,17 @@ def test_another_file_is_refused_or_begun(tmp_path, content):
 )
 def test_what_is_no_database_is_refused(database, words):
     with pytest.raises((BagError, ConfigurationError), match=words):
-        History(database)
+        ParkHistory(database)
 
 
 def test_a_server_that_does_not_answer_is_told_without_its_password():
     with pytest.raises(BagError, match=r"postgresql://me:\*\*\*@/none") as raised:
-        History("postgresql://me:secret@/none?host=/nowhere")
+        ParkHistory("postgresql://me:secret@/none?host=/nowhere")
     assert "secret" not in str(raised.value)
 
 
 def write(database, begin, serial):
-    with History(database) as history:
+    with ParkHistory(database) as history:
         for number in range(10):
             history.add_result(some(serial, year=begin + number / 100, u=0.2))
 
@@ -283,14 +283,14 @@ def test_several_writers_at_once_lose_nothing_and_write_nothing_twice(database):
     for writer in writers:
         writer.join()
     assert [writer.exitcode for writer in writers] == [0] * 4
-    with History(database) as history:
+    with ParkHistory(database) as history:
         assert len(list(history.entries())) == 20
         assert [len(history.of_item(item)) for item in history.items()] == [10, 10]
         assert history.check() == []
 
 
 def test_strict_tables_refuse_what_is_no_number(tmp_path):
-    with History(str(tmp_path / "history.db")) as history:
+    with ParkHistory(str(tmp_path / "history.db")) as history:
         kinds = history._engine.connect().exec_driver_sql("PRAGMA table_list").all()
         assert {row.name for row in kinds if row.strict} >= set(TABLES)
         modes = [history._engine.connect().exec_driver_sql(f"PRAGMA {p}").scalar()

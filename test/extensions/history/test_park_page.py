@@ -10,7 +10,7 @@ from browser import launched
 from simulated_park import Table, measured
 
 from rotcal_ros.extensions.history import page as park_page
-from rotcal_ros.extensions.history.database import History
+from rotcal_ros.extensions.history.database import ParkHistory
 from rotcal_ros.extensions.history.page import write_park
 from rotcal_ros.extensions.history.park import park
 from rotcal_ros.extensions.history.settings import HistorySettings
@@ -26,7 +26,7 @@ def small(tmp_path_factory):
     """Return the folder of the page of three tables, and their outlooks."""
     folder, rng = tmp_path_factory.mktemp("park"), np.random.default_rng(1)
     start = np.append([1.0, 0.5], np.zeros(6))
-    with History(str(folder / "history.db")) as history:
+    with ParkHistory(str(folder / "history.db")) as history:
         for name, drift, jump in (
             ("STAYS", 0.0, None), ("DRIFTS", 0.6, None), ("<HIT>", 0.0, (3.2, 3.0 * np.eye(8)[1])),
         ):  # fmt: skip

@@ -6,9 +6,9 @@ from chances import share
 from simulated_park import ANGLES, basis, largest
 
 from rotcal_ros.extensions.history.outlook import due_date
-from rotcal_ros.extensions.history.series import Curves
+from rotcal_ros.extensions.history.series import DeviationSeries
 from rotcal_ros.extensions.history.settings import HistorySettings
-from rotcal_ros.extensions.history.trend import ABSENT, SIZES, WEARS, YEAR_NS, Series, fit
+from rotcal_ros.extensions.history.trend import ABSENT, SIZES, WEARS, YEAR_NS, CampaignSeries, fit
 
 SETTINGS = HistorySettings(longest_days=20 * 365.25)
 
@@ -20,7 +20,7 @@ def series_of(table, years, rng):
     std = table.u * np.sqrt(2.0 / n)
     values = np.array([table.modes(year) for year in years])
     values = values + std * rng.standard_normal(values.shape)
-    series = Series(
+    series = CampaignSeries(
         times_ns=(np.asarray(years) * YEAR_NS).astype(np.int64),
         values=values,
         std=np.full(values.shape, std),
@@ -28,7 +28,7 @@ def series_of(table, years, rng):
         steps=np.zeros(len(years), dtype=np.int64),
         common=np.eye(len(years)),
     )
-    return Curves("ECC", (), series, modes, np.zeros(n), np.zeros((n, n)), None, ())
+    return DeviationSeries("ECC", (), series, modes, np.zeros(n), np.zeros((n, n)), None, ())
 
 
 class Mover:

@@ -7,7 +7,7 @@ import pytest
 from chances import most
 from simulated_park import Table, drawn, measured
 
-from rotcal_ros.extensions.history.database import History
+from rotcal_ros.extensions.history.database import ParkHistory
 from rotcal_ros.extensions.history.outlook import urgent
 from rotcal_ros.extensions.history.park import park
 from rotcal_ros.extensions.history.settings import HistorySettings
@@ -38,7 +38,7 @@ def results_of(count, seed):
 
 @pytest.mark.parametrize("count", [24, pytest.param(200, marks=pytest.mark.slow)])
 def test_the_right_tables_are_named(tmp_path, count):
-    with History(str(tmp_path / "history.db")) as history:
+    with ParkHistory(str(tmp_path / "history.db")) as history:
         for results in results_of(count, 7).values():
             for each in results:
                 history.add_result(each)
@@ -59,7 +59,7 @@ def test_the_right_tables_are_named(tmp_path, count):
 
 def test_an_event_explains_a_jump(tmp_path):
     table = Table("HIT", np.eye(8)[0], jump=(3.2, 2.5 * np.eye(8)[1]))
-    with History(str(tmp_path / "history.db")) as history:
+    with ParkHistory(str(tmp_path / "history.db")) as history:
         for each in measured(table, YEARS, np.random.default_rng(1)):
             history.add_result(each)
         (before,) = park(history, HistorySettings())

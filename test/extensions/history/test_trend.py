@@ -8,7 +8,7 @@ from chances import scatter, share
 from scipy.stats import norm
 
 from rotcal_ros.extensions.history import trend
-from rotcal_ros.extensions.history.trend import YEAR_NS, Series, fit
+from rotcal_ros.extensions.history.trend import YEAR_NS, CampaignSeries, fit
 
 M, MODES = 8, 3
 
@@ -17,7 +17,7 @@ def series(values, years=None, u=1.0, common=None, temperature=None, steps=None)
     """Return a series of modes with two coefficients each."""
     m, p = values.shape
     years = np.linspace(0.0, 4.0, m) if years is None else years
-    return Series(
+    return CampaignSeries(
         times_ns=(years * YEAR_NS).astype(np.int64),
         values=values,
         std=np.full((m, p), u),

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from rotcal_ros.extensions.history.database import History, day_of
+from rotcal_ros.extensions.history.database import ParkHistory, day_of
 from rotcal_ros.extensions.history.outlook import Outlook, urgent
 from rotcal_ros.extensions.history.park import park
 from rotcal_ros.extensions.history.settings import HistorySettings
@@ -29,23 +29,23 @@ TURN_S: Final = 0.5
 def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]:
     """Return a status for each axis: ERROR to look at, WARN due, else OK."""
     found = []
-    for one in outlooks:
+    for view in outlooks:
         level = DiagnosticStatus.OK
-        if urgent(one):
+        if urgent(view):
             level = DiagnosticStatus.ERROR
-        elif one.due_ns <= now_ns:
+        elif view.due_ns <= now_ns:
             level = DiagnosticStatus.WARN
         values = {
-            "axis": one.axis,
-            "verdict": one.verdict,
-            "verdict_line": one.verdict_line,
-            "due": day_of(one.due_ns),
-            "due_ns": str(one.due_ns),
-            "last": day_of(one.last_ns),
-            "table_in_force": one.measured_on,
+            "axis": view.axis,
+            "verdict": view.verdict,
+            "verdict_line": view.verdict_line,
+            "due": day_of(view.due_ns),
+            "due_ns": str(view.due_ns),
+            "last": day_of(view.last_ns),
+            "table_in_force": view.measured_on,
         }
-        status = DiagnosticStatus(level=level, name=one.title, message=one.reason)
-        status.hardware_id = one.serial
+        status = DiagnosticStatus(level=level, name=view.title, message=view.reason)
+        status.hardware_id = view.serial
         status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
         found.append(status)
     return found
@@ -53,8 +53,8 @@ def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]
 
 def outlooks_of(settings: HistorySettings, serial: str) -> list[Outlook]:
     """Return the outlooks of all axes of a machine; of all machines without a serial number."""
-    with History(settings.database, must_exist=True) as history:
-        return [one for one in park(history, settings) if serial in ("", one.serial)]
+    with ParkHistory(settings.database, must_exist=True) as history:
+        return [view for view in park(history, settings) if serial in ("", view.serial)]
 
 
 class CalibrationStatus(CellNode):
@@ -70,7 +70,7 @@ class CalibrationStatus(CellNode):
         self._publisher = self.create_publisher(DiagnosticArray, TOPIC, LATCHED)
         self._worker = ThreadPoolExecutor(1, "history")
         self._asked: Future[list[Outlook]] | None = None
-        self._next_s, self._told = 0.0, list[DiagnosticStatus]()
+        self._next_s, self._published = 0.0, list[DiagnosticStatus]()
         self._state = NodeState(State.LOADING)
         self.every(TURN_S, self._look)
 
@@ -81,15 +81,15 @@ class CalibrationStatus(CellNode):
         elif self._asked is not None and self._asked.done():
             asked, self._asked = self._asked, None
             self._state = NodeState(State.FAILED)
-            told = statuses(asked.result(), self.now_ns())
+            new = statuses(asked.result(), self.now_ns())
             self._state = NodeState(State.READY)
-            if told != self._told:
-                self._told = told
+            if new != self._published:
+                self._published = new
                 self.get_logger().info(f"told: {len(told)} tables")
-                self._publisher.publish(DiagnosticArray(header=header(self.now_ns()), status=told))
+                self._publisher.publish(DiagnosticArray(header=header(self.now_ns()), status=new))
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
-        return self._state, {"tables": str(len(self._told))}
+        return self._state, {"tables": str(len(self._published))}
 
 
 def main() -> None:
