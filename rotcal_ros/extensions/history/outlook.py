@@ -16,7 +16,7 @@ import numpy as np
 
 from rotcal_ros.evaluation.marks import decide
 from rotcal_ros.extensions.history.charts import FALSE_ALARM, Chart, alarms
-from rotcal_ros.extensions.history.database import Campaign, HistoryEntry, day_of
+from rotcal_ros.extensions.history.database import EVENT, Campaign, HistoryEntry, day_of
 from rotcal_ros.extensions.history.series import DeviationSeries, series_of, usable
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.extensions.history.trend import DRAWS, YEAR_NS, Trend, fit
@@ -44,7 +44,7 @@ _LONGER, _SHORTER = 1.25, 0.7
 class TableFinding:
     """Something that a person has to look at, and when it was seen."""
 
-    kind: Literal["jump", "drift", "wear", "beyond", "verdict", "swapped"]
+    kind: Literal["jump", "drift", "wear", "beyond", "verdict", "event", "swapped"]
     time_ns: int
     words: str
 
@@ -78,7 +78,6 @@ class DeviationOutlook:
     intervals_days: tuple[tuple[str, float], ...]
     per_kelvin: tuple[float, float] | None
     alarm: int | None
-    orders: int
     expected: tuple[tuple[float, ...], ...]
     found: tuple[float, ...]
     notes: tuple[str, ...]
@@ -99,7 +98,6 @@ class Outlook:
 
     serial: str
     axis: str
-    version: int
     results: int
     last_ns: int
     verdict: str
@@ -155,10 +153,13 @@ def outlook(
     if newest.verdict != "ok":
         words = f"the newest result is {newest.verdict_line}: measure again"
         findings.insert(0, TableFinding("verdict", newest.measured_ns, words))
+    for event in (e for e in entries if e.kind == EVENT and e.measured_ns > newest.measured_ns):
+        words = f"{event.what} on {event.day}, after the newest result: measure again"
+        findings.insert(0, TableFinding("event", event.measured_ns, words))
     due_ns, reason = _due(newest, each, findings, settings)
     reason = "; ".join([reason, *(found.words for found in findings if found.kind == "wear")])
     return Outlook(
-        serial=serial, axis=axis, version=VERSION, results=len(campaigns),
+        serial=serial, axis=axis, results=len(campaigns),
         last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=newest.verdict_line,
         covered=newest.covered, measured_on=newest.measured_on, due_ns=due_ns, reason=reason,
         findings=tuple(findings), deviations=each,
@@ -179,9 +180,9 @@ def _due(
     settings: HistorySettings,
 ) -> tuple[int, str]:
     """Return when a table is due, and why."""
-    urgent = [f for f in findings if f.kind not in ("drift", "wear")]
-    if urgent:
-        return min(f.time_ns for f in urgent), urgent[0].words
+    pressing = [f for f in findings if f.kind not in ("drift", "wear")]
+    if pressing:
+        return min(f.time_ns for f in pressing), pressing[0].words
     latest = newest.measured_ns + round(settings.longest_days * DAY_NS)
     forecast = [d for d in each if d.due_ns is not None]
     if not forecast:
@@ -227,7 +228,7 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
         component=name, tolerance=tolerance, times_ns=times, largest=largest, rate=None,
         rate_std=0.0, angle=0.0, moved=False, wearing=False, due_ns=None, probability=None,
         decision=decision, intervals_days=(), per_kelvin=None, alarm=None,
-        orders=int(curves.series.orders.max()), expected=(), found=(), notes=curves.notes,
+        expected=(), found=(), notes=curves.notes,
     )  # fmt: skip
     if len(times) < 2:
         return plain

@@ -11,12 +11,12 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from rotcal_ros.extensions.history.database import RESULT, ParkHistory, Item, day_of
+from rotcal_ros.extensions.history.database import RESULT, Item, ParkHistory, day_of
 from rotcal_ros.extensions.history.outlook import (
     VERSION,
     DeviationOutlook,
-    TableFinding,
     Outlook,
+    TableFinding,
     outlook,
     with_finding,
 )

@@ -85,8 +85,9 @@ def series_of(
     found = {}
     for name in COMPONENTS:
         with_it = [c for c in campaigns if name in c.curves]
-        if with_it and (view := _curves(name, with_it, jumps, common_share)) is not None:
-            found[name] = view
+        series = _series(name, with_it, jumps, common_share) if with_it else None
+        if series is not None:
+            found[name] = series
     return found
 
 
@@ -97,7 +98,7 @@ def coefficients_of(curve: MeasuredCurve, orders: int) -> tuple[Floats, Floats]:
     return estimator @ curve.deviation, estimator @ curve.covariance @ estimator.T
 
 
-def _curves(
+def _series(
     component: str, campaigns: Sequence[Campaign], jumps: Sequence[int], common_share: float
 ) -> DeviationSeries | None:
     period = campaigns[-1].curves[component].period

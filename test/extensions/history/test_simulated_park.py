@@ -70,3 +70,17 @@ def test_an_event_explains_a_jump(tmp_path):
     )
     assert not urgent(after)
     assert after.due_ns > before.due_ns
+
+
+@pytest.mark.parametrize("what", ["crash", "bearing"])
+def test_after_an_event_a_table_has_to_be_measured(tmp_path, what):
+    table = Table("HIT", np.eye(8)[0])
+    with ParkHistory(str(tmp_path / "history.db")) as history:
+        for each in measured(table, YEARS, np.random.default_rng(1)):
+            history.add_result(each)
+        (before,) = park(history, HistorySettings())
+        history.add_event("HIT", "C", what, before.last_ns + 1, "")
+        (after,) = park(history, HistorySettings())
+    assert not urgent(before)
+    assert after.due_ns == before.last_ns + 1
+    assert f"{what} on 2026-01-01, after the newest result: measure again" in after.reason

@@ -85,7 +85,7 @@ class CalibrationStatus(CellNode):
             self._state = NodeState(State.READY)
             if new != self._published:
                 self._published = new
-                self.get_logger().info(f"told: {len(told)} tables")
+                self.get_logger().info(f"told: {len(new)} tables")
                 self._publisher.publish(DiagnosticArray(header=header(self.now_ns()), status=new))
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
