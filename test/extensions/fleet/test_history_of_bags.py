@@ -17,7 +17,8 @@ def test_results_are_kept_and_those_of_nobody_are_told(warm, tmp_path):
     assert ran.returncode == 0, ran.stderr
     assert "is not in the history" in ran.stderr
     assert "no serial number" in ran.stderr
-    text = configuration_text() + "\nidentity: {serial: 'T1', measured: '2026-03-31'}\n"
+    named = "    identity: {serial: 'T1', measured: '2026-03-31'}\n    cell:"
+    text = configuration_text().replace("    cell:", named, 1)
     (tmp_path / "setup.yaml").write_text(text)
     ran = warm.run("rotcal", *asked, folder=tmp_path)
     assert ran.returncode == 0, ran.stderr

@@ -162,6 +162,15 @@ def test_check_names_what_was_changed(database, statement, words):
     assert words in wrong
 
 
+def test_a_damaged_content_is_named_and_never_read(tmp_path):
+    with ParkHistory(str(tmp_path / "history.db")) as history:
+        history.add_result(some())
+        tamper(history, "UPDATE entries SET content = X'00' || content")
+        assert "its content is not what was added" in history.check()[0]
+        with pytest.raises(BagError, match="entry 1 is not what was added"):
+            history.entry(1)
+
+
 def test_check_sees_a_row_that_belongs_to_nothing(tmp_path):
     path = tmp_path / "history.db"
     with ParkHistory(str(path)) as history:
