@@ -231,10 +231,7 @@ setup(
             f"write_certificate = {NAME}.extensions.certificate.writing:write_certificate [dcc]",
         ],
         "rotcal_ros.figures": [f"plot = {NAME}.methods.figures.curves:plot"],
-        "rotcal_ros.histories": [
-            f"{what} = {NAME}.extensions.history.adding:{what} [history]"
-            for what in ("keep", "keep_session", "since_last_time")
-        ],
+        "rotcal_ros.histories": [f"history = {NAME}.extensions.history.adding"],
         "rotcal_ros.certificates": [
             f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
         ],

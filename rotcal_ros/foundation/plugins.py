@@ -42,7 +42,7 @@ FIGURES: Final = "rotcal_ros.figures"
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """The writer of certificates for ``rotcal report``."""
 HISTORIES: Final = "rotcal_ros.histories"
-"""Functions that keep a result, and say what has changed since the last one."""
+"""The module that keeps results, and says what has changed since the last one."""
 KINDS: Final = {
     METHODS: "method",
     CONTROLLERS: "controller",

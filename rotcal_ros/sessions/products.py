@@ -65,8 +65,8 @@ def write_products(
             tell(f"no compensation files: {error}")
     if _HISTORY in session.configuration.given:
         try:
-            keep = plugins.extension(plugins.HISTORIES, "keep_session", "a history")
-            tell(f"history: {keep(folder, *_place_in_history(session))}")
+            history = plugins.extension(plugins.HISTORIES, _HISTORY, "a history")
+            tell(f"history: {history.keep_session(folder, *_place_in_history(session))}")
         except RotcalError as error:
             tell(f"not in the history: {error}; `rotcal history add {folder.path}` adds it later")
     return {name: str(path) for name, path in paths.items()}
@@ -83,8 +83,9 @@ def _since_last_time(session: Session) -> Sequence[tuple[str, str]]:
     if _HISTORY not in session.configuration.given:
         return ()
     try:
-        since = plugins.extension(plugins.HISTORIES, "since_last_time", "a history")
-        section = since(read_source(session.folder.result).result, *_place_in_history(session))
+        history = plugins.extension(plugins.HISTORIES, _HISTORY, "a history")
+        result = read_source(session.folder.result).result
+        section = history.since_last_time(result, *_place_in_history(session))
     except RotcalError:  # said when the result is to be kept
         return ()
     return () if section is None else (section,)

@@ -153,9 +153,9 @@ def _keep(result: Result, history: str, source: str) -> None:
     """Add a result to a history; one that says too little of itself is told and left out."""
     from rotcal_ros.foundation import plugins
 
-    keep = plugins.extension(plugins.HISTORIES, "keep", "a history")
+    results = plugins.extension(plugins.HISTORIES, "history", "a history")
     try:
-        keep(result, history)
+        results.keep(result, history)
     except DataError as error:
         say(f"{source} is not in the history: {error}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory
     from rotcal_ros.extensions.history.outlook import Outlook
 
+VARIABLE: Final = "ROTCAL_HISTORY"
 EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
 KINDS: Final = ("check", "report", "table")
 CHARTS: Final = ("shewhart", "cusum", "ewma", "t2")
@@ -41,7 +43,6 @@ def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> 
 database_option: Final = click.option(
     "--database",
     metavar="FILE|URL",
-    envvar="ROTCAL_HISTORY",
     help="The history: a file, or postgresql://USER@HOST/NAME; default: ROTCAL_HISTORY, else "
     "history.db.",
 )
@@ -67,8 +68,10 @@ def asked(function: Callable[..., Any]) -> Callable[..., Any]:
     @settings_option
     @wraps(function)
     def verb(*args: Any, database: str | None, settings: HistorySettings, **kwargs: Any) -> Any:
-        chosen = replace(settings, database=database) if database else settings
-        return function(*args, settings=chosen, **kwargs)
+        parent = click.get_current_context().parent
+        given = (database, parent and parent.params.get("database"), os.environ.get(VARIABLE))
+        chosen = next(filter(None, given), settings.database)
+        return function(*args, settings=replace(settings, database=chosen), **kwargs)
 
     return verb
 
@@ -83,7 +86,6 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
     Without a further word: the tables of the park, those that need somebody first.
     """
     if context.invoked_subcommand:
-        context.default_map = {name: {"database": settings.database} for name in command.commands}
         return 0
     outlooks = _park(settings)
     if as_json:

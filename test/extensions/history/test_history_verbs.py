@@ -1,6 +1,7 @@
 """``rotcal history`` as people and scheduled jobs call it."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,15 @@ def test_a_history_that_is_not_there_is_not_begun_by_a_look(history, tmp_path):
     looked = history("show", "4711")
     assert (looked.returncode, "there is no history" in looked.stderr) == (2, True)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_named_counts_before_the_variable(warm, results, tmp_path):
+    environment = os.environ | {"ROTCAL_HISTORY": str(tmp_path / "variable.db")}
+    named = ("history", "--database", tmp_path / "named.db", "add", results[0])
+    for arguments in (named, ("history", "add", results[0])):
+        ran = warm.run("rotcal", *arguments, folder=tmp_path, env=environment)
+        assert ran.returncode == 0, ran.stderr
+    assert {path.name for path in tmp_path.glob("*.db")} == {"named.db", "variable.db"}
 
 
 def test_export_and_import(history, results, tmp_path, warm):
