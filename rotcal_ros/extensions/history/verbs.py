@@ -86,6 +86,8 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
     Without a further word: the tables of the park, those that need somebody first.
     """
     if context.invoked_subcommand:
+        if settings != HistorySettings(database=settings.database):
+            raise click.UsageError("--set belongs behind the verb that it is for")
         return 0
     outlooks = _park(settings)
     if as_json:
@@ -129,9 +131,9 @@ def add(
                 day = measured_ns or round(source.stat().st_mtime) * 1_000_000_000
                 facts = (item.serial, item.axis, kind, source.name, day)
                 added = [history.add_document(*facts, source.read_bytes())]
-            for view in added:
-                done.append({"new": view.new, **_facts(view.entry)})
-                say(in_words(view))
+            for addition in added:
+                done.append({"new": addition.new, **_facts(addition.entry)})
+                say(in_words(addition))
             shown(number, len(sources))
     if as_json:
         print_json({"entries": done})
@@ -206,7 +208,7 @@ def show(
     serial: str, axis: str, number: int | None, output: Path | None, as_json: bool, **asked: Any
 ) -> int:
     """Show all entries of the table SERIAL, what has changed, and when it is due."""
-    from rotcal_ros.extensions.history.park import outlook_of
+    from rotcal_ros.extensions.history.park import park
 
     if (number is None) != (output is None):
         raise click.UsageError("--entry and --output belong together")
@@ -217,7 +219,7 @@ def show(
             _write_content(history.entry(number), item.title, output)
             return 0
         entries = history.of_item(item, valid=False)
-        known = outlook_of(history, item, settings)
+        known = next((o for o in park(history, settings) if o.title == item.title), None)
     if as_json:
         outlook = None if known is None else _plain(known)
         print_json({"entries": [_facts(e) for e in entries], "outlook": outlook})
