@@ -24,7 +24,6 @@ REFERENCE: Final = 0.5
 """k of the CUSUM: half the shift that it finds soonest, in standard deviations."""
 SMOOTHING: Final = 0.2
 """Weight of the newest value of the EWMA."""
-_STATES: Final = 101
 
 
 def own_scatter(stated: Floats) -> Floats:
@@ -94,10 +93,11 @@ def _cusum_length(h: float) -> float:
 
 def _ewma_length(edge: float) -> float:
     """Return the average run length of an EWMA within +-edge (Brook and Evans 1972)."""
-    step = 2.0 * edge / _STATES
-    middles = -edge + step * (np.arange(_STATES) + 0.5)
+    states = 101
+    step = 2.0 * edge / states
+    middles = -edge + step * (np.arange(states) + 0.5)
     from_here = middles[None, :] - (1.0 - SMOOTHING) * middles[:, None]
     upper = ndtr((from_here + step / 2.0) / SMOOTHING)
     stay = upper - ndtr((from_here - step / 2.0) / SMOOTHING)
-    lengths = np.linalg.solve(np.eye(_STATES) - stay, np.ones(_STATES))
-    return float(lengths[_STATES // 2])
+    lengths = np.linalg.solve(np.eye(states) - stay, np.ones(states))
+    return float(lengths[states // 2])

@@ -488,7 +488,8 @@ def _upgrade(connection: sa.Connection, database: str) -> None:
     place = str(Path(__file__).with_name("migrations"))
     script = ScriptDirectory(place)
     known = {step.revision for step in script.walk_revisions()}
-    newest, found = script.get_current_head(), _form(connection)
+    newest = script.get_current_head()
+    found = MigrationContext.configure(connection).get_current_revision()
     if found == newest:
         return
     if found is not None and found not in known:
@@ -509,10 +510,6 @@ def _upgrade(connection: sa.Connection, database: str) -> None:
                 command.upgrade(config, "head")
             except CommandError as error:
                 raise BagError(f"{_shown(database)} cannot be updated: {error}") from error
-
-
-def _form(connection: sa.Connection) -> str | None:
-    return MigrationContext.configure(connection).get_current_revision()
 
 
 def _shown(database: str) -> str:

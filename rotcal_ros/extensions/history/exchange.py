@@ -29,7 +29,6 @@ _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 
 def export(history: ParkHistory, folder: Path) -> int:
     """Write both files into ``folder``, each whole or not at all; return the entries' number."""
-    arrow()
     folder.mkdir(parents=True, exist_ok=True)
     count = 0
 

@@ -15,7 +15,6 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.figures import style
 
 Basis = Literal["stated", "own", "model"]
-BASES: Final[tuple[Basis, ...]] = ("stated", "own", "model")
 _WORDS: Final = {
     "stated": "by the stated uncertainties",
     "own": "by the series' own scatter",

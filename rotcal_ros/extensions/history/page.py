@@ -65,10 +65,7 @@ def _row(view: Outlook, link: str, today: str) -> dict[str, Any]:
     """Return what the page knows of a table."""
     due = day_of(view.due_ns)
     state = "look" if urgent(view) else "due" if due <= today else "well"
-    shown = next(iter(view.deviations), None)
-    for candidate in view.deviations:
-        if candidate.component == "ECC":
-            shown = candidate
+    shown = max(view.deviations, key=lambda d: d.component == "ECC", default=None)
     return {
         "table": view.title,
         "link": link,
@@ -108,7 +105,7 @@ def _write_table(history: ParkHistory, view: Outlook, folder: Path, name: str) -
         figures=[(d.component, over_time(d, entries)) for d in view.deviations],
         rows=[_entry_row(history, entry, folder) for entry in reversed(entries)],
         replaced=replaced,
-        intervals=[(d, _intervals(d)) for d in view.deviations if d.intervals_days],
+        forecast=[d for d in view.deviations if d.intervals_days],
         home=f"../{PAGE}",
     )
     (folder / name).write_text(text, encoding="utf-8")
@@ -144,10 +141,6 @@ def over_time(view: DeviationOutlook, entries: Sequence[HistoryEntry]) -> str:
         events=[(x(e.measured_ns), e.what) for e in events],
         due=None if view.due_ns is None else x(view.due_ns),
     )
-
-
-def _intervals(view: DeviationOutlook) -> str:
-    return ", ".join(f"{name} {days:.0f} days" for name, days in view.intervals_days)
 
 
 def _entry_row(

@@ -38,9 +38,10 @@ def park(
 ) -> list[Outlook]:
     """Return the outlooks of all axes with results, by serial number."""
     bases, known = history.bases(), history.forecasts()
+    plain = replace(settings, database="", period_s=1.0)  # the others change what is forecast
     items, found, new = history.items(), list[Outlook](), list[tuple[int, str, str]]()
     for done, item in enumerate(items, 1):
-        basis = _basis(bases.get(item.id, ""), settings)
+        basis = sha256(f"{VERSION} {plain} {bases.get(item.id)}".encode()).hexdigest()
         text = known.get((item.id, basis))
         view = None
         if text is not None:
@@ -64,12 +65,6 @@ def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> O
     if not any(entry.kind == RESULT for entry in entries):
         return None
     return outlook(item.serial, item.axis, history.campaigns(item), entries, settings)
-
-
-def _basis(entries: str, settings: HistorySettings) -> str:
-    """Return the hash of everything that an outlook follows from."""
-    plain = replace(settings, database="", period_s=1.0)
-    return sha256(f"{VERSION} {plain} {entries}".encode()).hexdigest()
 
 
 def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:

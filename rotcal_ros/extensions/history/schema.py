@@ -61,11 +61,10 @@ ENTRIES: Final = _table(
         postgresql_where=sa.text("replaces IS NULL"),
     ),
 )
-"""Everything that was ever added, in its order.
+"""``content`` is compressed by zlib, ``content_sha256`` of what is in it, ``sha256`` of the entry.
 
-``content`` is compressed by zlib, ``content_sha256`` of what is in it; ``sha256`` of the whole
-entry. The same content is added once; only a correction, which ``replaces`` another entry, may
-have it again. An entry is replaced once.
+The same content is added once; only a correction, which ``replaces`` another entry, may have it
+again. An entry is replaced once.
 """
 
 RESULTS: Final = _table(

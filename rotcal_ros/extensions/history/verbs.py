@@ -29,8 +29,7 @@ VARIABLE: Final = "ROTCAL_HISTORY"
 EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
 KINDS: Final = ("check", "report", "table")
 CHARTS: Final = ("shewhart", "cusum", "ewma", "t2")
-BASES: Final = ("stated", "own", "model")
-"""As in the database, which takes a second to load."""
+BASES: Final = ("stated", "own", "model")  # all as in modules that take a second to load
 
 
 def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> HistorySettings:
@@ -216,7 +215,7 @@ def show(
     with _open(settings) as history:
         item = history.item(serial, axis)
         if number is not None and output is not None:
-            _write_content(history.entry(number), item.title, output)
+            _write_content(history.entry(number), output)
             return 0
         entries = history.of_item(item, valid=False)
         known = next((o for o in park(history, settings) if o.title == item.title), None)
@@ -452,9 +451,7 @@ def _lines(view: Any) -> Iterator[str]:
         )
 
 
-def _write_content(entry: HistoryEntry, title: str, output: Path) -> None:
-    if f"{entry.serial}/{entry.axis}" != title:
-        raise DataError(f"entry {entry.id} is one of {entry.serial}/{entry.axis}, not of {title}")
+def _write_content(entry: HistoryEntry, output: Path) -> None:
     if output.exists():
         raise ConfigurationError(f"{output} exists and is not overwritten: name another file")
     output.write_bytes(entry.content)

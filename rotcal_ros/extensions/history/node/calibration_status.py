@@ -23,18 +23,14 @@ from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import run
 
 TOPIC: Final = "calibration_status"
-TURN_S: Final = 0.5
 
 
 def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]:
     """Return a status for each axis: ERROR to look at, WARN due, else OK."""
     found = []
     for view in outlooks:
-        level = DiagnosticStatus.OK
-        if urgent(view):
-            level = DiagnosticStatus.ERROR
-        elif view.due_ns <= now_ns:
-            level = DiagnosticStatus.WARN
+        late = DiagnosticStatus.WARN if view.due_ns <= now_ns else DiagnosticStatus.OK
+        level = DiagnosticStatus.ERROR if urgent(view) else late
         values = {
             "axis": view.axis,
             "verdict": view.verdict,
@@ -72,7 +68,7 @@ class CalibrationStatus(CellNode):
         self._asked: Future[list[Outlook]] | None = None
         self._next_s, self._published = 0.0, list[DiagnosticStatus]()
         self._state = NodeState(State.LOADING)
-        self.every(TURN_S, self._look)
+        self.every(0.5, self._look)
 
     def _look(self) -> None:
         if self._asked is None and time.monotonic() >= self._next_s:
