@@ -165,7 +165,7 @@ def test_check_names_what_was_changed(database, statement, words):
 def test_a_damaged_content_is_named_and_never_read(tmp_path):
     with ParkHistory(str(tmp_path / "history.db")) as history:
         history.add_result(some())
-        tamper(history, "UPDATE entries SET content = X'00' || content")
+        tamper(history, "UPDATE entries SET content = CAST(X'00' || content AS BLOB)")
         assert "its content is not what was added" in history.check()[0]
         with pytest.raises(BagError, match="entry 1 is not what was added"):
             history.entry(1)
