@@ -10,7 +10,7 @@ RUN apt-get update \
 WORKDIR /opt/rotcal
 COPY . .
 # The same set-up as `make`, without what only tests need.
-RUN ROTCAL_EXTRAS=ros,many,opcua,ads,dcc,page scripts/setup.sh && rm -rf build
+RUN ROTCAL_EXTRAS=ros,many,history,opcua,ads,dcc,page scripts/setup.sh && rm -rf build
 
 FROM ${BASE}
 # hadolint ignore=DL3008

@@ -10,6 +10,7 @@ NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
 MODULES = {
     "bridge": "nodes.bridge.node",
+    "calibration_status": "extensions.history.node.calibration_status",
     "capture": "nodes.capture.node",
     "dme_adapter": "extensions.ipp_dme.node",
     "instrument_driver": "extensions.instrument_plugins.node",
@@ -25,6 +26,7 @@ MODULES = {
 """Node -> its module."""
 VERBS_OF_EXTENSIONS = {
     "dme": "ipp_dme",
+    "history": "history",
     "replay": "replay",
     "reprocess": "fleet",
     "reproduce": "papers",
@@ -124,6 +126,7 @@ setup(
             "ros-trajectory-msgs",
             "ros-visualization-msgs",
         ],
+        "history": ["alembic", "psycopg[binary]", "pyarrow", "sqlalchemy"],
         "many": ["distributed", "duckdb", "fsspec", "pyarrow"],
         "opcua": ["asyncua", "cryptography"],
         "ads": ["pyads"],
@@ -205,6 +208,7 @@ setup(
         ],
         "rotcal_ros.settings": [
             f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",
+            f"history = {NAME}.extensions.history.settings:HistorySettings",
             f"instrument = {NAME}.extensions.instrument_plugins.settings:InstrumentSettings",
             f"page = {NAME}.extensions.page.settings:PageSettings",
         ],
@@ -227,6 +231,7 @@ setup(
             f"write_certificate = {NAME}.extensions.certificate.writing:write_certificate [dcc]",
         ],
         "rotcal_ros.figures": [f"plot = {NAME}.methods.figures.curves:plot"],
+        "rotcal_ros.histories": [f"history = {NAME}.extensions.history.adding"],
         "rotcal_ros.certificates": [
             f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
         ],

@@ -18,7 +18,7 @@ SUFFIX=-$DISTRO
 VENV=$PWD/.venv$SUFFIX
 BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
-EXTRAS=${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,notebook,page,docs,test},build,build-$DISTRO
+EXTRAS=${ROTCAL_EXTRAS:-ros,many,history,opcua,ads,dcc,notebook,page,docs,test},build,build-$DISTRO
 PINS=(constraints.txt "constraints-$DISTRO.txt")
 # Settings of a sourced ROS installation or of another environment would leak into this one.
 unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH

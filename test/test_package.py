@@ -185,7 +185,8 @@ def code():
 
 def test_the_manifest_names_what_is_imported_and_nothing_else(setup_py, code):
     extras = setup_py["extras_require"]
-    names = (name for extra in ("many", "opcua", "ads", "dcc", "page") for name in extras[extra])
+    with_own_errors = ("many", "history", "opcua", "ads", "dcc", "page")
+    names = (name for extra in with_own_errors for name in extras[extra])
     optional = {*(name.replace("-", "_") for name in names), *OF_THE_CONTROLLER} - {"uvicorn"}
     imported = {
         name.split(".")[0]

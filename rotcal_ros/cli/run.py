@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,11 @@ from rotcal_ros.report.terminal.console import tell
 )
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @language_option
+@click.option(
+    "--history",
+    metavar="FILE|URL",
+    help="Add the result to this history of all tables, like history.database.",
+)
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--no-export", is_flag=True, help="Write no controller files.")
 @click.option("-y", "--yes", is_flag=True, help="Take work of a person as done when asked for.")
@@ -44,6 +50,7 @@ def command(
     resume: Path | None,
     keep_previous: bool,
     language: str,
+    history: str | None,
     no_report: bool,
     no_export: bool,
     yes: bool,
@@ -73,6 +80,8 @@ def command(
             "--json prints the outcome, for which --detach does not wait: leave one out"
         )
     require_ros()
+    if history is not None:
+        changes = (*changes, f"history.database={json.dumps(history)}")
     started = time.monotonic()
     if resume is None:
         folder = output or Path("out") / configuration.stem

@@ -41,6 +41,8 @@ FIGURES: Final = "rotcal_ros.figures"
 """Figures of a result, which it asks of the rooms above it."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """The writer of certificates for ``rotcal report``."""
+HISTORIES: Final = "rotcal_ros.histories"
+"""The module that keeps results, and says what has changed since the last one."""
 KINDS: Final = {
     METHODS: "method",
     CONTROLLERS: "controller",

@@ -14,6 +14,7 @@ from rotcal_ros.compensation.cascaded_tables import combined
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.session_folder import SessionFolder
@@ -29,6 +30,8 @@ from rotcal_ros.sessions.session import Session
 
 FORMATS: Final = ("csv", "linuxcnc")
 """Controller files that need no settings of the user's machine."""
+_HISTORY: Final = "history"
+"""The group of a configuration whose results are kept in a history."""
 
 
 def write_products(
@@ -40,8 +43,8 @@ def write_products(
 ) -> dict[str, str]:
     """Write what follows from the result; return name -> absolute path of all files.
 
-    A report or controller files that cannot be written never spoil a calibration: the reason is
-    printed, and they are left out.
+    A report or controller files that cannot be written never spoil a calibration, nor does a
+    history that cannot be reached: the reason is printed, and they are left out.
     """
     folder = session.folder
     paths = {"bag": folder.bag, "result": folder.result}
@@ -50,7 +53,7 @@ def write_products(
         paths["truth"] = folder.truth
     if report:
         try:
-            write_report(folder)
+            write_report(folder, _since_last_time(session))
             paths["report"] = folder.report
         except (RotcalError, OSError) as error:
             tell(f"no report: {error}")
@@ -60,7 +63,32 @@ def write_products(
             paths["compensation"] = folder.compensation
         except RotcalError as error:
             tell(f"no compensation files: {error}")
+    if _HISTORY in session.configuration.given:
+        try:
+            history = plugins.extension(plugins.HISTORIES, _HISTORY, "a history")
+            tell(f"history: {history.keep_session(folder, *_place_in_history(session))}")
+        except RotcalError as error:
+            tell(f"not in the history: {error}; `rotcal history add {folder.path}` adds it later")
     return {name: str(path) for name, path in paths.items()}
+
+
+def _place_in_history(session: Session) -> tuple[str, str]:
+    """Return the database of a configuration with a history, and the axis."""
+    configuration = session.configuration
+    return configuration.extensions[_HISTORY].database, configuration.cell.axis
+
+
+def _since_last_time(session: Session) -> Sequence[tuple[str, str]]:
+    """Return the section of a report on what has changed, if a history tells it."""
+    if _HISTORY not in session.configuration.given:
+        return ()
+    try:
+        history = plugins.extension(plugins.HISTORIES, _HISTORY, "a history")
+        result = read_source(session.folder.result).result
+        section = history.since_last_time(result, *_place_in_history(session))
+    except RotcalError:  # said when the result is to be kept
+        return ()
+    return () if section is None else (section,)
 
 
 def goal_standing(folder: SessionFolder) -> GoalStanding | None:

@@ -18,6 +18,7 @@ from rotcal_ros.foundation.node_names import (
     FURTHER_NODES,
     NODES,
     PREFLIGHT_NODES,
+    STANDING,
     VIEWERS,
     further_nodes,
 )
@@ -67,7 +68,8 @@ def test_every_node_reports_its_state(name):
 
 def test_the_lists_fit_each_other():
     assert len(set(EXECUTABLES)) == len(EXECUTABLES)
-    assert set(EXECUTABLES) == {*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS}
+    elsewhere = {*FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS, *STANDING}
+    assert set(EXECUTABLES) == {*NODES, *elsewhere}
     assert set(PREFLIGHT_NODES) == set(NODES) - {"planner"}
     assert set(FURTHER_NODES) <= set(GROUPS)
     assert not set(VIEWERS.values()) & set(PREFLIGHT_NODES)

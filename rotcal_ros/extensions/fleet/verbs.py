@@ -13,11 +13,13 @@ import click
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import configurations
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.extensions.fleet.batch_solving import BagOutcome
     from rotcal_ros.extensions.fleet.results_dataset import ResultsDataset
+    from rotcal_ros.foundation.results import Result
 
 
 @click.command()
@@ -49,6 +51,11 @@ if TYPE_CHECKING:
     help="A bag that takes longer is ended and set aside.",
 )
 @click.option(
+    "--history",
+    metavar="FILE|URL",
+    help="Also add every result to this history of all tables.",
+)
+@click.option(
     "--verify-bytes",
     is_flag=True,
     help="Identify a bag by all its bytes, not by size, time and last bytes: reads every bag "
@@ -62,6 +69,7 @@ def command(
     workers: int | None,
     scheduler: str | None,
     time_limit_s: float,
+    history: str | None,
     verify_bytes: bool,
     as_json: bool,
 ) -> int:
@@ -95,7 +103,7 @@ def command(
             workers = min(workers or cores(), len(bags))
             running = on_all_cores(jobs, workers, time_limit_s)
         with closing(running):
-            tally = _followed(running, len(bags), dataset)
+            tally = _followed(running, len(bags), dataset, history)
     write_overview(table, configuration.text, overview)
     if as_json:
         _print_json(table, overview)
@@ -123,7 +131,9 @@ class _Tally:
             self.aside.append(f"{outcome.source}: {outcome.error}")
 
 
-def _followed(running: Iterable[BagOutcome], total: int, dataset: ResultsDataset) -> _Tally:
+def _followed(
+    running: Iterable[BagOutcome], total: int, dataset: ResultsDataset, history: str | None
+) -> _Tally:
     """Keep the outcomes as they come, under a progress bar; show bad bags at once."""
     tally = _Tally()
     with progress("solving") as shown:
@@ -134,7 +144,20 @@ def _followed(running: Iterable[BagOutcome], total: int, dataset: ResultsDataset
             if outcome.error:
                 say(f"{outcome.source}: {outcome.error}")
             note_unread(f"{outcome.source}: {text}" for text in outcome.unread)
+            if history is not None and (result := outcome.deviations()) is not None:
+                _keep(result, history, outcome.source)
     return tally
+
+
+def _keep(result: Result, history: str, source: str) -> None:
+    """Add a result to a history; one that says too little of itself is told and left out."""
+    from rotcal_ros.foundation import plugins
+
+    results = plugins.extension(plugins.HISTORIES, "history", "a history")
+    try:
+        results.keep(result, history)
+    except DataError as error:
+        say(f"{source} is not in the history: {error}")
 
 
 def _print(tally: _Tally, table: Path, overview: Path) -> None:

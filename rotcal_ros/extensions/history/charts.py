@@ -1,0 +1,103 @@
+"""Control charts that people know: Shewhart, CUSUM, EWMA, and Hotelling's T2 of a whole curve.
+
+They are drawn of standard normal deviates: how far each campaign is from what its table was
+expected to show, by the stated uncertainties, by the series' own scatter, or by the fitted model.
+So their limits follow from the average run length alone: the campaigns until a false alarm.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtri, ndtr, ndtri, stdtr
+
+from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.foundation.arrays import Floats
+
+Chart = Literal["shewhart", "cusum", "ewma", "t2"]
+CHARTS: Final[tuple[Chart, ...]] = ("shewhart", "cusum", "ewma", "t2")
+FALSE_ALARM: Final = 370.4
+"""Campaigns until a false alarm, on average: those of Shewhart's three standard deviations."""
+REFERENCE: Final = 0.5
+"""k of the CUSUM: half the shift that it finds soonest, in standard deviations."""
+SMOOTHING: Final = 0.2
+"""Weight of the newest value of the EWMA."""
+
+
+def own_scatter(stated: Floats) -> Floats:
+    """Return deviates (m, p) that take their scatter from the series itself (Quesenberry 1991).
+
+    ``stated`` (m, p) are those by the stated uncertainties, whose common size does not matter;
+    NaN where there is none.
+    """
+    squares = np.where(np.isnan(stated), 0.0, stated**2).sum(axis=1)
+    counts = np.sum(~np.isnan(stated), axis=1)
+    freedom = np.append(0, np.cumsum(counts)[:-1])
+    scale = np.sqrt(np.append(0.0, np.cumsum(squares)[:-1]) / np.maximum(freedom, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = stated / scale[:, None]
+        found = ndtri(np.clip(stdtr(freedom[:, None], ratio), 1e-16, 1.0 - 1e-16))
+    return np.where(freedom[:, None] > 0, found, np.nan)
+
+
+def statistic(chart: Chart, deviates: Floats) -> Floats:
+    """Return what a chart shows (m, p) of deviates (m, p); (m, 1) of T2. NaN counts as nothing.
+
+    Of a CUSUM it is the larger of both sums, with its sign.
+    """
+    given: Floats = np.nan_to_num(deviates)
+    if chart == "shewhart":
+        return given
+    if chart == "t2":
+        return np.asarray(np.sum(given**2, axis=1, keepdims=True), dtype=np.float64)
+    found, up, down = np.zeros_like(given), np.zeros(given.shape[1]), np.zeros(given.shape[1])
+    for row, value in enumerate(given):
+        if chart == "ewma":
+            found[row] = SMOOTHING * value + (1.0 - SMOOTHING) * (found[row - 1] if row else 0.0)
+        else:
+            up = np.maximum(0.0, up + value - REFERENCE)
+            down = np.maximum(0.0, down - value - REFERENCE)
+            found[row] = np.where(up >= down, up, -down)
+    return found
+
+
+def limit(chart: Chart, count: int, run_length: float = FALSE_ALARM) -> float:
+    """Return the limit of |statistic| for ``count`` deviates at once.
+
+    A false alarm of any of them comes once in ``run_length`` campaigns.
+    """
+    alone = run_length * count
+    if chart == "shewhart":
+        return float(normal_isf(0.5 / alone))
+    if chart == "t2":
+        return float(chdtri(count, 1.0 / run_length))
+    if chart == "cusum":
+        return float(brentq(lambda h: _cusum_length(h) - alone, 0.1, 50.0))
+    deviation = float(np.sqrt(SMOOTHING / (2.0 - SMOOTHING)))
+    return float(brentq(lambda k: _ewma_length(k * deviation) - alone, 0.5, 7.0) * deviation)
+
+
+def alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> list[int]:
+    """Return the campaigns at which a chart of deviates (m, p) is beyond its limit."""
+    beyond = np.abs(statistic(chart, deviates)) > limit(chart, deviates.shape[1], run_length)
+    return [int(row) for row in np.flatnonzero(np.any(beyond, axis=1))]
+
+
+def _cusum_length(h: float) -> float:
+    """Return the average run length of a two-sided CUSUM (Siegmund 1985)."""
+    b = 2.0 * REFERENCE * (h + 1.166)
+    return float(np.exp(b) - b - 1.0) / (2.0 * REFERENCE**2) / 2.0
+
+
+def _ewma_length(edge: float) -> float:
+    """Return the average run length of an EWMA within +-edge (Brook and Evans 1972)."""
+    states = 101
+    step = 2.0 * edge / states
+    middles = -edge + step * (np.arange(states) + 0.5)
+    from_here = middles[None, :] - (1.0 - SMOOTHING) * middles[:, None]
+    upper = ndtr((from_here + step / 2.0) / SMOOTHING)
+    stay = upper - ndtr((from_here - step / 2.0) / SMOOTHING)
+    lengths = np.linalg.solve(np.eye(states) - stay, np.ones(states))
+    return float(lengths[states // 2])

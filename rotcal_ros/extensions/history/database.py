@@ -1,0 +1,633 @@
+"""The database of a history: opened, brought to its present form, asked, added to.
+
+SQLite (one file, WAL) or PostgreSQL, by one schema. What was added is on the medium when ``add``
+returns, once, whoever adds it at the same time or again; nothing is ever changed.
+"""
+
+from __future__ import annotations
+
+import getpass
+import json
+import os
+import time
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import datetime, timezone
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import sqlalchemy as sa
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from alembic.util import CommandError
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.engine import make_url
+
+from rotcal_ros.evaluation.marks import tolerance_of
+from rotcal_ros.extensions.history.schema import CURVES, ENTRIES, FORECASTS, ITEMS, RESULTS
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.files import sync_folder
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.untrusted import load_json, require_plain
+
+RESULT: Final = "result"
+EVENT: Final = "event"
+WITHDRAWAL: Final = "withdrawal"
+DOCUMENTS: Final = ("check", "report", "table")
+"""Kinds of entries that are files beside a result: a quick check, a report, a table in force."""
+EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
+CUTTING: Final = ("encoder", "bearing", "repair")
+"""After these a table is another one; after all other events its curve may have jumped."""
+PATIENCE_S: Final = 60
+"""Time to wait for another writer."""
+_OF_ITEM: Final = ("serial", "axis")
+_INSERT: Final[Mapping[str, Any]] = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
+_NS: Final = 1_000_000_000
+_VERB: Final = "rotcal history"
+
+
+@dataclass(frozen=True)
+class Item:
+    """A rotary axis of one machine."""
+
+    id: int
+    serial: str
+    axis: str
+
+    @property
+    def title(self) -> str:
+        """Serial number and axis for people."""
+        return f"{self.serial}/{self.axis}"
+
+
+@dataclass(frozen=True)
+class HistoryEntry:
+    """One entry; ``content`` as it was added, times in ns since 1970.
+
+    ``what``: the method of a result, the kind of an event, the name of a file. ``replaces`` is
+    the entry that it corrects; a withdrawal puts nothing in its place.
+    """
+
+    id: int
+    serial: str
+    axis: str
+    kind: str
+    what: str
+    measured_ns: int
+    added_ns: int
+    added_by: str
+    why: str
+    content_sha256: str
+    sha256: str
+    replaces: int | None
+    content: bytes = b""
+
+    @property
+    def day(self) -> str:
+        """The day (UTC) that it is about."""
+        return day_of(self.measured_ns)
+
+    def hashed(self, replaced: str) -> str:
+        """Return the hash of the entry; ``replaced``: that of the entry it replaces, or empty."""
+        parts = [
+            self.serial, self.axis, self.kind, self.what, self.measured_ns, self.added_ns,
+            self.added_by, self.why, self.content_sha256, replaced,
+        ]  # fmt: skip
+        return _hash(json.dumps(parts).encode())
+
+
+@dataclass(frozen=True)
+class Added:
+    """What became of an addition: the entry, and whether it is new."""
+
+    entry: HistoryEntry
+    new: bool
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A result of a series, as far as statistics need it; ``curves`` by component.
+
+    ``instruments`` maps what was used to its serial number.
+    """
+
+    entry_id: int
+    measured_ns: int
+    method: str
+    verdict: str
+    verdict_line: str
+    covered: bool
+    simulated: bool
+    measured_on: str
+    instruments: Mapping[str, str]
+    temperature_c: float | None
+    tolerance_rad: float
+    tolerance_m: float
+    curves: Mapping[str, MeasuredCurve]
+
+
+class ParkHistory:
+    """An open history; a context manager. Raises BagError where the database does not answer."""
+
+    def __init__(self, database: str, *, must_exist: bool = False) -> None:
+        self._engine = _engine(database, must_exist=must_exist)
+        self.database = database
+        with self._connected() as connection:
+            _upgrade(connection, database)
+
+    def __enter__(self) -> ParkHistory:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._engine.dispose()
+
+    def add_result(
+        self,
+        result: Result,
+        *,
+        serial: str = "",
+        axis: str = "",
+        measured_ns: int = 0,
+        why: str = "",
+        corrects: int | None = None,
+        where: str = "the result",
+    ) -> Added:
+        """Add a result, or put it in the place of the entry ``corrects``; ``why`` is for people.
+
+        ``serial``, ``axis`` and ``measured_ns`` give what it does not state itself. Raises
+        DataError for a result without identity or date, or of another table than it says, and for
+        one that is there as the result of another table.
+        """
+        serial, axis = _identified(result, serial, axis, where, corrected=corrects is not None)
+        measured_ns = result.circumstances.from_ns or measured_ns
+        if not measured_ns:
+            raise DataError(
+                f"{where} does not say when it was measured: give the day with --measured, or "
+                "state identity.measured in the configuration"
+            )
+        entry = _entry(serial, axis, RESULT, result.method, measured_ns, why, canonical(result))
+        return self._add(replace(entry, replaces=corrects), result, where)
+
+    def add_event(self, serial: str, axis: str, what: str, measured_ns: int, why: str) -> Added:
+        """Add an event of EVENTS, such as a crash, which cuts the series or lets it jump."""
+        if what not in EVENTS:
+            raise ConfigurationError(f"event {what!r}: expected one of {', '.join(EVENTS)}")
+        facts = [serial, check_axis(axis), what, measured_ns, why]
+        content = json.dumps(facts).encode()
+        return self._add(_entry(serial, axis, EVENT, what, measured_ns, why, content), None, what)
+
+    def add_document(
+        self, serial: str, axis: str, kind: str, name: str, measured_ns: int, content: bytes
+    ) -> Added:
+        """Add a file of one of the kinds DOCUMENTS, byte by byte."""
+        if kind not in DOCUMENTS:
+            raise ConfigurationError(f"kind {kind!r}: expected one of {', '.join(DOCUMENTS)}")
+        entry = _entry(serial, check_axis(axis), kind, name, measured_ns, "", content)
+        return self._add(entry, None, name)
+
+    def correct(self, entry_id: int, why: str, *, serial: str = "", axis: str = "") -> Added:
+        """Move an entry to another table, or withdraw it where neither is given."""
+        if not why:
+            raise ConfigurationError("a correction says why: give the reason")
+        old = self.entry(entry_id)
+        if not (serial or axis):
+            new = _entry(old.serial, old.axis, WITHDRAWAL, "", old.measured_ns, why, b"")
+            return self._add(replace(new, replaces=entry_id), None, f"entry {entry_id}")
+        serial, axis = serial or old.serial, axis or old.axis
+        if old.kind == RESULT:
+            moved = partial(self.add_result, result_of(old), serial=serial, axis=axis)
+            return moved(measured_ns=old.measured_ns, why=why, corrects=entry_id)
+        new = _entry(serial, axis, old.kind, old.what, old.measured_ns, why, old.content)
+        return self._add(replace(new, replaces=entry_id), None, f"entry {entry_id}")
+
+    def restore(self, entry: HistoryEntry, replaced: str) -> Added:
+        """Add an entry of another history as it is there; ``replaced``: hash of what it replaces.
+
+        Raises DataError if it is not as its hashes say.
+        """
+        where = f"entry {entry.sha256[:12]}"
+        whole = _hash(entry.content) == entry.content_sha256
+        if not whole or entry.hashed(replaced) != entry.sha256:
+            raise DataError(f"{where} is not as its hash says: copy the export again")
+        if replaced:
+            found = next(self.entries(ENTRIES.c.sha256 == replaced), None)
+            if found is None:
+                raise DataError(f"{where} replaces an entry that is missing: export all of them")
+            entry = replace(entry, replaces=found.id)
+        result = result_of(entry) if entry.kind == RESULT else None
+        return self._add(entry, result, where)
+
+    def items(self) -> list[Item]:
+        """Return all axes with a valid entry, by serial number."""
+        asked = sa.select(ITEMS).order_by(ITEMS.c.serial, ITEMS.c.axis)
+        asked = asked.where(ITEMS.c.id.in_(sa.select(ENTRIES.c.item_id).where(_valid())))
+        with self._connected() as connection:
+            return [Item(*row) for row in connection.execute(asked)]
+
+    def item(self, serial: str, axis: str = "") -> Item:
+        """Return an axis; DataError if there is none, or more than one without ``axis``."""
+        found = [i for i in self.items() if i.serial == serial and axis in ("", i.axis)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            axes = ", ".join(item.axis for item in found)
+            raise DataError(f"{serial!r} has the axes {axes}: say which with --axis")
+        near = ", ".join(item.serial for item in self.items()[:10]) or "none yet"
+        raise DataError(f"no table {serial!r} in {self.database}; there are: {near}")
+
+    def entry(self, entry_id: int) -> HistoryEntry:
+        """Return an entry with its content; DataError if there is none, BagError if damaged."""
+        entry = next(self.entries(ENTRIES.c.id == entry_id, content=True), None)
+        if entry is None:
+            raise DataError(f"no entry {entry_id} in {self.database}: `{_VERB} show` lists them")
+        if _hash(entry.content) != entry.content_sha256:
+            raise BagError(f"entry {entry_id} is not what was added: take it from an export")
+        return entry
+
+    def of_item(self, item: Item, *, valid: bool = True) -> list[HistoryEntry]:
+        """Return the entries of an axis by time of measurement, without their content."""
+        wanted = [ENTRIES.c.item_id == item.id, *([_valid()] if valid else [])]
+        return sorted(self.entries(*wanted), key=lambda entry: (entry.measured_ns, entry.id))
+
+    def entries(self, *wanted: Any, content: bool = False) -> Iterator[HistoryEntry]:
+        """Yield entries in the order in which they were added."""
+        names = [
+            field.name for field in fields(HistoryEntry) if content or field.name != "content"
+        ]
+        columns = [ITEMS.c[n] if n in _OF_ITEM else ENTRIES.c[n] for n in names]
+        asked = sa.select(*columns).select_from(ENTRIES.join(ITEMS)).where(*wanted)
+        with self._connected() as connection:
+            streamed = connection.execution_options(yield_per=200)
+            for row in streamed.execute(asked.order_by(ENTRIES.c.id)):
+                facts = row._asdict()
+                if content:
+                    with suppress(zlib.error):  # its hash tells
+                        facts["content"] = zlib.decompress(facts["content"])
+                yield HistoryEntry(**facts)
+
+    def campaigns(self, item: Item) -> list[Campaign]:
+        """Return the valid results of an axis with their curves, by time of measurement."""
+        of_item = sa.and_(ENTRIES.c.item_id == item.id, _valid())
+        asked = sa.select(ENTRIES.c.measured_ns, RESULTS).join(RESULTS).where(of_item)
+        asked = asked.order_by(ENTRIES.c.measured_ns, ENTRIES.c.id)
+        measured = sa.select(CURVES).join(ENTRIES).where(of_item)
+        curves: dict[int, dict[str, MeasuredCurve]] = {}
+        with self._connected() as connection:
+            for row in connection.execute(measured):
+                curves.setdefault(row.entry_id, {})[row.component] = _unpacked(row)
+            return [_campaign(row, curves) for row in connection.execute(asked)]
+
+    def bases(self) -> dict[int, str]:
+        """Return, by number of an axis, the hash of its valid entries."""
+        asked = sa.select(ENTRIES.c.item_id, ENTRIES.c.sha256).where(_valid())
+        hashes: dict[int, Any] = {}
+        with self._connected() as connection:
+            for item_id, own in connection.execute(asked.order_by(ENTRIES.c.id)):
+                hashes.setdefault(item_id, sha256()).update(own.encode())
+        return {item_id: found.hexdigest() for item_id, found in hashes.items()}
+
+    def forecasts(self) -> dict[tuple[int, str], str]:
+        """Return what was forecast last, by number of the axis and basis."""
+        later = FORECASTS.alias()
+        newer = sa.exists().where(
+            later.c.item_id == FORECASTS.c.item_id, later.c.made_ns > FORECASTS.c.made_ns
+        )
+        asked = sa.select(FORECASTS).where(~newer)
+        with self._connected() as connection:
+            return {(row.item_id, row.basis): row.content for row in connection.execute(asked)}
+
+    def note_forecasts(self, forecasts: Iterable[tuple[int, str, str]]) -> None:
+        """Keep forecasts as (axis, basis, content)."""
+        rows = [
+            {"item_id": item, "basis": basis, "made_ns": time.time_ns(), "content": content}
+            for item, basis, content in forecasts
+        ]
+        if rows:
+            with self._connected(writing=True) as connection:
+                connection.execute(self._insert(FORECASTS), rows)
+
+    def check(self) -> list[str]:
+        """Return what is wrong, in a sentence each: hashes, references, curves, the file."""
+        wrong = self._file_faults()
+        known: dict[int, str] = {}
+        for entry in self.entries(content=True):
+            where = f"entry {entry.id} ({entry.serial}/{entry.axis}, {entry.day})"
+            known[entry.id] = entry.sha256
+            replaced = "" if entry.replaces is None else known.get(entry.replaces, "missing")
+            if _hash(entry.content) != entry.content_sha256:
+                wrong.append(f"{where}: its content is not what was added")
+            elif entry.hashed(replaced) != entry.sha256:
+                wrong.append(f"{where}: it is not as it was added")
+            elif entry.kind == RESULT:
+                wrong += [f"{where}: {text}" for text in self._derived_faults(entry)]
+        return wrong
+
+    def _derived_faults(self, entry: HistoryEntry) -> list[str]:
+        """Compare the rows that follow from a result with its content, bit by bit."""
+        result = result_of(entry)
+        wanted = {(row["component"]): row for row in _curve_rows(entry.id, result)}
+        asked = sa.select(CURVES).where(CURVES.c.entry_id == entry.id)
+        of_result = sa.select(RESULTS).where(RESULTS.c.entry_id == entry.id)
+        with self._connected() as connection:
+            found = {row.component: row._asdict() for row in connection.execute(asked)}
+            row = connection.execute(of_result).one_or_none()
+        faults = [] if found == wanted else ["its curves are not those of its content"]
+        if row is None or row._asdict() != _result_row(entry.id, result):
+            faults.append("its verdict, tolerance or circumstances are not those of its content")
+        return faults
+
+    def _file_faults(self) -> list[str]:
+        if self._engine.dialect.name != "sqlite":
+            return []  # PostgreSQL checks references and pages itself
+        with self._connected() as connection:
+            whole = connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
+            loose = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
+        faults = [f"SQLite: {text}" for text in whole if text != "ok"]
+        return faults + [f"{row[0]}, row {row[1]}: it belongs to no {row[2]}" for row in loose]
+
+    def _add(self, entry: HistoryEntry, result: Result | None, where: str) -> Added:
+        """Write an entry and what follows from it, all or nothing."""
+        with self._connected(writing=True) as connection:
+            replaced = _replaced(connection, entry)
+            own = ITEMS.c.serial == entry.serial, ITEMS.c.axis == entry.axis
+            connection.execute(self._insert(ITEMS), {"serial": entry.serial, "axis": entry.axis})
+            item_id = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one()
+            entry = replace(entry, sha256=entry.sha256 or entry.hashed(replaced))
+            row = {n: v for n, v in asdict(entry).items() if n not in ("id", *_OF_ITEM)}
+            row |= {"item_id": item_id, "content": zlib.compress(entry.content)}
+            asked = self._insert(ENTRIES).values(row).returning(ENTRIES.c.id)
+            entry_id = connection.execute(asked).scalar_one_or_none()
+            if entry_id is not None and result is not None:
+                connection.execute(sa.insert(RESULTS), _result_row(entry_id, result))
+                if rows := _curve_rows(entry_id, result):
+                    connection.execute(sa.insert(CURVES), rows)
+        if entry_id is not None:
+            return Added(replace(entry, id=entry_id), new=True)
+        return Added(self._there_already(entry, where), new=False)
+
+    def _there_already(self, entry: HistoryEntry, where: str) -> HistoryEntry:
+        """Return the entry that was there before; DataError if it says something else."""
+        same = sa.and_(
+            ENTRIES.c.content_sha256 == entry.content_sha256, ENTRIES.c.replaces.is_(None)
+        )
+        if entry.replaces is not None:
+            same = ENTRIES.c.replaces == entry.replaces
+        (old,) = self.entries(sa.or_(ENTRIES.c.sha256 == entry.sha256, same))
+        facts = ("serial", "axis", "kind", "content_sha256")
+        if any(getattr(old, name) != getattr(entry, name) for name in facts):
+            did = (
+                f"entry {entry.replaces} was corrected" if entry.replaces else f"{where} is there"
+            )
+            raise DataError(
+                f"{did} already, by entry {old.id} as {old.kind} of {old.serial}/{old.axis} "
+                f"({old.added_by}, {day_of(old.added_ns)}): correct that one"
+            )
+        return old
+
+    def _insert(self, table: sa.Table) -> Any:
+        """Return an insertion that does nothing where the row is there already."""
+        return _INSERT[self._engine.dialect.name](table).on_conflict_do_nothing()
+
+    @contextmanager
+    def _connected(self, *, writing: bool = False) -> Iterator[sa.Connection]:
+        """Give a connection in a transaction; errors of the database become a BagError."""
+        try:
+            with self._engine.connect() as plain:
+                connection = plain.execution_options(rotcal_writing=writing)
+                with connection.begin():
+                    yield connection
+        except sa.exc.DBAPIError as error:
+            raise BagError(
+                f"the history {_shown(self.database)} does not take or give this: "
+                f"{' '.join(str(error.orig).split())}; nothing was changed"
+            ) from error
+
+
+def result_of(entry: HistoryEntry) -> Result:
+    """Return the result that an entry holds, to the last bit."""
+    return Result.from_dict(load_json(entry.content))
+
+
+def canonical(result: Result) -> bytes:
+    """Return a result as text: the same for the same result, every number to the last bit."""
+    return json.dumps(result.to_dict(), separators=(",", ":"), allow_nan=False).encode()
+
+
+def day_of(time_ns: int) -> str:
+    """Return the day (UTC) of a time."""
+    return datetime.fromtimestamp(time_ns // _NS, timezone.utc).date().isoformat()
+
+
+def time_of(day: str) -> int:
+    """Return the first moment (ns) of a day like 2026-03-31; raises ConfigurationError."""
+    try:
+        begun = datetime.fromisoformat(day).replace(tzinfo=timezone.utc)
+    except ValueError:
+        raise ConfigurationError(f"{day!r} is no date: expected one like 2026-03-31") from None
+    return int(begun.timestamp()) * _NS
+
+
+def _engine(database: str, *, must_exist: bool) -> sa.Engine:
+    """Return the engine; raises ConfigurationError for a URL or a file that cannot be one."""
+    if "://" in database:
+        try:
+            url = make_url(database).set(drivername="postgresql+psycopg")
+        except sa.exc.ArgumentError as error:
+            raise ConfigurationError(f"the URL of the history cannot be read: {error}") from None
+        if not database.startswith("postgresql"):
+            raise ConfigurationError(
+                f"{_shown(database)}: expected a file or postgresql://USER@HOST/NAME"
+            )
+        return sa.create_engine(url, pool_pre_ping=True, connect_args={"connect_timeout": 10})
+    path = Path(database).expanduser().absolute()
+    if must_exist and not path.is_file():
+        raise BagError(f"there is no history {path}: `{_VERB} add` begins one")
+    try:
+        require_plain(path)
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+            sync_folder(path.parent)
+    except OSError as error:
+        raise BagError(f"no history at {path}: {error.strerror}; name another file") from error
+    engine = sa.create_engine(
+        sa.URL.create("sqlite", database=str(path)), connect_args={"timeout": PATIENCE_S}
+    )
+    sa.event.listen(engine, "connect", _prepare)
+    sa.event.listen(engine, "begin", _begin)
+    return engine
+
+
+def _prepare(connection: Any, _record: Any) -> None:
+    connection.isolation_level = None  # transactions begin where we say so
+    for pragma in (
+        f"busy_timeout = {1000 * PATIENCE_S}", "journal_mode = WAL", "synchronous = FULL",
+        "foreign_keys = ON", "recursive_triggers = ON",
+    ):  # fmt: skip
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin(connection: sa.Connection) -> None:
+    # A writer waits for its turn here, and not in the middle, where it would fail.
+    writing = connection.get_execution_options().get("rotcal_writing")
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
+
+
+def _upgrade(connection: sa.Connection, database: str) -> None:
+    """Bring the database to the newest form, if it is an older one."""
+    place = str(Path(__file__).with_name("migrations"))
+    script = ScriptDirectory(place)
+    known = {step.revision for step in script.walk_revisions()}
+    newest = script.get_current_head()
+    found = MigrationContext.configure(connection).get_current_revision()
+    if found == newest:
+        return
+    if found is not None and found not in known:
+        raise BagError(
+            f"{_shown(database)} was written by a later rotcal (form {found}, known: "
+            f"{', '.join(sorted(known))}): update rotcal"
+        )
+    config = Config()
+    config.set_main_option("script_location", place)
+    # The transaction of this connection only reads: a writer's waits for others from the start.
+    with connection.engine.connect() as plain:
+        writer = plain.execution_options(rotcal_writing=True)
+        with writer.begin():
+            if writer.dialect.name == "postgresql":
+                writer.exec_driver_sql("SELECT pg_advisory_xact_lock(7026)")
+            config.attributes["connection"] = writer
+            try:
+                command.upgrade(config, "head")
+            except CommandError as error:
+                raise BagError(f"{_shown(database)} cannot be updated: {error}") from error
+
+
+def _shown(database: str) -> str:
+    """Return a file or URL without a password."""
+    with suppress(sa.exc.ArgumentError):
+        if "://" in database:
+            return make_url(database).render_as_string(hide_password=True)
+    return database
+
+
+def _valid() -> Any:
+    """Return the condition of an entry that nothing replaces."""
+    later = ENTRIES.alias()
+    replaced = sa.exists().where(later.c.replaces == ENTRIES.c.id)
+    return sa.and_(ENTRIES.c.kind != WITHDRAWAL, ~replaced)
+
+
+def _replaced(connection: sa.Connection, entry: HistoryEntry) -> str:
+    """Return the hash of the entry that is replaced; empty for none, DataError if missing."""
+    if entry.replaces is None:
+        return ""
+    asked = sa.select(ENTRIES.c.sha256).where(ENTRIES.c.id == entry.replaces)
+    found = connection.execute(asked).scalar_one_or_none()
+    if found is None:
+        raise DataError(f"no entry {entry.replaces} to replace: `{_VERB} show` lists them")
+    return str(found)
+
+
+def _entry(
+    serial: str, axis: str, kind: str, what: str, measured_ns: int, why: str, content: bytes
+) -> HistoryEntry:
+    who = os.environ.get("ROTCAL_USER") or _user()
+    return HistoryEntry(
+        0, serial, axis, kind, what, measured_ns, time.time_ns(), who, why, _hash(content), "",
+        None, content,
+    )  # fmt: skip
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # no name for this number, as in a container
+        return f"user {os.getuid()}"
+
+
+def _identified(
+    result: Result, serial: str, axis: str, where: str, *, corrected: bool
+) -> tuple[str, str]:
+    """Return serial number and axis, stated by the result or given; DataError without either."""
+    circumstances = result.circumstances
+    stated = circumstances.identity.serial, circumstances.axis
+    names = (("serial number", "serial"), ("axis", "axis"))
+    found = []
+    for own, given, (words, option) in zip(stated, (serial, axis), names, strict=True):
+        if own and given and own != given and not corrected:
+            raise DataError(
+                f"{where} is of the {words} {own!r}, not {given!r}: leave out --{option}, or add "
+                f"it and correct it with `{_VERB} correct`"
+            )
+        if not (own or given):
+            raise DataError(
+                f"{where} does not say which table it is of: it has no {words}; give it with "
+                f"--{option}, and set it in the configuration"
+            )
+        found.append(given or own)
+    return found[0].strip(), check_axis(found[1])
+
+
+def _result_row(entry_id: int, result: Result) -> dict[str, Any]:
+    known, identity = result.circumstances, result.circumstances.identity
+    used = {n: i.serial for n, i in identity.instruments.known.items() if i.serial}
+    return {
+        "entry_id": entry_id,
+        "method": result.method,
+        "verdict": result.verdict,
+        "verdict_line": str(result.verdict_line),
+        "covered": int(bool(result.protections) and not result.unprotected),
+        "simulated": int(result.simulated),
+        "measured_on": result.measured_on,
+        "instruments": json.dumps(used, sort_keys=True),
+        "temperature_c": None if known.temperature_c is None else known.temperature_c.mean,
+        "tolerance_rad": tolerance_of("ECC", identity),
+        "tolerance_m": tolerance_of("EZC", identity),
+    }
+
+
+def _curve_rows(entry_id: int, result: Result) -> list[dict[str, Any]]:
+    """Return the rows of all components that are one curve; the others have no trend."""
+    rows = []
+    for name in result.components:
+        with suppress(DataError):
+            curve = measured_curve(result, name)
+            if not curve.open_zeros:
+                parts = ("angles", "deviation", "covariance")
+                arrays = {part: packed(getattr(curve, part)) for part in parts}
+                facts = {"entry_id": entry_id, "component": name, "period": curve.period}
+                rows.append({**facts, **arrays})
+    return rows
+
+
+def packed(array: Floats) -> bytes:
+    """Return an array as bytes: float64, little-endian, row by row."""
+    return np.ascontiguousarray(array, dtype="<f8").tobytes()
+
+
+def _unpacked(row: Any) -> MeasuredCurve:
+    angles, deviation, covariance = (
+        np.frombuffer(data, dtype="<f8") for data in (row.angles, row.deviation, row.covariance)
+    )
+    n = len(angles)
+    return MeasuredCurve(angles, deviation, covariance.reshape(n, n), row.period)
+
+
+def _campaign(row: Any, curves: Mapping[int, Mapping[str, MeasuredCurve]]) -> Campaign:
+    facts = row._asdict() | {"instruments": json.loads(row.instruments)}
+    facts |= {name: bool(facts[name]) for name in ("covered", "simulated")}
+    return Campaign(**facts, curves=curves.get(row.entry_id, {}))
+
+
+def _hash(content: bytes) -> str:
+    return sha256(content).hexdigest()

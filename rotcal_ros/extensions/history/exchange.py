@@ -1,0 +1,183 @@
+"""A history as Parquet, for another history and for any tool; dates for calendars and monitoring.
+
+``entries.parquet`` is the whole history, from which it is restored to the last bit;
+``deviations.parquet`` has a row for each angle, for DuckDB, pandas and the like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from datetime import date, datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.bags.parquet import arrow
+from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory, day_of
+from rotcal_ros.extensions.history.outlook import Outlook, urgent
+from rotcal_ros.foundation.arrays import std_of
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import replace_atomically
+
+ENTRIES: Final = "entries.parquet"
+DEVIATIONS: Final = "deviations.parquet"
+_GROUP: Final = 500
+_OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
+
+
+def export(history: ParkHistory, folder: Path) -> int:
+    """Write both files into ``folder``, each whole or not at all; return the entries' number."""
+    folder.mkdir(parents=True, exist_ok=True)
+    count = 0
+
+    def entries() -> Iterator[dict[str, Any]]:
+        nonlocal count
+        known: dict[int, str] = {}
+        for entry in history.entries(content=True):
+            count += 1
+            known[entry.id] = entry.sha256
+            replaced = "" if entry.replaces is None else known[entry.replaces]
+            yield asdict(entry) | {"replaces": replaced}
+
+    _write(folder / ENTRIES, _entry_schema(), entries())
+    _write(folder / DEVIATIONS, _deviation_schema(), _deviations(history))
+    return count
+
+
+def restore(history: ParkHistory, folder: Path) -> tuple[int, int]:
+    """Add the entries of an export; return how many are new, and how many were there before.
+
+    Raises BagError for files that are damaged, DataError for entries that do not fit.
+    """
+    pa, parquet = arrow()
+    path = folder / ENTRIES if folder.is_dir() else folder
+    new = old = 0
+    try:
+        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+            for batch in file.iter_batches(batch_size=_GROUP):
+                for row in batch.to_pylist():
+                    replaced = row.pop("replaces")
+                    added = history.restore(HistoryEntry(**row, replaces=None), replaced)
+                    new, old = new + added.new, old + (not added.new)
+    except (OSError, pa.ArrowException, KeyError, TypeError) as error:
+        raise BagError(f"{path} is no whole export of a history: {error}; export again") from error
+    return new, old
+
+
+def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
+    """Return the due dates as an iCalendar (RFC 5545): a whole day for each table."""
+    lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//rotcal_ros//history//EN"]
+    for view in outlooks:
+        due = date.fromisoformat(day_of(view.due_ns))
+        lines += [
+            "BEGIN:VEVENT",
+            f"UID:{_escaped(view.title)}@rotcal",
+            f"DTSTAMP:{now.astimezone(timezone.utc):%Y%m%dT%H%M%SZ}",
+            f"DTSTART;VALUE=DATE:{due:%Y%m%d}",
+            f"DTEND;VALUE=DATE:{due + timedelta(days=1):%Y%m%d}",
+            f"SUMMARY:Calibrate {_escaped(view.title)}",
+            f"DESCRIPTION:{_escaped(view.reason)}",
+            "END:VEVENT",
+        ]
+    return "".join(f"{part}\r\n" for line in [*lines, "END:VCALENDAR"] for part in _folded(line))
+
+
+def letter(outlooks: Sequence[Outlook], before: str) -> str:
+    """Return the due tables as the text of an e-mail, its subject first."""
+    tables = "1 table is" if len(outlooks) == 1 else f"{len(outlooks)} tables are"
+    lines = [f"Subject: {tables} due before {before}", ""]
+    for view in outlooks:
+        lines += [f"{day_of(view.due_ns)}  {view.title}: {view.reason}"]
+        lines += [f"            {found.words}" for found in urgent(view)[1:]]
+    return "\n".join(lines) + "\n"
+
+
+def metrics(outlooks: Sequence[Outlook]) -> str:
+    """Return what monitoring asks for, in the text format of Prometheus."""
+    families = (
+        ("due_timestamp_seconds", "When the axis is due.", lambda o: o.due_ns / 1e9),
+        ("last_timestamp_seconds", "When it was measured last.", lambda o: o.last_ns / 1e9),
+        ("ok", "1 if the newest result is ok.", lambda o: int(o.verdict == "ok")),
+        ("findings", "What a person has to look at.", lambda o: len(urgent(o))),
+        ("results", "Results in the history.", lambda o: o.results),
+    )
+    lines = []
+    for name, words, value in families:
+        full = f"rotcal_calibration_{name}"
+        lines += [f"# HELP {full} {words}", f"# TYPE {full} gauge"]
+        for view in outlooks:
+            labels = f'serial="{_label(view.serial)}",axis="{_label(view.axis)}"'
+            lines.append(f"{full}{{{labels}}} {value(view):.15g}")
+    return "\n".join(lines) + "\n"
+
+
+def _escaped(text: str) -> str:
+    for plain in "\\;,":
+        text = text.replace(plain, f"\\{plain}")
+    return text.replace("\n", "\\n")
+
+
+def _folded(line: str) -> Iterator[str]:
+    """Yield the lines of at most 75 bytes that a long one is folded into."""
+    part = ""
+    for character in line:
+        if len((part + character).encode()) > 74:
+            yield part
+            part = " "
+        part += character
+    yield part
+
+
+def _label(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+
+
+def _write(path: Path, schema: Any, rows: Iterable[dict[str, Any]]) -> None:
+    pa, parquet = arrow()
+
+    def write(temporary: Path) -> None:
+        with parquet.ParquetWriter(temporary, schema, **_OPTIONS) as writer:
+            waiting: list[dict[str, Any]] = []
+            for row in rows:
+                waiting.append(row)
+                if len(waiting) >= _GROUP:
+                    writer.write_table(pa.Table.from_pylist(waiting, schema))
+                    waiting = []
+            writer.write_table(pa.Table.from_pylist(waiting, schema))
+
+    replace_atomically(path, write)
+
+
+def _entry_schema() -> Any:
+    pa, _ = arrow()
+    whole = dict.fromkeys(("id", "measured_ns", "added_ns"), pa.int64())
+    kinds = {**whole, "content": pa.binary()}
+    return pa.schema(
+        [(name, kinds.get(name, pa.string())) for name in HistoryEntry.__dataclass_fields__]
+    )
+
+
+def _deviation_schema() -> Any:
+    pa, _ = arrow()
+    texts = ("serial", "axis", "verdict", "verdict_line", "component")
+    numbers = ("temperature_c", "angle_rad", "deviation", "std")
+    kinds = {"entry": pa.int64(), "measured": pa.timestamp("ns", tz="UTC")}
+    kinds |= dict.fromkeys(texts, pa.string()) | dict.fromkeys(numbers, pa.float64())
+    return pa.schema(list(kinds.items()))
+
+
+def _deviations(history: ParkHistory) -> Iterator[dict[str, Any]]:
+    for item in history.items():
+        for campaign in history.campaigns(item):
+            common = {
+                "serial": item.serial, "axis": item.axis, "entry": campaign.entry_id,
+                "measured": campaign.measured_ns, "verdict": campaign.verdict,
+                "verdict_line": campaign.verdict_line, "temperature_c": campaign.temperature_c,
+            }  # fmt: skip
+            for component, curve in campaign.curves.items():
+                table = np.column_stack([curve.angles, curve.deviation, std_of(curve.covariance)])
+                for angle, deviation, std in table.tolist():
+                    values = {"angle_rad": angle, "deviation": deviation, "std": std}
+                    yield {**common, "component": component, **values}

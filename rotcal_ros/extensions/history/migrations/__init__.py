@@ -1,0 +1,1 @@
+"""How the database of a history comes to its present form, step by step (Alembic)."""

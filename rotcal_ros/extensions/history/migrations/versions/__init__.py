@@ -1,0 +1,1 @@
+"""One module for each step; what is released is never changed."""

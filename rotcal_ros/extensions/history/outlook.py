@@ -1,0 +1,351 @@
+"""What is known of one table: has it changed, when is it due, and why.
+
+Due is the last day on which the whole curve is within its tolerance with the promised probability
+(the conformance probability of JCGM 106:2012, 7, of a forecast). Beside it stand the methods of
+ILAC-G24 / OIML D 10:2022 that a series of calibrations allows: staircase and control chart.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from rotcal_ros.evaluation.marks import decide
+from rotcal_ros.extensions.history.charts import FALSE_ALARM, Chart, alarms
+from rotcal_ros.extensions.history.database import EVENT, Campaign, HistoryEntry, day_of
+from rotcal_ros.extensions.history.series import DeviationSeries, series_of, usable
+from rotcal_ros.extensions.history.settings import HistorySettings
+from rotcal_ros.extensions.history.trend import DRAWS, YEAR_NS, Trend, fit
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.records import record
+from rotcal_ros.foundation.units import DEGREE
+
+VERSION: Final = 1
+"""A forecast of another version is made again."""
+DAY_NS: Final = 86_400_000_000_000
+ENOUGH: Final = 3
+"""Fewest campaigns since the last step for a forecast."""
+_DATES, _LEVELS = 16, 3
+"""A due date is looked for among so many dates, then between two of them, and so on."""
+_SIGNIFICANT: Final = 3.0
+"""Standard uncertainties of a change that is called one."""
+_CLOSE: Final = 0.8
+"""Staircase: within this share of the tolerance the next interval is longer."""
+_LONGER, _SHORTER = 1.25, 0.7
+
+
+@dataclass(frozen=True)
+class TableFinding:
+    """Something that a person has to look at, and when it was seen."""
+
+    kind: Literal["jump", "drift", "wear", "beyond", "verdict", "event", "swapped"]
+    time_ns: int
+    words: str
+
+
+@dataclass(frozen=True)
+class DeviationOutlook:
+    """One deviation of a table, SI; times in ns since 1970.
+
+    ``largest`` |deviation| of each campaign at ``times_ns``. ``rate`` per year with its standard
+    uncertainty, at the ``angle`` (rad) that moves most; ``moved``: more than chance explains.
+    ``wearing``: its drift changes itself.
+    ``due_ns`` is None where nothing can be forecast. ``probability`` is that of conformity on the
+    day of the newest campaign. ``intervals_days`` by method. ``per_kelvin`` is the temperature
+    coefficient at that angle and its standard uncertainty. ``alarm`` is the campaign of a jump;
+    ``expected`` (2, p) what the earlier campaigns said of it, or of the newest, and ``found`` (p,)
+    what it showed.
+    """
+
+    component: str
+    tolerance: float
+    times_ns: tuple[int, ...]
+    largest: tuple[float, ...]
+    rate: float | None
+    rate_std: float
+    angle: float
+    moved: bool
+    wearing: bool
+    due_ns: int | None
+    probability: float | None
+    decision: str
+    intervals_days: tuple[tuple[str, float], ...]
+    per_kelvin: tuple[float, float] | None
+    alarm: int | None
+    expected: tuple[tuple[float, ...], ...]
+    found: tuple[float, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def trend(self) -> str:
+        """The drift for people."""
+        if self.rate is None:
+            return "—"
+        unit, label = unit_of(self.component)
+        text = f"{self.rate / unit:+.2g} ± {COVERAGE_FACTOR * self.rate_std / unit:.2g}"
+        return f"{self.component} {text} {label}/year at {self.angle / DEGREE:.4g}°"
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What is known of one axis; times in ns since 1970, ``due_ns`` with the ``reason``."""
+
+    serial: str
+    axis: str
+    results: int
+    last_ns: int
+    verdict: str
+    verdict_line: str
+    covered: bool
+    measured_on: str
+    due_ns: int
+    reason: str
+    findings: tuple[TableFinding, ...]
+    deviations: tuple[DeviationOutlook, ...]
+
+    @property
+    def trend(self) -> str:
+        """The largest drift in terms of its tolerance or, without one, of its uncertainty."""
+        known = [d for d in self.deviations if d.rate is not None]
+        shown = [d for d in known if d.moved]
+        if not shown:
+            return "no change seen" if known else "—"
+        return max(shown, key=lambda d: abs(d.rate or 0.0) / (d.tolerance or d.rate_std)).trend
+
+    @property
+    def title(self) -> str:
+        """Serial number and axis."""
+        return f"{self.serial}/{self.axis}"
+
+    def to_json(self) -> str:
+        """Return it as text, read again by :meth:`from_json`."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Outlook:
+        """Return what :meth:`to_json` wrote; raises ValueError."""
+        return record(cls, json.loads(text))
+
+
+def outlook(
+    serial: str,
+    axis: str,
+    campaigns: Sequence[Campaign],
+    entries: Sequence[HistoryEntry],
+    settings: HistorySettings,
+) -> Outlook:
+    """Return the outlook of an axis with at least one result; DataError without any.
+
+    ``entries`` are those of the axis, events among them.
+    """
+    if not campaigns:
+        raise DataError(f"{serial}/{axis} has no result yet: add one")
+    newest, counting = campaigns[-1], usable(campaigns, entries)
+    found = series_of(counting, entries, settings.common_share)
+    each = tuple(_of_deviation(curves, settings) for curves in found.values())
+    findings = [f for view in each for f in _findings(view)]
+    if newest.verdict != "ok":
+        words = f"the newest result is {newest.verdict_line}: measure again"
+        findings.insert(0, TableFinding("verdict", newest.measured_ns, words))
+    for event in (e for e in entries if e.kind == EVENT and e.measured_ns > newest.measured_ns):
+        words = f"{event.what} on {event.day}, after the newest result: measure again"
+        findings.insert(0, TableFinding("event", event.measured_ns, words))
+    due_ns, reason = _due(newest, each, findings, settings)
+    reason = "; ".join([reason, *(found.words for found in findings if found.kind == "wear")])
+    return Outlook(
+        serial=serial, axis=axis, results=len(campaigns),
+        last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=newest.verdict_line,
+        covered=newest.covered, measured_on=newest.measured_on, due_ns=due_ns, reason=reason,
+        findings=tuple(findings), deviations=each,
+    )  # fmt: skip
+
+
+def with_finding(known: Outlook, finding: TableFinding) -> Outlook:
+    """Return the outlook with a finding in front, that makes it due at once."""
+    findings = (finding, *known.findings)
+    due_ns = min(known.due_ns, finding.time_ns)
+    return replace(known, findings=findings, due_ns=due_ns, reason=finding.words)
+
+
+def _due(
+    newest: Campaign,
+    each: Sequence[DeviationOutlook],
+    findings: Sequence[TableFinding],
+    settings: HistorySettings,
+) -> tuple[int, str]:
+    """Return when a table is due, and why."""
+    pressing = [f for f in findings if f.kind not in ("drift", "wear")]
+    if pressing:
+        return min(f.time_ns for f in pressing), pressing[0].words
+    latest = newest.measured_ns + round(settings.longest_days * DAY_NS)
+    forecast = [d for d in each if d.due_ns is not None]
+    if not forecast:
+        agreed = newest.measured_ns + round(settings.interval_days * DAY_NS)
+        why = "fewer than 3 results" if any(d.tolerance for d in each) else "no tolerance agreed"
+        return min(agreed, latest), f"{settings.interval_days:g} days, as agreed ({why})"
+    first = min(forecast, key=lambda d: d.due_ns or 0)
+    if (first.due_ns or 0) >= latest:
+        return latest, f"{settings.longest_days:g} days, the longest interval"
+    chance = f"{100.0 * settings.promise:g} %"
+    return first.due_ns or 0, f"{first.component} is within its tolerance with {chance} until then"
+
+
+def _findings(view: DeviationOutlook) -> list[TableFinding]:
+    found = []
+    if view.alarm is not None:
+        time_ns = view.times_ns[view.alarm]
+        words = (
+            f"{view.component} jumped before {day_of(time_ns)}: look at the table, then note what "
+            "happened as an event"
+        )
+        found.append(TableFinding("jump", time_ns, words))
+    if view.decision == "beyond":
+        words = f"{view.component} is beyond its tolerance"
+        found.append(TableFinding("beyond", view.times_ns[-1], words))
+    if view.alarm is None and view.wearing:
+        words = f"{view.component} does not drift evenly: something wears, such as a bearing"
+        found.append(TableFinding("wear", view.times_ns[-1], words))
+    if view.moved:
+        found.append(TableFinding("drift", view.times_ns[-1], f"drift: {view.trend}"))
+    return found
+
+
+def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> DeviationOutlook:
+    name, newest = curves.component, curves.campaigns[-1]
+    tolerance = newest.tolerance_m if name in TRANSLATIONS else newest.tolerance_rad
+    times = tuple(c.measured_ns for c in curves.campaigns)
+    largest = tuple(float(np.max(np.abs(c.curves[name].deviation))) for c in curves.campaigns)
+    curve = curves.newest
+    std = np.sqrt(np.maximum(np.diag(curve.covariance), 0.0))
+    decision = decide(curve.deviation, std, tolerance) if tolerance else ""
+    plain = DeviationOutlook(
+        component=name, tolerance=tolerance, times_ns=times, largest=largest, rate=None,
+        rate_std=0.0, angle=0.0, moved=False, wearing=False, due_ns=None, probability=None,
+        decision=decision, intervals_days=(), per_kelvin=None, alarm=None,
+        expected=(), found=(), notes=curves.notes,
+    )  # fmt: skip
+    if len(times) < 2:
+        return plain
+    trend = fit(curves.series)
+    rate, rate_std, at, moved = _rate(curves, trend)
+    alarm = _alarm(trend, "t2")
+    watched = len(times) - 1 if alarm is None else alarm
+    found = replace(
+        plain,
+        rate=rate,
+        rate_std=rate_std,
+        angle=float(curve.angles[at]),
+        moved=moved,
+        wearing=_alarm(trend, "cusum") is not None,
+        per_kelvin=_per_kelvin(curves, trend, at),
+        alarm=alarm,
+        expected=tuple(tuple(map(float, row)) for row in trend.expected(watched)),
+        found=tuple(map(float, curves.series.values[watched])),
+    )
+    since_step = int(np.sum(curves.series.steps == curves.series.steps[-1]))
+    if not tolerance or since_step < ENOUGH:
+        return found
+    due_ns, probability = due_date(curves, trend, tolerance, settings)
+    days = (
+        ("model", (due_ns - times[-1]) / DAY_NS),
+        ("staircase", _staircase(largest, tolerance, settings)),
+        ("control chart", _control_chart(times, largest, tolerance, settings)),
+    )
+    return replace(found, due_ns=due_ns, probability=probability, intervals_days=days)
+
+
+def due_date(
+    curves: DeviationSeries, trend: Trend, tolerance: float, settings: HistorySettings
+) -> tuple[int, float]:
+    """Return the last moment (ns) at which the promise holds, and the probability today.
+
+    Today is the time of the newest campaign. The moment is that of the newest campaign if the
+    promise does not even hold then, and at most ``longest_days`` later.
+    """
+    begun = int(curves.series.times_ns[-1])
+    rest = curves.drawn_rest(DRAWS)
+
+    def conforming(times_ns: Ints) -> Floats:
+        drawn = curves.curves_of(trend.forecast(times_ns), rest)
+        return np.asarray(np.mean(np.max(np.abs(drawn), axis=2) <= tolerance, axis=0))
+
+    low, high = begun, begun + round(settings.longest_days * DAY_NS)
+    today = 1.0
+    for level in range(_LEVELS):
+        times = np.linspace(low, high, _DATES + 1).astype(np.int64)
+        held = conforming(times)
+        today = float(held[0]) if level == 0 else today
+        broken = np.flatnonzero(held < settings.promise)
+        if not len(broken):
+            return int(times[-1]), today
+        if broken[0] == 0:
+            return int(times[0]), today
+        low, high = int(times[broken[0] - 1]), int(times[broken[0]])
+    return low, today
+
+
+def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, int, bool]:
+    """Return the change per year where it is largest, and whether it is one at all."""
+    moved, std, years = trend.change()
+    curve = curves.curves_of(moved, np.zeros(1))
+    basis = curves.basis if curves.zero is None else curves.basis - curves.basis[curves.zero]
+    deviation = np.sqrt((basis**2) @ std**2)
+    at = int(np.argmax(np.abs(curve)))
+    if years <= 0.0:
+        return None, 0.0, at, False
+    normal = np.abs(moved) > _SIGNIFICANT * std
+    return float(curve[at] / years), float(deviation[at] / years), at, bool(np.any(normal))
+
+
+def _per_kelvin(curves: DeviationSeries, trend: Trend, at: int) -> tuple[float, float] | None:
+    found = trend.per_kelvin()
+    if found is None:
+        return None
+    row = curves.basis[at]
+    return float(row @ found[0]), float(np.sqrt(row**2 @ found[1] ** 2))
+
+
+def _alarm(trend: Trend, chart: Chart) -> int | None:
+    """Return the newest campaign that forecasts do not explain; false for one table in 370.
+
+    T2 finds jumps, a CUSUM what wears.
+    """
+    run_length = FALSE_ALARM * max(1, len(trend.surprise) - 1)
+    found = alarms(chart, trend.surprise, run_length)
+    since = int(np.searchsorted(trend.series.steps, trend.series.steps[-1]))
+    return next((row for row in reversed(found) if row > since), None)
+
+
+def _staircase(largest: Sequence[float], tolerance: float, settings: HistorySettings) -> float:
+    """Return the next interval (days) by method 1 of OIML D 10: automatic adjustment."""
+    days = settings.interval_days
+    for value in largest[1:]:
+        days *= _LONGER if value <= _CLOSE * tolerance else _SHORTER
+        days = min(max(days, 1.0), settings.longest_days)
+    return days
+
+
+def _control_chart(
+    times: Sequence[int], largest: Sequence[float], tolerance: float, settings: HistorySettings
+) -> float:
+    """Return the next interval (days) by method 2 of OIML D 10: drift and scatter of a chart."""
+    years = (np.array(times) - times[0]) / YEAR_NS
+    slope, level = np.polyfit(years, np.array(largest), 1)
+    left = np.array(largest) - level - slope * years
+    scatter = float(np.sqrt(np.sum(left**2) / max(1, len(times) - 2)))
+    room = tolerance - COVERAGE_FACTOR * scatter - (level + slope * years[-1])
+    if room <= 0.0:
+        return 0.0
+    days = settings.longest_days if slope <= 0.0 else 365.25 * room / slope
+    return float(min(days, settings.longest_days))
+
+
+def urgent(known: Outlook) -> tuple[TableFinding, ...]:
+    """Return the findings that a person has to look at now: all but a mere drift."""
+    return tuple(f for f in known.findings if f.kind != "drift")

@@ -1,0 +1,175 @@
+"""From the results of a table to series of comparable curves, one for each deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.extensions.history.database import CUTTING, EVENT, Campaign, HistoryEntry
+from rotcal_ros.extensions.history.trend import CampaignSeries
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.curves.interpolation import harmonic_basis, harmonic_estimator
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
+from rotcal_ros.foundation.errors import DataError
+
+ORDERS: Final = 6
+"""Modes that may move; what is finer stays as the newest curve has it."""
+NEWEST: Final = 100
+"""Campaigns of a series: older ones say nothing of the future of a table."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeviationSeries:
+    """The curves of one deviation since the last event that made the table another one.
+
+    ``campaigns`` (m) are those of ``series``. A curve at the angles of the newest one is ``rest``
+    plus ``basis`` (n, p) times the coefficients; ``rest`` (n,) with ``rest_covariance`` (n, n) is
+    what the modes leave of the newest. ``zero`` is the angle whose deviation is zero by
+    definition, None if there is none.
+    """
+
+    component: str
+    campaigns: tuple[Campaign, ...]
+    series: CampaignSeries
+    basis: Floats
+    rest: Floats
+    rest_covariance: Floats
+    zero: int | None
+    notes: tuple[str, ...]
+
+    @property
+    def newest(self) -> MeasuredCurve:
+        """The newest curve."""
+        return self.campaigns[-1].curves[self.component]
+
+    def curves_of(self, coefficients: Floats, rest: Floats) -> Floats:
+        """Return curves (..., n) of coefficients (..., p), with their zero where it belongs."""
+        curves = rest + coefficients @ self.basis.T
+        moved = curves if self.zero is None else curves - curves[..., self.zero, None]
+        return np.asarray(moved, dtype=np.float64)
+
+    def drawn_rest(self, draws: int) -> Floats:
+        """Return draws (draws, 1, n) of what the modes leave."""
+        values, vectors = np.linalg.eigh(self.rest_covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        deviates = np.random.default_rng(106).standard_normal((draws, 1, len(self.rest)))
+        return np.asarray(self.rest + deviates @ root.T, dtype=np.float64)
+
+
+def usable(campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry]) -> list[Campaign]:
+    """Return the campaigns that count since the last cut, the newest NEWEST of them.
+
+    Results that are not ok, and simulated ones beside real ones, do not count.
+    """
+    cuts = [e.measured_ns for e in entries if e.kind == EVENT and e.what in CUTTING]
+    since = max(cuts, default=0)
+    good = [c for c in campaigns if c.verdict == "ok" and c.measured_ns >= since]
+    real = [c for c in good if not c.simulated]
+    return (real or good)[-NEWEST:]
+
+
+def series_of(
+    campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry], common_share: float
+) -> dict[str, DeviationSeries]:
+    """Return the series of each deviation of campaigns in order of time.
+
+    At an event, and where the table in force changes, the level may jump. A deviation whose
+    curves cannot be compared is left out.
+    """
+    jumps = [e.measured_ns for e in entries if e.kind == EVENT]
+    found = {}
+    for name in COMPONENTS:
+        with_it = [c for c in campaigns if name in c.curves]
+        series = _series(name, with_it, jumps, common_share) if with_it else None
+        if series is not None:
+            found[name] = series
+    return found
+
+
+def coefficients_of(curve: MeasuredCurve, orders: int) -> tuple[Floats, Floats]:
+    """Return coefficients (p,) of the modes of a curve, and their covariance (p, p)."""
+    _, estimator = _modes(curve, orders)
+    estimator = estimator[1:]
+    return estimator @ curve.deviation, estimator @ curve.covariance @ estimator.T
+
+
+def _series(
+    component: str, campaigns: Sequence[Campaign], jumps: Sequence[int], common_share: float
+) -> DeviationSeries | None:
+    period = campaigns[-1].curves[component].period
+    alike = [c for c in campaigns if c.curves[component].period == period]
+    able = {c.entry_id: (len(c.curves[component].angles) - 1) // 2 for c in alike}
+    orders = min(ORDERS, int(np.median(list(able.values()))))
+    kept = [c for c in alike if able[c.entry_id] >= orders > 0]
+    try:
+        fits = [coefficients_of(c.curves[component], orders) for c in kept]
+    except DataError:
+        return None
+    variances = [np.diag(covariance) for _, covariance in fits]
+    if not fits or not np.all(np.array(variances) > 0.0):
+        return None
+    newest = kept[-1].curves[component]
+    basis, estimator = _modes(newest, orders)
+    left = np.eye(len(newest.angles)) - basis[:, 1:] @ estimator[1:]
+    zero = np.flatnonzero(np.diag(newest.covariance) <= 0.0)
+    numbers = np.arange(1, orders + 1)
+    temperatures = [c.temperature_c for c in kept]
+    series = CampaignSeries(
+        times_ns=np.array([c.measured_ns for c in kept], dtype=np.int64),
+        values=np.array([values for values, _ in fits]),
+        std=np.sqrt(np.array(variances)),
+        orders=np.repeat(numbers, 2) if period else numbers,
+        steps=_steps(kept, jumps),
+        common=_common(kept, common_share),
+        temperature_c=None if None in temperatures else np.array(temperatures, dtype=np.float64),
+    )
+    dropped = len(campaigns) - len(kept)
+    notes = (f"{dropped} results of {component} have too few angles or another arc",) * bool(
+        dropped
+    )
+    return DeviationSeries(
+        component, tuple(kept), series, basis[:, 1:], left @ newest.deviation,
+        left @ newest.covariance @ left.T, int(zero[0]) if len(zero) == 1 else None, notes,
+    )  # fmt: skip
+
+
+def _modes(curve: MeasuredCurve, orders: int) -> tuple[Floats, Floats]:
+    """Return the modes (n, 1 + p) of a curve, a constant first, and their estimator (1 + p, n)."""
+    if curve.period:
+        basis = harmonic_basis(curve.angles, orders)
+        return basis, harmonic_estimator(curve.angles, orders, curve.covariance)
+    share = (curve.angles - curve.angles[0]) / np.ptp(curve.angles)
+    basis = np.cos(np.pi * np.outer(share, np.arange(orders + 1)))
+    size = np.trace(curve.covariance) / len(share)
+    regular = curve.covariance + size * (1.0 + 1e-9 * np.eye(len(share)))
+    weighted = np.linalg.solve(regular, basis)
+    return basis, np.linalg.solve(basis.T @ weighted, weighted.T)
+
+
+def _steps(campaigns: Sequence[Campaign], jumps: Sequence[int]) -> Ints:
+    """Count the jumps before each campaign: events, and other tables in force."""
+    count = np.zeros(len(campaigns), dtype=np.int64)
+    for i, (before, after) in enumerate(pairwise(campaigns), 1):
+        between = any(before.measured_ns < t <= after.measured_ns for t in jumps)
+        count[i] = count[i - 1] + (between or before.measured_on != after.measured_on)
+    return count
+
+
+def _common(campaigns: Sequence[Campaign], share: float) -> Floats:
+    """Return the shares (m, m) of the variances that campaigns have in common.
+
+    Of ``share`` each kind of instrument has an equal part; it is in common if both state the
+    same serial number.
+    """
+    used: list[Mapping[str, str]] = [c.instruments for c in campaigns]
+    kinds = sorted({kind for each in used for kind in each})
+    common = np.zeros((len(used), len(used)))
+    for kind in kinds:
+        serials = np.array([each.get(kind, f"unknown {i}") for i, each in enumerate(used)])
+        common += share / len(kinds) * (serials[:, None] == serials)
+    return common + np.diag(1.0 - np.diag(common))

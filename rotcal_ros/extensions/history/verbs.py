@@ -1,0 +1,458 @@
+"""``rotcal history``: the results of all tables, what has changed, and what is due."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from datetime import datetime, timezone
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
+from rotcal_ros.cli.options import shown_option
+from rotcal_ros.extensions.history.settings import HistorySettings
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.report.terminal.columns import Column, print_table, print_words
+from rotcal_ros.report.terminal.console import progress, say, tell
+
+if TYPE_CHECKING:
+    from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory
+    from rotcal_ros.extensions.history.outlook import Outlook
+
+VARIABLE: Final = "ROTCAL_HISTORY"
+EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
+KINDS: Final = ("check", "report", "table")
+CHARTS: Final = ("shewhart", "cusum", "ewma", "t2")
+BASES: Final = ("stated", "own", "model")  # all as in modules that take a second to load
+
+
+def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> HistorySettings:
+    from rotcal_ros.foundation.settings import of_changes
+    from rotcal_ros.foundation.untrusted import load_yaml
+
+    return of_changes(HistorySettings, "history", given, load_yaml)
+
+
+database_option: Final = click.option(
+    "--database",
+    metavar="FILE|URL",
+    help="The history: a file, or postgresql://USER@HOST/NAME; default: ROTCAL_HISTORY, else "
+    "history.db.",
+)
+settings_option: Final = click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="history.NAME=VALUE",
+    callback=_settings,
+    help="Change a setting, such as history.promise=0.99; docs/settings.md lists them.",
+)
+serial_option: Final = click.option(
+    "--serial", default="", help="Serial number of a result that does not state it."
+)
+axis_option: Final = click.option("--axis", default="", help="Axis, such as C.")
+why_option: Final = click.option("--why", default="", help="What happened, for people.")
+
+
+def asked(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a verb the options of database and settings as one argument ``settings``."""
+
+    @database_option
+    @settings_option
+    @wraps(function)
+    def verb(*args: Any, database: str | None, settings: HistorySettings, **kwargs: Any) -> Any:
+        parent = click.get_current_context().parent
+        given = (database, parent and parent.params.get("database"), os.environ.get(VARIABLE))
+        chosen = next(filter(None, given), settings.database)
+        return function(*args, settings=replace(settings, database=chosen), **kwargs)
+
+    return verb
+
+
+@click.group(invoke_without_command=True)
+@asked
+@json_option
+@click.pass_context
+def command(context: click.Context, settings: HistorySettings, as_json: bool) -> int:
+    """Keep the results of all tables, and say what has changed and what is due.
+
+    Without a further word: the tables of the park, those that need somebody first.
+    """
+    if context.invoked_subcommand:
+        if settings != HistorySettings(database=settings.database):
+            raise click.UsageError("--set belongs behind the verb that it is for")
+        return 0
+    outlooks = _park(settings)
+    if as_json:
+        print_json({"tables": [_plain(view) for view in outlooks]})
+    else:
+        _print_park(outlooks)
+    return 0
+
+
+@command.command()
+@click.argument("sources", nargs=-1, required=True, type=path_type, metavar="RESULT...")
+@serial_option
+@axis_option
+@click.option("--measured", default="", help="Day of a result without a date, as 2026-03-31.")
+@why_option
+@click.option(
+    "--as", "kind", type=click.Choice(KINDS), help="Add files of this kind; needs --serial."
+)
+@asked
+@json_option
+def add(
+    sources: tuple[Path, ...], measured: str, kind: str | None, as_json: bool, **asked: Any
+) -> int:
+    """Add results: result.json, bags, sessions with their reports; none of them twice.
+
+    A result says by identity.serial and cell.axis which table it is of; --serial and --axis tell
+    it for those that do not. With --as, files of any form are kept beside the results: a quick
+    check, a report, a table in force.
+    """
+    from rotcal_ros.extensions.history.adding import in_words
+    from rotcal_ros.extensions.history.database import ParkHistory, time_of
+
+    measured_ns = time_of(measured) if measured else 0
+    done, settings = [], asked.pop("settings")
+    with ParkHistory(settings.database) as history, progress("adding") as shown:
+        for number, source in enumerate(sources, 1):
+            if kind is None:
+                added = _add_result(history, source, {**asked, "measured_ns": measured_ns})
+            else:
+                item = history.item(asked["serial"], asked["axis"])
+                day = measured_ns or round(source.stat().st_mtime) * 1_000_000_000
+                facts = (item.serial, item.axis, kind, source.name, day)
+                added = [history.add_document(*facts, source.read_bytes())]
+            for addition in added:
+                done.append({"new": addition.new, **_facts(addition.entry)})
+                say(in_words(addition))
+            shown(number, len(sources))
+    if as_json:
+        print_json({"entries": done})
+    return 0
+
+
+def _add_result(history: ParkHistory, source: Path, given: dict[str, Any]) -> list[Any]:
+    from rotcal_ros.foundation.session_folder import SessionFolder
+    from rotcal_ros.recordings.result_sources import read_source
+
+    found = read_source(source)
+    given = {**given, "axis": given["axis"] or (found.axis or "")}
+    added = [history.add_result(found.result, **given, where=str(source))]
+    report = SessionFolder(source).report
+    if source.is_dir() and report.is_file():
+        entry = added[0].entry
+        facts = (entry.serial, entry.axis, "report", report.name, entry.measured_ns)
+        added.append(history.add_document(*facts, report.read_bytes()))
+    return added
+
+
+@command.command()
+@click.argument("serial")
+@click.argument("what", type=click.Choice(EVENTS))
+@axis_option
+@click.option("--date", "day", required=True, help="When it happened, as 2026-03-31.")
+@why_option
+@asked
+def event(serial: str, what: str, axis: str, day: str, why: str, settings: HistorySettings) -> int:
+    """Note what happened to the table SERIAL.
+
+    After another encoder, another bearing or a repair it is another table: earlier results say
+    nothing of it. After a crash, an adjustment or something else its curve may have jumped.
+    """
+    from rotcal_ros.extensions.history.adding import in_words
+    from rotcal_ros.extensions.history.database import time_of
+
+    with _open(settings) as history:
+        item = history.item(serial, axis)
+        say(in_words(history.add_event(item.serial, item.axis, what, time_of(day), why)))
+    return 0
+
+
+@command.command()
+@click.argument("number", type=int, metavar="ENTRY")
+@click.option("--serial", default="", help="The serial number that it should have had.")
+@click.option("--axis", default="", help="The axis that it should have had.")
+@click.option("--withdraw", is_flag=True, help="It counts for no table.")
+@click.option("--why", required=True, help="The reason, which is kept.")
+@asked
+def correct(
+    number: int, serial: str, axis: str, withdraw: bool, why: str, settings: HistorySettings
+) -> int:
+    """Put another entry in the place of ENTRY, which stays: for another table, or for none."""
+    from rotcal_ros.extensions.history.adding import in_words
+
+    if withdraw == bool(serial or axis):
+        raise click.UsageError("give --serial or --axis, or --withdraw")
+    with _open(settings) as history:
+        say(in_words(history.correct(number, why, serial=serial, axis=axis)))
+    return 0
+
+
+@command.command()
+@click.argument("serial")
+@axis_option
+@click.option("--entry", "number", type=int, help="Write this entry to --output, as it was.")
+@click.option("-o", "--output", type=path_type, help="File for the content of --entry.")
+@asked
+@json_option
+def show(
+    serial: str, axis: str, number: int | None, output: Path | None, as_json: bool, **asked: Any
+) -> int:
+    """Show all entries of the table SERIAL, what has changed, and when it is due."""
+    from rotcal_ros.extensions.history.park import park
+
+    if (number is None) != (output is None):
+        raise click.UsageError("--entry and --output belong together")
+    settings = asked["settings"]
+    with _open(settings) as history:
+        item = history.item(serial, axis)
+        if number is not None and output is not None:
+            _write_content(history.entry(number), output)
+            return 0
+        entries = history.of_item(item, valid=False)
+        known = next((o for o in park(history, settings) if o.title == item.title), None)
+    if as_json:
+        outlook = None if known is None else _plain(known)
+        print_json({"entries": [_facts(e) for e in entries], "outlook": outlook})
+        return 0
+    _print_entries(entries)
+    if known is not None:
+        _print_outlook(known)
+    return 0
+
+
+@command.command()
+@click.argument("serial")
+@axis_option
+@shown_option("--component", type=click.Choice(COMPONENTS), default="ECC", help="Deviation.")
+@shown_option("--chart", type=click.Choice(CHARTS), default="shewhart", help="Control chart.")
+@shown_option(
+    "--limits",
+    "basis",
+    type=click.Choice(BASES),
+    default="stated",
+    help="From stated uncertainties, the scatter of the series itself, or the fitted model.",
+)
+@click.option(
+    "-o", "--output", type=NamedFile(".svg", bare=False), required=True, help="The figure, .svg."
+)
+@asked
+def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> int:
+    """Draw one deviation of the table SERIAL over time, its forecast, and a control chart."""
+    from rotcal_ros.extensions.history.figures import chart_and_forecast
+    from rotcal_ros.extensions.history.outlook import DAY_NS
+    from rotcal_ros.extensions.history.series import series_of, usable
+    from rotcal_ros.extensions.history.trend import fit
+
+    settings: HistorySettings = asked["settings"]
+    with _open(settings) as history:
+        item = history.item(serial, axis)
+        campaigns, entries = history.campaigns(item), history.of_item(item)
+    known = series_of(usable(campaigns, entries), entries, settings.common_share)
+    curves = known.get(component)
+    if curves is None or len(curves.campaigns) < 2:
+        raise DataError(
+            f"{item.title} has fewer than two results of {component} that can be compared: add "
+            "more, or choose another component"
+        )
+    newest = campaigns[-1]
+    tolerance = newest.tolerance_m if component in COMPONENTS[:3] else newest.tolerance_rad
+    until = newest.measured_ns + round(2 * settings.interval_days * DAY_NS)
+    drawn = (until, asked["chart"], asked["basis"], tolerance)
+    write_atomically(output, chart_and_forecast(curves, fit(curves.series), *drawn))
+    say(f"drawn: {output.absolute()}")
+    return 0
+
+
+@command.command()
+@click.option("--before", default="", help="Day, as 2026-03-31; default: today.")
+@click.option("--ics", type=NamedFile(".ics"), help="Also write the dates as an iCalendar.")
+@click.option("--mail", is_flag=True, help="Print the text of an e-mail.")
+@asked
+@json_option
+def due(
+    before: str, ics: Path | None, mail: bool, settings: HistorySettings, as_json: bool
+) -> int:
+    """Tell which tables are due before a day; the exit code is 1 if there are any."""
+    from rotcal_ros.extensions.history.database import day_of, time_of
+    from rotcal_ros.extensions.history.exchange import calendar, letter
+
+    now = datetime.now(timezone.utc)
+    day = before or now.date().isoformat()
+    limit = time_of(day)
+    found = sorted(
+        (o for o in _park(settings) if o.due_ns < limit), key=lambda o: (o.due_ns, o.title)
+    )
+    if ics is not None:
+        write_atomically(ics, calendar(found, now))
+        say(f"calendar: {ics.absolute()}")
+    if as_json:
+        print_json({"before": day, "tables": [_plain(view) for view in found]})
+    elif mail:
+        tell(*letter(found, day).splitlines())
+    elif found:
+        rows = [(day_of(view.due_ns), view.title, view.reason) for view in found]
+        _print_rows(("Due", "Table", "Why"), rows)
+    else:
+        say(f"no table is due before {day}")
+    return int(bool(found))
+
+
+@command.command()
+@asked
+@json_option
+def check(settings: HistorySettings, as_json: bool) -> int:
+    """Verify every hash and reference; the exit code is 1 if anything is not as it was added."""
+    with _open(settings) as history:
+        wrong = history.check()
+    if as_json:
+        print_json({"wrong": wrong})
+    else:
+        tell(*wrong or ["all entries are as they were added"])
+    return int(bool(wrong))
+
+
+@command.command("export")
+@click.argument("folder", type=path_type)
+@asked
+def export_verb(folder: Path, settings: HistorySettings) -> int:
+    """Write the history as Parquet: entries, to import them elsewhere, and deviations."""
+    from rotcal_ros.extensions.history.exchange import export
+
+    with _open(settings) as history:
+        say(f"{export(history, folder)} entries: {folder.absolute()}")
+    return 0
+
+
+@command.command("import")
+@click.argument("folder", type=path_type)
+@asked
+def import_verb(folder: Path, settings: HistorySettings) -> int:
+    """Add the entries of an export; those that are there already stay as they are."""
+    from rotcal_ros.extensions.history.database import ParkHistory
+    from rotcal_ros.extensions.history.exchange import restore
+
+    with ParkHistory(settings.database) as history:
+        new, old = restore(history, folder)
+    say(f"{new} entries added, {old} were there already")
+    return 0
+
+
+@command.command()
+@shown_option("-o", "--output", type=path_type, default=Path("out/park"), help="Folder for it.")
+@asked
+def page(output: Path, settings: HistorySettings) -> int:
+    """Write the page of the park: a row for each table, and a page behind it."""
+    from rotcal_ros.extensions.history.page import write_park
+
+    outlooks = _park(settings)
+    today = datetime.now(timezone.utc).date().isoformat()
+    with _open(settings) as history:
+        say(f"page: {write_park(history, outlooks, output, today).absolute()}")
+    return 0
+
+
+@command.command()
+@asked
+def metrics(settings: HistorySettings) -> int:
+    """Print due dates and findings for monitoring, in the text format of Prometheus."""
+    from rotcal_ros.extensions.history.exchange import metrics as of_all
+
+    click.echo(of_all(_park(settings)), nl=False)
+    return 0
+
+
+def _open(settings: HistorySettings) -> ParkHistory:
+    from rotcal_ros.extensions.history.database import ParkHistory
+
+    return ParkHistory(settings.database, must_exist=True)
+
+
+def _park(settings: HistorySettings) -> list[Outlook]:
+    from rotcal_ros.extensions.history.park import park
+
+    with _open(settings) as history, progress("looking at the tables") as shown:
+        return park(history, settings, shown)
+
+
+def _plain(view: Outlook) -> dict[str, Any]:
+    return asdict(view) | {"trend": view.trend}
+
+
+def _facts(entry: HistoryEntry) -> dict[str, Any]:
+    facts = asdict(entry)
+    del facts["content"]
+    return facts
+
+
+def _print_park(outlooks: Sequence[Outlook]) -> None:
+    from rotcal_ros.extensions.history.database import day_of
+    from rotcal_ros.extensions.history.outlook import urgent
+
+    rows = sorted(outlooks, key=lambda view: (not urgent(view), view.due_ns, view.title))
+    facts = [
+        (o.title, day_of(o.last_ns), o.verdict_line, o.trend, day_of(o.due_ns), o.reason)
+        for o in rows
+    ]
+    _print_rows(("Table", "Last", "Verdict", "Trend", "Due", "Why"), facts)
+    print_words(f"{len(rows)} tables, {sum(bool(urgent(view)) for view in rows)} to look at")
+
+
+def _print_entries(entries: Sequence[HistoryEntry]) -> None:
+    replaced = {entry.replaces for entry in entries}
+    facts = [
+        (e.id, e.day, e.kind, e.what, e.added_by, e.why, "replaced" if e.id in replaced else "")
+        for e in entries
+    ]
+    _print_rows(("Entry", "Date", "Kind", "What", "By", "Why", "State"), facts)
+
+
+def _print_rows(headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    columns = zip(*rows, strict=True) if rows else ([] for _ in headings)
+    print_table([Column(*pair) for pair in zip(headings, columns, strict=True)])
+
+
+def _print_outlook(known: Outlook) -> None:
+    from rotcal_ros.extensions.history.database import day_of
+
+    print_words(f"due {day_of(known.due_ns)}: {known.reason}")
+    print_words(*(found.words for found in known.findings))
+    for view in known.deviations:
+        print_words(*_lines(view), *view.notes)
+
+
+def _lines(view: Any) -> Iterator[str]:
+    """Yield what is known of one deviation."""
+    from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+
+    unit, label = unit_of(view.component)
+    yield f"{view.trend}" if view.rate is not None else f"{view.component}: one result"
+    if view.probability is not None:
+        yield f"{view.component} is within its tolerance with {100.0 * view.probability:.1f} %"
+    if view.intervals_days:
+        days = (f"{name} {days:.0f} days" for name, days in view.intervals_days)
+        yield f"{view.component}, next interval: {', '.join(days)}"
+    if view.per_kelvin is not None:
+        value, std = (number / unit for number in view.per_kelvin)
+        yield f"{view.component}: {value:+.2g} ± {COVERAGE_FACTOR * std:.2g} {label}/K"
+    if view.rate is not None and view.tolerance:
+        monthly = abs(view.rate) / 12.0 / unit
+        yield (
+            f"next time: rotcal plan check RESULT --within {view.tolerance / unit:g} "
+            f"--ageing {max(monthly, view.rate_std / 12.0 / unit):.2g} plans the fewest lengths"
+        )
+
+
+def _write_content(entry: HistoryEntry, output: Path) -> None:
+    if output.exists():
+        raise ConfigurationError(f"{output} exists and is not overwritten: name another file")
+    output.write_bytes(entry.content)
+    say(f"{entry.kind} {entry.what}: {output.absolute()}")
