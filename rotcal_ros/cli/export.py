@@ -199,14 +199,15 @@ def _write_volumetric(forward: ResultSource, asked: ExportRequest) -> tuple[Path
 def _write_location(forward: ResultSource, asked: ExportRequest, as_json: bool) -> None:
     """Write where the axes are, and say what the controller cannot hold."""
     from rotcal_ros.compensation.axis_location import prepare_location
+    from rotcal_ros.compensation.controllers import make_controller
     from rotcal_ros.compensation.writing import write_files
 
     files, words = prepare_location(
         forward.result,
         asked.controller,
+        make_controller(asked.controller, asked.controller_settings()),
         now=asked.now,
         axis=_letter(forward, asked),
-        settings=asked.controller_settings(),
         stem=asked.name,
         accept_unverified=asked.accept_unverified,
         sources=forward.sha256,

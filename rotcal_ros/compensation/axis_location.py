@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
+
+if TYPE_CHECKING:
+    from rotcal_ros.compensation.controller import Controller
 
 KIND: Final = "rotcal_axis_location"
 TABLE_AXIS: Final = "axis"
@@ -107,26 +110,23 @@ def axis_lines(result: Result) -> tuple[AxisLine, ...]:
 def prepare_location(
     result: Result,
     controller_name: str,
+    controller: Controller,
     *,
     now: datetime,
     axis: str = "C",
-    settings: Mapping[str, Any] | None = None,
     stem: str | None = None,
     accept_unverified: bool = False,
     sources: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the files that tell ``controller_name`` where the axes are, and what to know of them.
+    """Return the files that tell a ``controller`` where the axes are, and what to know of them.
 
     ``stem`` is the file name without extension (else axis, controller, "axis"), ``sources`` maps
     what the numbers come from to its SHA-256. Raises DataError for a verdict other than "ok" and a
     result without place, ConfigurationError for a controller that has no such parameters, or whose
     meaning nobody has verified unless ``accept_unverified``. Writes nothing.
     """
-    from rotcal_ros.compensation.controllers import make_controller
-
     check_verdict(result)
     lines = axis_lines(result)
-    controller = make_controller(controller_name, settings)
     marked = f"_{SIMULATED.lower()}" if result.simulated else ""
     name = check_stem(stem or f"{check_axis(axis)}_{controller_name}_axis{marked}".lower())
     head = [

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.axis_location import prepare_location
+from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.results import Result
@@ -49,6 +50,11 @@ def measured(tilting=None, verdict="ok", **more):
     )  # fmt: skip
 
 
+def location(result, name, *, settings=None, **more):
+    """Return files and words for a kind of controller."""
+    return prepare_location(result, name, make_controller(name, settings), now=NOW, **more)
+
+
 def about(point, line, angle):
     """Return a point (3,) that turned by the angle (deg) about a line of point and direction."""
     through, along = np.array(line[0]), np.array(line[1]) / np.linalg.norm(line[1])
@@ -68,7 +74,7 @@ def pins_of(text):
 
 
 def test_the_pins_turn_the_work_about_the_measured_c():
-    files, words = prepare_location(measured(), "linuxcnc", now=NOW)
+    files, words = location(measured(), "linuxcnc")
     pins = pins_of(files["c_linuxcnc_axis.hal"])
     work, upright = np.array([150.0, 20.0, 80.0]), (1e3 * np.array(C[0]), [0.0, 0.0, 1.0])
     for angle in (30.0, 200.0):
@@ -82,7 +88,7 @@ def test_the_pins_turn_the_work_about_the_measured_c():
 @pytest.mark.parametrize(("letter", "line", "axis"), [("A", A, "x"), ("B", B, "y")])
 def test_the_pins_tilt_the_work_about_the_measured_axis(letter, line, axis):
     settings = {"kinematics": f"xyz{letter.lower()}c-trt-kins"}
-    files, _ = prepare_location(measured(letter), "linuxcnc", now=NOW, settings=settings)
+    files, _ = location(measured(letter), "linuxcnc", settings=settings)
     pins, along = pins_of(files["c_linuxcnc_axis.hal"]), np.eye(3)["xy".index(axis)]
     work = np.array([150.0, 20.0, 80.0])
     for tilt, turn in ((25.0, 40.0), (-90.0, 100.0)):
@@ -94,7 +100,7 @@ def test_the_pins_tilt_the_work_about_the_measured_axis(letter, line, axis):
 
 
 def test_the_plain_list_holds_points_and_directions():
-    files, _ = prepare_location(measured("A"), "csv", now=NOW)
+    files, _ = location(measured("A"), "csv")
     rows = list(csv.DictReader(io.StringIO(files["c_csv_axis.csv"])))
     assert [row["axis"] for row in rows] == ["C", "A"]
     numbers = [[float(row[n]) for n in list(row)[1:]] for row in rows]
@@ -104,7 +110,7 @@ def test_the_plain_list_holds_points_and_directions():
 
 
 def test_the_vectors_of_sinumerik_close_and_turn_the_work():
-    files, _ = prepare_location(measured("A"), "sinumerik", now=NOW, accept_unverified=True)
+    files, _ = location(measured("A"), "sinumerik", accept_unverified=True)
     found = re.findall(r"\$MC_TRAFO5_(\w+)\[(\d)\]=(\S+)", files["c_sinumerik_axis.ini"])
     data = {(name, int(k)): float(x) for name, k, x in found}
     names = ("BASE_TOOL_1", "JOINT_OFFSET_PART_1", "PART_OFFSET_1", "AXIS1_1", "AXIS2_1")
@@ -117,7 +123,7 @@ def test_the_vectors_of_sinumerik_close_and_turn_the_work():
 
 
 def test_the_rows_of_heidenhain_lead_from_axis_to_axis():
-    files, _ = prepare_location(measured("A"), "heidenhain", now=NOW, accept_unverified=True)
+    files, _ = location(measured("A"), "heidenhain", accept_unverified=True)
     at, seen = np.zeros(3), {}
     for line in files["c_heidenhain_axis.txt"].splitlines():
         if line.startswith("Trans"):
@@ -137,7 +143,7 @@ def machine(tmp_path, kinematics="xyzac-trt-kins", unit="inch"):
 
 
 def test_a_machine_in_inches_gets_inches(tmp_path):
-    files, _ = prepare_location(measured(), "linuxcnc", now=NOW, settings=machine(tmp_path))
+    files, _ = location(measured(), "linuxcnc", settings=machine(tmp_path))
     assert pins_of(files["c_linuxcnc_axis.hal"])["x-rot-point"] == pytest.approx(
         300.12 / 25.4, abs=1e-6
     )
@@ -146,7 +152,7 @@ def test_a_machine_in_inches_gets_inches(tmp_path):
 def test_what_does_not_fit_is_refused(tmp_path):
     def refused(error, words, result=None, name="linuxcnc", **more):
         with pytest.raises(error, match=words):
-            prepare_location(result or measured(), name, now=NOW, **more)
+            location(result or measured(), name, **more)
 
     refused(
         DataError, "verdict of the table_balls result is 'suspect'", measured(verdict="suspect")
@@ -166,7 +172,7 @@ def test_what_does_not_fit_is_refused(tmp_path):
 
 def test_a_simulated_place_says_so():
     simulated = measured(circumstances=Circumstances(simulated=True))
-    files, _ = prepare_location(simulated, "linuxcnc", now=NOW)
+    files, _ = location(simulated, "linuxcnc")
     assert "# SIMULATED: no instrument measured this" in files["c_linuxcnc_axis_simulated.hal"]
 
 
