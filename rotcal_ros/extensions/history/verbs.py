@@ -114,17 +114,25 @@ def add(
 
     A result says by identity.serial and cell.axis which table it is of; --serial and --axis tell
     it for those that do not. With --as, files of any form are kept beside the results: a quick
-    check, a report, a table in force.
+    check, a report, a table in force. Of several the others are added where one is refused; the
+    exit code is then 1.
     """
     from rotcal_ros.extensions.history.adding import in_words
     from rotcal_ros.extensions.history.database import ParkHistory, time_of
 
     measured_ns = time_of(measured) if measured else 0
-    done, settings = [], asked.pop("settings")
+    done, refused, settings = [], list[str](), asked.pop("settings")
     with ParkHistory(settings.database) as history, progress("adding") as shown:
         for number, source in enumerate(sources, 1):
             if kind is None:
-                added = _add_result(history, source, {**asked, "measured_ns": measured_ns})
+                try:
+                    added = _add_result(history, source, {**asked, "measured_ns": measured_ns})
+                except DataError as error:
+                    if len(sources) == 1:
+                        raise
+                    refused.append(str(error))
+                    say(f"not added: {error}")
+                    added = []
             else:
                 item = history.item(asked["serial"], asked["axis"])
                 day = measured_ns or round(source.stat().st_mtime) * 1_000_000_000
@@ -135,8 +143,10 @@ def add(
                 say(in_words(addition))
             shown(number, len(sources))
     if as_json:
-        print_json({"entries": done})
-    return 0
+        print_json({"entries": done, "refused": refused})
+    if refused:
+        say(f"{len(refused)} of {len(sources)} were not added; what is added once stays so")
+    return int(bool(refused))
 
 
 def _add_result(history: ParkHistory, source: Path, given: dict[str, Any]) -> list[Any]:

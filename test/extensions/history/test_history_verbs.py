@@ -98,6 +98,18 @@ def test_a_result_of_nobody_gets_its_table_by_option(history):
     assert kept.returncode == 0, kept.stderr
 
 
+def test_one_that_is_refused_keeps_no_other_out(history, results):
+    nobody = DATA / "result_tracer.json"
+    added = history("add", results[0], nobody, results[1], "--json")
+    assert added.returncode == 1
+    told = json.loads(added.stdout)
+    assert [entry["serial"] for entry in told["entries"]] == ["DRIFTS", "DRIFTS"]
+    assert len(told["refused"]) == 1
+    assert "which table it is of" in told["refused"][0]
+    assert "1 of 3 were not added" in added.stderr
+    assert history("add", nobody).returncode == 3
+
+
 def test_a_history_that_is_not_there_is_not_begun_by_a_look(history, tmp_path):
     looked = history("show", "4711")
     assert (looked.returncode, "there is no history" in looked.stderr) == (2, True)
