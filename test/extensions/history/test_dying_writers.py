@@ -33,7 +33,14 @@ def calls(library, database, error):
     return [json.loads(line) for line in ran.stdout.splitlines()]
 
 
-@pytest.mark.parametrize("error", [0, errno.ENOSPC, errno.EIO], ids=["kill", "full", "broken"])
+@pytest.mark.parametrize(
+    "error",
+    [
+        pytest.param(0, id="kill"),
+        pytest.param(errno.ENOSPC, id="full", marks=pytest.mark.slow),
+        pytest.param(errno.EIO, id="broken", marks=pytest.mark.slow),
+    ],
+)
 def test_nothing_is_lost_or_written_twice(library, database, error):
     if error and "://" in database:
         error = errno.ECONNRESET
