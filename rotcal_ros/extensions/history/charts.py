@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import Final, Literal
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtri, ndtr, ndtri, stdtr
+from scipy.special import ndtr, ndtri, stdtr
 
-from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
+from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 
 Chart = Literal["shewhart", "cusum", "ewma", "t2"]
@@ -24,6 +24,8 @@ REFERENCE: Final = 0.5
 """k of the CUSUM: half the shift that it finds soonest, in standard deviations."""
 SMOOTHING: Final = 0.2
 """Weight of the newest value of the EWMA."""
+_EXACT: Final = 2e-12
+"""Of a limit: no smaller interval is looked for."""
 
 
 def own_scatter(stated: Floats) -> Floats:
@@ -72,11 +74,13 @@ def limit(chart: Chart, count: int, run_length: float = FALSE_ALARM) -> float:
     if chart == "shewhart":
         return float(normal_isf(0.5 / alone))
     if chart == "t2":
-        return float(chdtri(count, 1.0 / run_length))
+        return float(chi2_isf(1.0 / run_length, count))
     if chart == "cusum":
-        return float(brentq(lambda h: _cusum_length(h) - alone, 0.1, 50.0))
+        return root_between(lambda h: _cusum_length(h) - alone, 0.1, 50.0, _EXACT)
     deviation = float(np.sqrt(SMOOTHING / (2.0 - SMOOTHING)))
-    return float(brentq(lambda k: _ewma_length(k * deviation) - alone, 0.5, 7.0) * deviation)
+    return root_between(
+        lambda edge: _ewma_length(edge) - alone, 0.5 * deviation, 7.0 * deviation, _EXACT
+    )
 
 
 def alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> list[int]:

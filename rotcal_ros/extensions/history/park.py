@@ -9,8 +9,8 @@ from hashlib import sha256
 from typing import Final
 
 import numpy as np
-from scipy.special import chdtrc
 
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.extensions.history.database import RESULT, Item, ParkHistory, day_of
 from rotcal_ros.extensions.history.outlook import (
     VERSION,
@@ -97,7 +97,7 @@ def _fit(jumped: Sequence[DeviationOutlook], other: Outlook) -> float:
         if their is None or len(their.found) != len(mine.found):
             return -np.inf
         square, density = _compared(mine, their)
-        if chdtrc(len(mine.found), square) < _FITS:
+        if chi2_sf(square, len(mine.found)) < _FITS:
             return -np.inf
         total += density
     return total

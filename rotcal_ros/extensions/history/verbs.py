@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -122,31 +122,35 @@ def add(
 
     measured_ns = time_of(measured) if measured else 0
     done, refused, settings = [], list[str](), asked.pop("settings")
+    add_source = _add_result if kind is None else partial(_add_document, kind)
     with ParkHistory(settings.database) as history, progress("adding") as shown:
         for number, source in enumerate(sources, 1):
-            if kind is None:
-                try:
-                    added = _add_result(history, source, {**asked, "measured_ns": measured_ns})
-                except DataError as error:
-                    if len(sources) == 1:
-                        raise
-                    refused.append(str(error))
-                    say(f"not added: {error}")
-                    added = []
-            else:
-                item = history.item(asked["serial"], asked["axis"])
-                day = measured_ns or round(source.stat().st_mtime) * 1_000_000_000
-                facts = (item.serial, item.axis, kind, source.name, day)
-                added = [history.add_document(*facts, source.read_bytes())]
+            shown(number, len(sources))
+            try:
+                added = add_source(history, source, {**asked, "measured_ns": measured_ns})
+            except DataError as error:
+                if len(sources) == 1:
+                    raise
+                refused.append(str(error))
+                say(f"not added: {error}")
+                continue
             for addition in added:
                 done.append({"new": addition.new, **_facts(addition.entry)})
                 say(in_words(addition))
-            shown(number, len(sources))
     if as_json:
         print_json({"entries": done, "refused": refused})
     if refused:
         say(f"{len(refused)} of {len(sources)} were not added; what is added once stays so")
     return int(bool(refused))
+
+
+def _add_document(
+    kind: str, history: ParkHistory, source: Path, given: dict[str, Any]
+) -> list[Any]:
+    item = history.item(given["serial"], given["axis"])
+    day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
+    facts = (item.serial, item.axis, kind, source.name, day)
+    return [history.add_document(*facts, source.read_bytes())]
 
 
 def _add_result(history: ParkHistory, source: Path, given: dict[str, Any]) -> list[Any]:
@@ -413,7 +417,8 @@ def _print_park(outlooks: Sequence[Outlook]) -> None:
         for o in rows
     ]
     _print_rows(("Table", "Last", "Verdict", "Trend", "Due", "Why"), facts)
-    print_words(f"{len(rows)} tables, {sum(bool(urgent(view)) for view in rows)} to look at")
+    tables = "1 table" if len(rows) == 1 else f"{len(rows)} tables"
+    print_words(f"{tables}, {sum(bool(urgent(view)) for view in rows)} to look at")
 
 
 def _print_entries(entries: Sequence[HistoryEntry]) -> None:

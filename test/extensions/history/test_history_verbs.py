@@ -3,10 +3,13 @@
 import json
 import os
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 from simulated_park import BEGIN_NS, Table, measured, result
+
+from rotcal_ros.extensions.history import charts, database, figures, verbs
 
 DATA = Path(__file__).parents[3] / "examples" / "data"
 YEARS = np.linspace(0.0, 5.0, 11)
@@ -96,6 +99,14 @@ def test_a_result_of_nobody_gets_its_table_by_option(history):
     assert history("add", DATA / "result_tracer.json", *named).returncode == 0
     kept = history("add", DATA / "tracer.yaml", "--as", "check", "--serial", "4711")
     assert kept.returncode == 0, kept.stderr
+
+
+def test_the_verbs_offer_what_there_is():
+    """They name it themselves, for the modules that know it take a second to load."""
+    assert verbs.EVENTS == database.EVENTS
+    assert verbs.KINDS == database.DOCUMENTS
+    assert verbs.CHARTS == charts.CHARTS == get_args(charts.Chart)
+    assert get_args(figures.Basis) == verbs.BASES
 
 
 def test_one_that_is_refused_keeps_no_other_out(history, results):
