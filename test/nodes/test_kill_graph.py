@@ -103,7 +103,7 @@ def test_sigterm_to_everything(cell):
 def test_a_full_disk_ends_the_calibration_with_the_reason(cell):
     live = cell()
     client, accepted, file, before = under_way(live, 40)
-    limit = len(before) + 20_000
+    limit = len(before) + 10_000
     resource.prlimit(
         live.processes.children["recorder"].pid, resource.RLIMIT_FSIZE, (limit, limit)
     )

@@ -284,7 +284,7 @@ def write(database, begin, serial):
 
 def test_several_writers_at_once_lose_nothing_and_write_nothing_twice(database):
     """Two pairs add the same results at the same time."""
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork")
     jobs = [("one", 0), ("one", 0), ("two", 1), ("two", 1)]
     writers = [context.Process(target=write, args=(database, b, s)) for s, b in jobs]
     for writer in writers:
