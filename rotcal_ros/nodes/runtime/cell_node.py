@@ -26,7 +26,11 @@ from rotcal_ros.nodes.runtime.beat_values import other_names
 from rotcal_ros.nodes.runtime.health import Health, Values
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode, declare_settings, given_parameters
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.timers_and_subscriptions import steady_timer
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
+    Batch,
+    DrainedSubscription,
+    steady_timer,
+)
 from rotcal_ros.planning.settings import HealthSettings
 
 T = TypeVar("T")
@@ -112,18 +116,19 @@ class CellNode(ManagedNode, ABC):
         handle = self.health.guarded(handle)
         latched = getattr(qos, "durability", None) == DurabilityPolicy.TRANSIENT_LOCAL
 
-        def take(message: Any, info: Any) -> None:
-            if judged and not self.accepted.hears(self.resolve_topic_name(topic), info):
-                return
-            if self.active:
-                handle(message)
-            elif latched:
-                self._latched[handle] = message
-            elif topic not in self._left_alone:
-                self._left_alone.add(topic)
-                self.get_logger().warning(f"{topic} is ignored: {self.not_active_error()}")
+        def take(batch: Batch) -> None:
+            for message, info in batch:
+                if judged and not self.accepted.hears(self.resolve_topic_name(topic), info):
+                    continue
+                if self.active:
+                    handle(message)
+                elif latched:
+                    self._latched[handle] = message
+                elif topic not in self._left_alone:
+                    self._left_alone.add(topic)
+                    self.get_logger().warning(f"{topic} is ignored: {self.not_active_error()}")
 
-        self.create_subscription(kind, topic, take, qos)
+        DrainedSubscription(self, kind, topic, qos, take)
 
     def every(self, period_s: float, work: Callable[[], None]) -> None:
         """Do ``work`` regularly; an exception in it is counted and logged."""

@@ -25,7 +25,7 @@ from rclpy.qos import QoSProfile
 from rotcal_msgs import msg
 
 from rotcal_ros.bags import names
-from rotcal_ros.foundation.machine_load import AwakeClock, end_without_memory, patient
+from rotcal_ros.foundation.machine_load import AwakeClock, end_without_memory
 from rotcal_ros.foundation.node_state import UNHEARD, NodeState, State
 from rotcal_ros.foundation.plugins import culprit
 from rotcal_ros.nodes.runtime import conversions
@@ -40,6 +40,7 @@ from rotcal_ros.nodes.runtime.liveness import (
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     UNWAITED,
     Batch,
+    Deafness,
     DrainedSubscription,
     steady_timer,
 )
@@ -48,8 +49,6 @@ from rotcal_ros.planning.settings import HealthSettings
 HEAR_PERIOD_S: Final = 0.1
 """Interval at which the beats of the others are handled, all together."""
 DIAGNOSTICS_PERIOD_S: Final = 1.0
-UNHEARD_S: Final = 5.0
-"""For as long a beat that is sent may not arrive before this node subscribes anew."""
 AWARE_S: Final = 0.7
 """After a standstill a node needs this long to learn the present state of the others."""
 PLANNER: Final = "planner"
@@ -151,8 +150,11 @@ class Health:
         self.sim = SimClock(node.get_clock())
         self._beats = Heartbeat(node, self.identity) if report is not None else None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
-        self._heard = self._subscribed()
-        self._complete_s, self._unheard_s = self.awake.now_s(), UNHEARD_S
+        self._heard = DrainedSubscription(
+            node, msg.NodeState, names.HEARTBEAT, QoSProfile(depth=100), self.guarded(self._hear),
+            group=UNWAITED,
+        )  # fmt: skip
+        self._deafness = Deafness(self.awake.now_s())
         steady_timer(node, HEAR_PERIOD_S, lambda: self._heard.drain())
         steady_timer(node, BEAT_PERIOD_S, self.guarded(self._turn))
         steady_timer(node, DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
@@ -247,30 +249,17 @@ class Health:
         if self._beats is not None and self._report is not None:
             self._beats.tell(self._message(*self._report()))
 
-    def _subscribed(self) -> DrainedSubscription:
-        return DrainedSubscription(
-            self._node, msg.NodeState, names.HEARTBEAT, QoSProfile(depth=100),
-            self.guarded(self._hear), group=UNWAITED,
-        )  # fmt: skip
-
     def _miss(self) -> None:
-        """Subscribe anew where beats are sent that do not arrive, less and less often.
-
-        Sometimes the middleware never connects two ends that it knows, but does connect new ones.
-        """
-        now_s, topic = self.awake.now_s(), self._node.resolve_topic_name(names.HEARTBEAT)
-        sent, heard = self._node.count_publishers(topic), len(self.others)
+        """Subscribe anew where beats are sent that do not arrive."""
+        sent = self._node.count_publishers(self._node.resolve_topic_name(names.HEARTBEAT))
+        heard = len(self.others)
         if self._beats is not None:
             sent -= 1
-        if sent <= heard:
-            self._complete_s, self._unheard_s = now_s, UNHEARD_S
-        elif now_s - self._complete_s > patient(self._unheard_s):
-            self._unheard_s *= 2.0
+        if self._deafness.is_long(sent > heard, self.awake.now_s()):
             self._node.get_logger().info(
                 f"of {sent} other nodes {heard} are heard: subscribed anew"
             )
-            self._node.destroy_subscription(self._heard.subscription)
-            self._heard = self._subscribed()
+            self._heard.anew()
 
     def _hear(self, batch: Batch) -> None:
         now_s, awake_s = time.monotonic(), self.awake.now_s()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
@@ -27,6 +27,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.settings import Declaration, declarations, load
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
+    connect,
     handle_events,
     steady_timer,
     with_unwaited_events,
@@ -34,16 +35,19 @@ from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
 
 
 def entities(node: Node) -> Iterator[Any]:
-    """Yield all publishers, subscriptions, clients, services, timers and actions of a node."""
+    """Yield all publishers, subscriptions, clients, services, timers and actions of a node.
+
+    A subscription stands as its callback, for which it may be made anew.
+    """
     yield from node.waitables
     yield from node.timers
-    yield from node.subscriptions
+    yield from (each.callback for each in node.subscriptions)
     yield from node.services
     yield from node.clients
     yield from node.publishers
 
 
-def destroy(node: Node, kept: Collection[Any]) -> None:
+def destroy(node: Node, kept: Set[Any]) -> None:
     """Destroy all entities but those ``kept``; an entity that belongs to another goes with it."""
     ways = (
         (node.timers, node.destroy_timer),
@@ -53,7 +57,7 @@ def destroy(node: Node, kept: Collection[Any]) -> None:
         (node.publishers, node.destroy_publisher),
     )
     for present, destroy_one in ways:
-        for entity in [e for e in present if e not in kept]:
+        for entity in [e for e in present if not {e, getattr(e, "callback", e)} & kept]:
             destroy_one(entity)
     for action in [e for e in node.waitables if e not in kept]:
         action.destroy()
@@ -84,7 +88,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
-        steady_timer(self, EVENTS_PERIOD_S, lambda: handle_events(self))
+        steady_timer(self, EVENTS_PERIOD_S, self._attend)
         self.configured = self.active = self.shut_down = False
         self._starting = self._ending = False
         self._outside: frozenset[Any] = frozenset()
@@ -92,6 +96,10 @@ class ManagedNode(LifecycleNode):
         self._autostart = self.parameter(
             "autostart", True, "configure and activate at the start; else wait for transitions"
         )
+
+    def _attend(self) -> None:
+        handle_events(self)
+        connect(self)
 
     def create_subscription(self, *arguments: Any, **options: Any) -> Any:
         """Create one whose events are polled."""

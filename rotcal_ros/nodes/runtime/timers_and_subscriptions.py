@@ -9,6 +9,9 @@ emptying the subscription inside the callback takes several times more without a
 The cost of each wait grows with the number of things that are waited for. rclpy adds two or more
 event handlers (such as for lost messages) for every publisher and subscription, which is most of
 the cost of a node with many topics: here they are polled by a timer instead.
+
+Sometimes the middleware never connects two ends that it knows, but does connect new ones: who does
+not hear what is sent subscribes anew.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from inspect import Signature
 from threading import Thread
 from typing import Any, Final
@@ -29,8 +33,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.foundation.clock_jumps import ClockWatch
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.nodes.runtime.qos import adapted_qos
 
+UNHEARD_S: Final = 5.0
+"""For as long what is sent may not arrive before a node subscribes anew."""
 _LOOK_S: Final = 0.1
 _NO_ARGUMENTS: Final = Signature()
 
@@ -125,6 +132,22 @@ def sent_ns(info: Any) -> int:
     return int(info["source_timestamp"]) or received_ns(info)
 
 
+class Deafness:
+    """Says when to subscribe anew where something is not heard: less and less often."""
+
+    def __init__(self, now_s: float) -> None:
+        self._well_s, self._wait_s = now_s, UNHEARD_S
+
+    def is_long(self, deaf: bool, now_s: float) -> bool:
+        """Return whether it is time to; look regularly, by a clock of seconds."""
+        if not deaf:
+            self._well_s, self._wait_s = now_s, UNHEARD_S
+        elif now_s - self._well_s > patient(self._wait_s):
+            self._wait_s *= 2.0
+            return True
+        return False
+
+
 class DrainedSubscription:
     """A subscription whose ``handle`` gets all waiting messages at once, in order."""
 
@@ -133,20 +156,33 @@ class DrainedSubscription:
         node: Node,
         message_type: type,
         topic: str,
-        qos: QoSProfile,
+        qos: QoSProfile | int,
         handle: Callable[[Batch], None],
         *,
         raw: bool = False,
         event_callbacks: Any = None,
         group: Unwaited | None = None,
     ) -> None:
-        self._handle = handle
-        self._type = message_type
-        self._raw = raw
-        self.subscription = node.create_subscription(
-            message_type, topic, self._on_message, qos, raw=raw, event_callbacks=event_callbacks,
-            callback_group=group,
+        self._node, self._handle, self._type, self._raw = node, handle, message_type, raw
+        self._make = partial(
+            node.create_subscription, message_type, topic, self._on_message, qos, raw=raw,
+            event_callbacks=event_callbacks, callback_group=group,
         )  # fmt: skip
+        self._deafness = Deafness(time.monotonic())
+        self.subscription = self._make()
+
+    def anew(self) -> None:
+        """Replace the subscription by a new one."""
+        self._node.destroy_subscription(self.subscription)
+        self.subscription = self._make()
+
+    def connect(self) -> None:
+        """Subscribe anew if for long no publisher has been connected although there is one."""
+        topic, now_s = self.subscription.topic_name, time.monotonic()
+        alone = self.subscription.get_publisher_count() == 0
+        if self._deafness.is_long(alone and self._node.count_publishers(topic) > 0, now_s):
+            self._node.get_logger().info(f"{topic} is published but not heard: subscribed anew")
+            self.anew()
 
     def drain(self) -> None:
         """Handle what is waiting now."""
@@ -169,6 +205,14 @@ class DrainedSubscription:
                 if pair is None:
                     return
                 batch.append(pair)
+
+
+def connect(node: Node) -> None:
+    """Let every :class:`DrainedSubscription` of a node look whether it is connected."""
+    owners = [getattr(each.callback, "__self__", None) for each in node.subscriptions]
+    for owner in owners:
+        if isinstance(owner, DrainedSubscription):
+            owner.connect()
 
 
 class InstrumentSubscription:

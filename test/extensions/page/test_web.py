@@ -197,7 +197,7 @@ def test_without_a_table_nothing_can_be_done(visitor):
 
 @pytest.mark.parametrize("name", ["german_ansi.csv", "targets_inside.xlsx", "open.ods"])
 def test_an_export_gives_the_digits_of_the_clean_table(visitor, name, tmp_path_factory, expected):
-    """Text, a workbook with both tables, another program's; test_exports.py reads all there are."""
+    """Text, and workbooks of two programs; test_exports.py reads all that there are."""
     path = tmp_path_factory.mktemp("export") / name
     EXPORTS[name](path)
     visitor.drop("setup", "tracer.yaml", (DATA / "tracer.yaml").read_bytes())

@@ -1,5 +1,6 @@
-"""A node beats while its executor takes no turn and says so; who hears no beat subscribes anew."""
+"""A node beats while its executor takes no turn and says so; who hears nothing subscribes anew."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -9,13 +10,18 @@ pytest.importorskip("rotcal_msgs")
 
 from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
 from rotcal_msgs.msg import NodeState
+from std_msgs.msg import String
 
 from rotcal_ros.foundation.node_state import NO_PLAN
+from rotcal_ros.nodes.runtime import timers_and_subscriptions
 from rotcal_ros.nodes.runtime.conversions import node_state
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.liveness import HostProcess
+from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import Peer, default_context
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import DrainedSubscription, connect
 from rotcal_ros.nodes.solver.node import SolverNode
 
 pytestmark = pytest.mark.ros
@@ -71,8 +77,8 @@ def test_who_does_not_hear_another_subscribes_anew():
     Health(peer.node, lambda: (NO_PLAN, {}))
     other = Peer("listener")
     deaf = Health(other.node, None)
-    other.node.destroy_subscription(deaf._heard.subscription)
-    deaf._heard = SimpleNamespace(drain=lambda: None, subscription=None)
+    made, deaf._heard = deaf._heard, SimpleNamespace(drain=lambda: None)
+    deaf._heard.anew = lambda: setattr(deaf, "_heard", made)
 
     def hears():
         peer.work_until(lambda: False, 0.05)
@@ -83,3 +89,29 @@ def test_who_does_not_hear_another_subscribes_anew():
     assert deaf.state("planner") is NO_PLAN.state
     other.close()
     peer.close()
+
+
+def test_who_is_not_connected_to_the_only_publisher_subscribes_anew(monkeypatch):
+    """As where the middleware never connects two ends: here the first end asks for too much."""
+    monkeypatch.setattr(timers_and_subscriptions, "UNHEARD_S", 0.5)
+    source, listener, heard = Peer("instrument"), Peer("capture"), []
+    node = listener.node
+    publisher = source.node.create_publisher(String, "readings", qos_profile_sensor_data)
+    deaf = DrainedSubscription(node, String, "readings", EVENT, heard.extend)
+    deaf._make = partial(
+        node.create_subscription, String, "readings", deaf._on_message, qos_profile_sensor_data
+    )
+
+    def hears():
+        publisher.publish(String(data="a reading"))
+        listener.work_until(lambda: False, 0.05)
+        connect(node)
+        return heard
+
+    wait_until(hears, "a reading is heard")
+    assert [node.count_publishers("readings"), len(list(node.subscriptions))] == [1, 1]
+    ours = deaf.subscription
+    wait_until(lambda: hears() and len(heard) > 50, "it is heard for longer than that")
+    assert deaf.subscription is ours
+    source.close()
+    listener.close()

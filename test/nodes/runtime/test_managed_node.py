@@ -103,6 +103,15 @@ def test_a_clean_up_gives_all_back_and_waits_for_what_is_still_ending(node):
     assert node.over()
 
 
+def test_a_clean_up_leaves_a_subscription_that_was_made_anew(node):
+    before = parts(node)
+    node.trigger_configure()
+    node.health._heard.anew()
+    assert node.trigger_cleanup() == SUCCESS
+    assert parts(node) == before
+    assert node.health._heard.subscription in node.subscriptions
+
+
 def test_a_latched_message_waits_for_the_activation_and_others_do_not(node):
     node.trigger_configure()
     executor = SingleThreadedExecutor()
