@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from rotcal_ros.methods import find_method
-from rotcal_ros.methods.plane_mirror import table as plane_mirror
+from rotcal_ros.methods.plane_mirror import method as plane_mirror
 from rotcal_ros.methods.tracer import table as tracer
-from rotcal_ros.methods.tracer_six import table as tracer_six
+from rotcal_ros.methods.tracer_six import method as tracer_six
 
 
 def test_the_page_of_formats_has_the_columns_that_are_read():

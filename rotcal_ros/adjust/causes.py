@@ -181,7 +181,7 @@ class Diagnosis:
             return replace(here, taken=(*here.taken, found))
         name, gathering = self.model.names, self.gathering
         if found.blamed is not None:
-            gathering = replace(gathering, blamed=(*gathering.blamed, found.blamed))
+            gathering = gathering.without(found.blamed)
         reasons = {row: f"{name[row]}: {found.reason}" for row in found.rows.tolist()}
         return replace(here, why=self.why | reasons, gathering=gathering)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile
 from rotcal_ros.adjust.groups import Group, GroupTest, Undivided, group_test
-from rotcal_ros.adjust.judgement import BELIEF, Belief, Blame, Judgement, judge
+from rotcal_ros.adjust.judgement import BELIEF, Belief, Blame, Judgement, blame, judge
 from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.protection import Protection
@@ -90,6 +90,17 @@ class Gathering:
     def chance(self) -> float:
         """How probably sound data look as much as if something gathered."""
         return 1.0 if self.judgement is None else self.judgement.chance
+
+    def proved(self, significance: float, belief: Belief = BELIEF) -> Blame | None:
+        """Return what of the most suspicious group is proved to be wrong; None: nothing is."""
+        found = self.judgement
+        if found is None or not found.proved(significance):
+            return None
+        return blame(found.groups[found.worst], belief)
+
+    def without(self, case: Blame) -> Gathering:
+        """Return it with ``case`` left out, too."""
+        return replace(self, blamed=(*self.blamed, case))
 
     def covariance(self) -> Floats | None:
         """Return what they may add to the covariance (o, o) of the outputs; None: nothing."""

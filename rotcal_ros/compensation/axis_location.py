@@ -7,8 +7,6 @@ table has numbers for this; each kind writes its own (:meth:`.controller.Control
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -18,9 +16,9 @@ import numpy as np
 
 from rotcal_ros.compensation.agreement import require_verified
 from rotcal_ros.compensation.table import check_verdict
-from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem
+from rotcal_ros.compensation.writing import side_facts, stem_of, with_side
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.circumstances import NOTHING_MEASURED, SIMULATED
+from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
@@ -127,8 +125,8 @@ def prepare_location(
     """
     check_verdict(result)
     lines = axis_lines(result)
-    marked = f"_{SIMULATED.lower()}" if result.simulated else ""
-    name = check_stem(stem or f"{check_axis(axis)}_{controller_name}_axis{marked}".lower())
+    usual = f"{check_axis(axis)}_{controller_name}_axis"
+    name = stem_of(stem, usual, simulated=result.simulated)
     head = [
         *(line.in_words() for line in lines),
         *([NOTHING_MEASURED] if result.simulated else []),
@@ -138,9 +136,8 @@ def prepare_location(
         require_verified(controller.facts.title, located.unverified)
     notes = (*located.notes, *(f"not verified: {text}" for text in located.unverified))
     side = {
-        "schema": SCHEMA,
+        **side_facts(located.files, now, sources),
         "kind": KIND,
-        "written": now.isoformat(timespec="seconds"),
         "controller": controller_name,
         "controller_title": controller.facts.title,
         "settings": asdict(controller),
@@ -161,13 +158,8 @@ def prepare_location(
         },
         "values": dict(located.values),
         "notes": list(notes),
-        "sources_sha256": dict(sources or {}),
-        "files_sha256": {
-            file: hashlib.sha256(text.encode()).hexdigest() for file, text in located.files.items()
-        },
     }
-    text = json.dumps(side, indent=1) + "\n"
-    return {**located.files, f"{name}{PROVENANCE}": text}, (*head, *notes)
+    return with_side(located.files, name, side), (*head, *notes)
 
 
 def millimetres(values: Sequence[float] | Floats, unit_m: float = MILLIMETRE) -> Floats:

@@ -29,9 +29,15 @@ from rotcal_ros.compensation.table import (
     check_verdict,
     resample,
 )
-from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem, of_the_controller
+from rotcal_ros.compensation.writing import (
+    WRITTEN,
+    of_the_controller,
+    side_facts,
+    stem_of,
+    with_side,
+)
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.circumstances import NOTHING_MEASURED, SIMULATED
+from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.foundation.curves.measured import gaps_of
@@ -39,7 +45,6 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import in_words, known_hash
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 
-WRITTEN: Final = "written"
 CONFIRMATION: Final = "confirmation_sha256"
 CONTENTS: Final = "contents_sha256"
 FIRST_ANGLE_DEG: Final = "first_angle_deg"
@@ -110,8 +115,8 @@ def prepare_export(
     """
     controller = make_controller(controller_name, settings).for_axis(table.axis)
     _refuse(table, controller, axis, accept_unverified=accept_unverified)
-    marked = f"_{SIMULATED.lower()}" if table.simulated else ""
-    name = check_stem(stem or default_stem(table.axis, controller_name) + marked)
+    usual = default_stem(table.axis, controller_name)
+    name = stem_of(stem, usual, simulated=table.simulated)
     shifted = resample(table, reference_angle=reference_angle)
     rows = chosen_rows(shifted, controller) if spacing is None else resample(shifted, spacing)
     files = controller.write(rows, name)
@@ -127,7 +132,8 @@ def prepare_export(
         *lag.notes,
     )
     side = {
-        **_origin(table, now, sources or {}),
+        **side_facts(files, now, sources),
+        **_origin(table),
         "controller": controller_name,
         **_controller_facts(controller),
         **_written_rows(rows, files),
@@ -136,7 +142,7 @@ def prepare_export(
     }
     confirmation = _confirmation(side)
     return ExportFiles(
-        files={**files, f"{name}{PROVENANCE}": _text({**side, CONFIRMATION: confirmation})},
+        files=with_side(files, name, {**side, CONFIRMATION: confirmation}),
         residual=residual,
         warnings=warnings,
         table=rows,
@@ -162,10 +168,6 @@ def _refuse(
         )
     if not accept_unverified:
         require_verified(controller.facts.title, controller.unverified)
-
-
-def _text(side: Mapping[str, Any]) -> str:
-    return json.dumps(side, indent=1, allow_nan=False) + "\n"
 
 
 def _confirmation(side: Mapping[str, Any]) -> str:
@@ -233,11 +235,9 @@ def _too_wide(
     )
 
 
-def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str]) -> dict[str, Any]:
+def _origin(table: CompensationTable) -> dict[str, Any]:
     """Return what the numbers come from."""
     return {
-        "schema": SCHEMA,
-        WRITTEN: now.isoformat(timespec="seconds"),
         "axis": table.axis,
         "item": table.item,
         "serial": table.serial,
@@ -248,7 +248,6 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
         "verdict": table.verdict,
         "verdict_line": table.verdict_line,
         "table_sha256": table.table_hash,
-        "sources_sha256": dict(sources),
         "measured_on": table.measured_on,
         "adds_to": table.adds_to,
         "in_force": standing(table),
@@ -269,9 +268,6 @@ def _controller_facts(controller: Controller) -> dict[str, Any]:
 
 def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str, Any]:
     return {
-        "files_sha256": {
-            file: hashlib.sha256(text.encode()).hexdigest() for file, text in files.items()
-        },
         CONTENTS: in_force_of(files),
         "rows": len(rows.angles),
         "row_angles_deg": (rows.angles / DEGREE).tolist(),

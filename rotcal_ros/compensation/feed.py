@@ -24,7 +24,6 @@ from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import (
     FIRST_ANGLE_DEG,
     LAST_ANGLE_DEG,
-    WRITTEN,
     ExportFiles,
     default_stem,
     prepare_export,
@@ -40,7 +39,7 @@ from rotcal_ros.compensation.journal import (
     texts_of,
 )
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller, write_files
+from rotcal_ros.compensation.writing import PROVENANCE, WRITTEN, of_the_controller, write_files
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.foundation.in_force import NONE, UNKNOWN, known_hash

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.foundation import disk
+from rotcal_ros.foundation.circumstances import SIMULATED
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.files import make_folder, scratch_folder, sync_folder, write_durably
 
@@ -16,6 +20,27 @@ PROVENANCE: Final = ".provenance.json"
 """The ending of the side file, which is for people and not for the controller."""
 SCHEMA: Final = 1
 """Version of the entries in a side file."""
+WRITTEN: Final = "written"
+
+
+def side_facts(
+    files: Mapping[str, str], now: datetime, sources: Mapping[str, str] | None
+) -> dict[str, Any]:
+    """Return what every side file says: when ``files`` were written, and of what, with hashes."""
+    return {
+        "schema": SCHEMA,
+        WRITTEN: now.isoformat(timespec="seconds"),
+        "sources_sha256": dict(sources or {}),
+        "files_sha256": {
+            file: hashlib.sha256(text.encode()).hexdigest() for file, text in files.items()
+        },
+    }
+
+
+def with_side(files: Mapping[str, str], name: str, side: Mapping[str, Any]) -> dict[str, str]:
+    """Return ``files`` and their ``side`` file."""
+    text = json.dumps(side, indent=1, allow_nan=False) + "\n"
+    return {**files, f"{name}{PROVENANCE}": text}
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
@@ -61,6 +86,11 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
             "folder"
         ) from error
     return tuple(done)
+
+
+def stem_of(asked: str | None, usual: str, *, simulated: bool) -> str:
+    """Return the name that was ``asked`` for, else the ``usual`` one, which tells a simulation."""
+    return check_stem(asked or (f"{usual}_{SIMULATED}" if simulated else usual).lower())
 
 
 def check_stem(stem: str) -> str:

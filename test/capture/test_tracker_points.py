@@ -9,7 +9,7 @@ import pytest
 from capture_scenes import make_plan, make_scene, replay
 
 from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.methods.plane_mirror.calibration import TrackerCheck
+from rotcal_ros.methods.plane_mirror.method import TrackerCheck
 from rotcal_ros.planning.plan import Plan
 
 KINDS = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)

@@ -11,7 +11,7 @@ from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.methods.tracer import disturbances
+from rotcal_ros.methods.tracer import simulation
 from rotcal_ros.report.terminal import columns
 from rotcal_ros.report.terminal.tables import print_result
 
@@ -41,7 +41,7 @@ def solved(radial: float):
     stations[:, 0] += radial * np.cos(2.0 * angles)
     streams = (noise, noise)  # nothing is drawn from the second
     return calibration.solve(
-        disturbances.observed(configuration, calibration.plan, stations, {}, streams)
+        simulation.observed(configuration, calibration.plan, stations, {}, streams)
     )
 
 

@@ -1,6 +1,6 @@
 """Points of a problem as the table that a tracker's own program would write."""
 
-from rotcal_ros.methods.plane_mirror.table import HEADER, KINDS, TIMED
+from rotcal_ros.methods.plane_mirror.method import HEADER, KINDS, TIMED
 
 
 def points_table(problem):

@@ -17,7 +17,7 @@ from rotcal_ros.foundation.errors import (
 )
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import changed
-from rotcal_ros.methods.ball_plate.calibration import problem
+from rotcal_ros.methods.ball_plate.method import problem
 from rotcal_ros.methods.simulation.table import true_deviations
 
 

@@ -8,12 +8,12 @@ from mirror_points import points_table
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.tables import read_table, require_header
+from rotcal_ros.methods.plane_mirror.method import HEADER, TIMED, read_points
 from rotcal_ros.methods.plane_mirror.solver import (
     PlaneMirrorProblem,
     problem_from_observations,
     solve,
 )
-from rotcal_ros.methods.plane_mirror.table import HEADER, TIMED, read_points
 
 HEAD = "position,tracker_station,kind,nest,x_m,y_m,z_m\n"
 

@@ -7,7 +7,7 @@ import pytest
 from plate_data import simulated
 
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
+from rotcal_ros.methods.ball_plate.solver import adjust, plate_trials, solve
 from rotcal_ros.methods.ball_plate.solver.result import SolvedTrials
 
 BALLS = [0, 3, 4, 9, 14, 20]
@@ -34,7 +34,9 @@ def test_linear_map_gives_what_the_solver_finds_for_the_same_numbers(name):
     problem = plates()[name]
     trials = plate_trials(problem)
     noise = np.random.default_rng(4).standard_normal((1, problem.centres.size))
-    moved = problem.centres + (trials.std * noise[0]).reshape(-1, 3)
+    used = adjust(problem)
+    std = used.noise.scale * used.parts[0].fit.problem.noise_unit
+    moved = problem.centres + std * noise.reshape(-1, 3)
     answer = stacked(solve(replace(problem, centres=moved)).deviations)
     found = trials(np.random.default_rng(4), 1)[0]
     # the map is the tangent of the exact model: products of noise and plate errors remain

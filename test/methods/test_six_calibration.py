@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.methods.tracer_six.calibration import problem
+from rotcal_ros.methods.tracer_six.method import problem
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 SMALL = ("plan.table_positions=4", "plan.table_step_deg=90.0", "plan.box_points=[2, 2, 2]")

@@ -14,9 +14,9 @@ from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.configuration import Configuration, dump_configuration, parse_configuration
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.tracer.calibration import problem
+from rotcal_ros.methods.tracer.method import problem
 from rotcal_ros.methods.tracer.settings import FaultSettings, SimulatedTracerSettings
-from rotcal_ros.methods.tracer.simulated_cell import SimulatedTracer
+from rotcal_ros.methods.tracer.simulation import SimulatedTracer
 
 QUIET = SimulatedTracerSettings(noise_um=0.0, noise_um_per_m=0.0)
 

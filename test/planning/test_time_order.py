@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.methods.tracer.calibration import problem
+from rotcal_ros.methods.tracer.method import problem
 from rotcal_ros.planning.readings import time_order
 
 PAPER = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

@@ -1,37 +1,329 @@
-"""The plane-mirror method, as nodes, replay and report see it."""
+"""The plane-mirror method, as nodes, replay and report see it.
+
+From observations, or from a plain table, to the problem, its result and its trials. And what is
+checked while measuring: points that cannot be (:class:`TrackerCheck`), and nests that do not
+stand where they were seen before (:func:`check`).
+
+A table has the columns ``position,tracker_station,kind,nest,x_m,y_m,z_m``. A last column
+``time_s`` may tell when each row was measured; without it the rows stand in the order in which
+they were measured.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import dist
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
-from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.observations import Observation, PointKind
+from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Method, See, Stations, TableReader, zero_at_the_first
-from rotcal_ros.methods.plane_mirror import calibration, table
-from rotcal_ros.methods.plane_mirror.disturbances import DISTURBANCES
+from rotcal_ros.methods.measurements import measured_in_words
+from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials, zero_at_the_first
+from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.plane_mirror.figures import figures, tables
 from rotcal_ros.methods.plane_mirror.mirror_physics import TrackerStation
-from rotcal_ros.methods.plane_mirror.plan import check_plan, nominal_mirror, plan, tracker_stands
+from rotcal_ros.methods.plane_mirror.plan import (
+    check_plan,
+    nominal_mirror,
+    plan,
+    position_angles,
+    tracker_stands,
+)
 from rotcal_ros.methods.plane_mirror.settings import (
+    DIRECT,
+    WAYS,
     MirrorPlanSettings,
     MirrorSimulationSettings,
     MirrorSolverSettings,
+    Way,
 )
+from rotcal_ros.methods.plane_mirror.simulation import DISTURBANCES, SimulatedTracker
+from rotcal_ros.methods.plane_mirror.solver import mirror_trials
+from rotcal_ros.methods.plane_mirror.solver.prepare import not_an_image
+from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
+from rotcal_ros.methods.plane_mirror.solver.registration import MIN_APART
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
 from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.table_angles import table_angles
 
-if TYPE_CHECKING:
-    from rotcal_ros.methods.simulation.air import SimulatedTemperature
-    from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+COLUMNS: Final = {"position": "table_position"}
+HEADER: Final[Header] = ("position", "tracker_station", "kind", "nest", "x_m", "y_m", "z_m")
+TIMED: Final[Header] = (*HEADER, "time_s")
+KINDS: Final = {"direct": PointKind.DIRECT, "mirrored": PointKind.MIRRORED, "nest": PointKind.NEST}
+_FARTHEST: Final = 1000.0
+"""Metres; beyond any tracker."""
+
+
+def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of a plane-mirror plan.
+
+    A reflector whose direct or mirrored point is missing (given up, or not measured yet) is left
+    out; details["left_out"] names it.
+    """
+    problem, left_out = _problem(configuration, plan, observations)
+    return _solve_ways(problem, {"left_out": left_out}, _arrivals(configuration))
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about the accepted observations of a plane-mirror plan."""
+    problem = _problem(configuration, plan, observations)[0]
+    prepared, arrivals = plane_mirror.mirror_trials(problem), _arrivals(configuration)
+    if arrivals is None:
+        return prepared
+    result, positions = plane_mirror.solved(problem)
+    return RepeatedTrials.of(prepared, result, arrivals.take(positions))
+
+
+def _arrivals(configuration: Configuration) -> Arrivals | None:
+    """Return the arrivals of all positions of a plan that measures both directions."""
+    settings: MirrorPlanSettings = configuration.plan
+    if not settings.bidirectional:
+        return None
+    return arrivals_of(table_angles(settings), runs=1, bidirectional=True)
+
+
+def _problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[PlaneMirrorProblem, list[str]]:
+    """Return the problem that observations pose, and what was left out of it."""
+    paired, left_out = _paired(observations)
+    if not paired:
+        raise DataError(
+            "no reflector was measured both directly and through the mirror; measure both"
+        )
+    problem = plane_mirror.problem_from_observations(paired, np.array(plan.table_angles))
+    return configured(problem, configuration), left_out
+
+
+def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> Result:
+    """Solve points that come without a plan, as the configuration says."""
+    return _solve_ways(configured(problem, configuration), {}, _arrivals(configuration))
+
+
+def check(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[str, ...]:
+    """Return in words what the nests tell against the newest station.
+
+    They do not stand where they were seen before, or the tracker turned by more than
+    ``plan.drift_limit_arcsec`` between two rounds of nests. Raises DataError or GeometryError when
+    the newest station cannot be registered at all.
+    """
+    if not any(o.kind == PointKind.NEST for o in observations):
+        return ()
+    problem = plane_mirror.problem_from_observations(observations, np.array(plan.table_angles))
+    problem = configured(problem, configuration)
+    limit = configuration.plan.drift_limit_arcsec * ARCSEC
+    return tuple(plane_mirror.check_nests(problem, newest=True, drift_limit=limit))
+
+
+def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
+    """Return a problem with noise, way and limits of the configuration."""
+    settings: MirrorSolverSettings = configuration.solver
+    arrivals = _arrivals(configuration)
+    return replace(
+        problem,
+        upward=None if arrivals is None else arrivals.upward,
+        noise=noise_of(settings),
+        way=settings.way,
+        tilt_std=settings.tilt_std_arcsec * ARCSEC,
+        uneven_drift_std=settings.uneven_drift_std_arcsec * ARCSEC,
+        incidence_limit=configuration.plan.incidence_limit_deg * DEGREE,
+        significance=settings.significance,
+    )
+
+
+def _solve_ways(
+    problem: PlaneMirrorProblem, details: dict[str, Any], arrivals: Arrivals | None
+) -> Result:
+    """Solve the chosen way; the other ways of the same points go into the details."""
+    result = _mean(problem, arrivals)
+    others = [way for way in WAYS if DIRECT not in (way, problem.way) and way != problem.way]
+    if others:
+        details = {**details, "ways": [_other_way(problem, way, arrivals) for way in others]}
+    return replace(result, details={**result.details, **details})
+
+
+def _mean(problem: PlaneMirrorProblem, arrivals: Arrivals | None) -> Result:
+    """Return the result over the distinct angles, where both directions were measured."""
+    result, positions = plane_mirror.solved(problem)
+    return result if arrivals is None else mean_of_runs(result, arrivals.take(positions))
+
+
+def _other_way(problem: PlaneMirrorProblem, way: Way, arrivals: Arrivals | None) -> dict[str, Any]:
+    """Return the curve of another way, or why there is none."""
+    try:
+        result = _mean(replace(problem, way=way), arrivals)
+    except DataError as error:
+        return {"way": way, "why_not": str(error)}
+    return {
+        "way": way,
+        "angles_rad": result.angles,
+        "ecc_rad": result.deviations["ECC"],
+        "ecc_std_rad": result.std["ECC"],
+        "sigma0": result.sigma0,
+        "verdict": result.verdict,
+        "verdict_line": result.verdict_line,
+    }
+
+
+def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], list[str]]:
+    """Return the observations without reflectors that lack one of their points, and the latter.
+
+    Without any mirrored point there is no mirror, and every direct point stands for itself.
+    """
+    kinds: dict[tuple[int, int, int], set[PointKind]] = {}
+    for o in observations:
+        if o.kind != PointKind.NEST:
+            kinds.setdefault((o.table_position, o.station, o.target), set()).add(o.kind)
+    if not any(PointKind.MIRRORED in found for found in kinds.values()):
+        return list(observations), []
+    single = {key: found for key, found in kinds.items() if len(found) == 1}
+    used = [
+        o
+        for o in observations
+        if o.kind == PointKind.NEST or (o.table_position, o.station, o.target) not in single
+    ]
+    names = [
+        f"position {position}, tracker station {station}, reflector {number}: only "
+        f"{next(iter(found)).name.lower()} was measured"
+        for (position, station, number), found in single.items()
+    ]
+    return used, names
+
+
+class TrackerCheck:
+    """Rejects points of a laser tracker that contradict those of the same station.
+
+    The image of a reflector is farther away than the reflector itself, and two nests stand
+    apart. What is found while the reflector is still there can be measured again at once.
+    """
+
+    def __init__(self) -> None:
+        self._direct: dict[tuple[int, int, int], tuple[float, ...]] = {}
+        self._nests: dict[int, dict[int, tuple[float, ...]]] = {}
+
+    def __call__(self, observation: Observation) -> Observation:
+        """Return the observation, rejected when it cannot be."""
+        if not observation.accepted:
+            return observation
+        reason = None
+        key = (observation.station, observation.table_position, observation.target)
+        if observation.kind == PointKind.DIRECT:
+            self._direct[key] = observation.mean
+        elif observation.kind == PointKind.MIRRORED and key in self._direct:
+            reason = not_an_image(self._direct[key], observation.mean)
+        elif observation.kind == PointKind.NEST:
+            reason = self._on_another_nest(observation)
+        return replace(observation, accepted=False, reason=reason) if reason else observation
+
+    def _on_another_nest(self, observation: Observation) -> str | None:
+        """Say on which nest the reflector stands, if it is not the one that was asked for."""
+        nests = self._nests.setdefault(observation.station, {})
+        for number, place in nests.items():
+            apart = dist(place, observation.mean)
+            if number != observation.target and apart < MIN_APART:
+                return (
+                    f"nest {observation.target} is {apart / MILLIMETRE:.3f} mm from where nest "
+                    f"{number} was measured: reflector on the wrong nest"
+                )
+        nests[observation.target] = observation.mean
+        return None
+
+
+@dataclass(frozen=True)
+class TrackerPoints:
+    """Points of a table, rows beyond any plan included; ``sha256`` maps file names to hashes."""
+
+    configuration: Configuration
+    table: Table
+    sha256: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        """Return in one line what was measured."""
+        return measured_in_words(self, f"{len(self.table.lines)} points")
+
+    def solve(self) -> Result:
+        """Return the result."""
+        points = self._points()
+        return replace(solve_points(self.configuration, points), raw_data=_raw(points))
+
+    def trials(self) -> Trials:
+        """Prepare Monte Carlo trials about the points."""
+        return mirror_trials(configured(self._points(), self.configuration))
+
+    def _points(self) -> PlaneMirrorProblem:
+        return read_points(self.table, np.array(position_angles(self.configuration.plan)))
+
+
+def read(configuration: Configuration, table: Table, _targets: Table | None) -> TrackerPoints:
+    """Return the points of any stations and nests, whose rows need not be steps of a plan."""
+    return TrackerPoints(configuration, table, hashes(table))
+
+
+def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
+    """Return the problem in a table for commanded ``angles`` (N,) in rad.
+
+    Positions count from 0 into ``angles``; nest rows may leave theirs empty. Tracker stations are
+    any labels, in the order of their first row: the order in which the tracker was moved. The
+    order of the rows of a station is that of measuring, unless ``time_s`` tells.
+    Coordinates are metres in the tracker's own frame. DataError names the row.
+    """
+    stations: dict[str, int] = {}
+    rows, points, seconds = [], [], []
+    for row in table.rows():
+        kind, station = _kind_and_station(row)
+        position = -1 if kind is PointKind.NEST else row.index("position")
+        number = stations.setdefault(station, len(stations))
+        rows.append((position, number, kind, row.index("nest")))
+        points.append(row.point(_FARTHEST))
+        if table.header == TIMED:
+            seconds.append(row.number("time_s"))
+    position_of, station_of, kind_of, nest_of = np.array(rows, dtype=np.int64).T
+    return PlaneMirrorProblem(
+        angles=angles,
+        position=position_of,
+        station=station_of,
+        kind=kind_of,
+        nest=nest_of,
+        xyz=np.array(points),
+        station_names=tuple(stations),
+        source=str(table.path),
+        lines=tuple(line for line, _ in table.lines),
+        time=np.array(seconds) if seconds else None,
+    )
+
+
+def _raw(points: PlaneMirrorProblem) -> RawData:
+    """Return the hashes of the points as they stand in the table."""
+    named = zip(points.xyz.tolist(), points.kind, strict=True)
+    return RawData(tuple(hash_of(xyz, int(kind)) for xyz, kind in named))
+
+
+def _kind_and_station(row: Row) -> tuple[PointKind, str]:
+    word, station = row.cells["kind"], row.cells["tracker_station"]
+    if word not in KINDS:
+        raise DataError(f"{row.place}: kind {word!r}, expected {', '.join(KINDS)}")
+    if not station:
+        raise DataError(f"{row.place}: the tracker station is missing")
+    return KINDS[word], station
 
 
 def zero(result: Result) -> tuple[str, ...]:
@@ -66,18 +358,6 @@ def stations(configuration: Configuration) -> Stations:
     return Stations(tuple(stand.place for stand in tracker_stands(configuration.plan)))
 
 
-def simulated_instrument(
-    settings: MirrorSimulationSettings,
-    table: Table,
-    _temperature: SimulatedTemperature,
-    start_ns: int,
-) -> SimulatedInstrument:
-    """Return the tracker that looks at the mirror on ``table``."""
-    from rotcal_ros.methods.plane_mirror.simulated_tracker import SimulatedTracker
-
-    return SimulatedTracker(settings, table, start_ns)
-
-
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracker and plane mirror",
@@ -86,19 +366,21 @@ METHOD: Final = Method(
     plan_settings=MirrorPlanSettings,
     solver_settings=MirrorSolverSettings,
     simulation_settings=MirrorSimulationSettings,
-    simulated_instrument=simulated_instrument,
+    simulated_instrument=lambda cell, table, _temperature, start_ns: SimulatedTracker(
+        cell, table, start_ns
+    ),
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
-        {kind: points(mean_point) for kind in table.KINDS.values()},
-        lambda _plan: (calibration.TrackerCheck(),),
+        {kind: points(mean_point) for kind in KINDS.values()},
+        lambda _plan: (TrackerCheck(),),
     ),
-    solve=calibration.solve,
-    trials=calibration.trials,
-    check=calibration.check,
+    solve=solve,
+    trials=trials,
+    check=check,
     nominal=nominal,
     stations=stations,
-    table=TableReader((table.HEADER, table.TIMED), table.read, table.COLUMNS),
+    table=TableReader((HEADER, TIMED), read, COLUMNS),
     figures=figures,
     tables=tables,
     zero=zero,

@@ -1,44 +1,268 @@
-"""The six-deviations method, as nodes, replay and report see it."""
+"""The six-deviations method, as nodes, replay and report see it.
+
+From observations, or from a plain table, to the problem, its result and its trials. A table has
+the columns ``place,position,target,length_m``, and beside it stands ``targets.csv``; a fifth
+column ``segment`` numbers the unbroken beams from a place, without it each has one.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves import gauge
-from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation, PointKind
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.tables import Header, Table
+from rotcal_ros.foundation.units import MILLIMETRE
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Method, See, Stations, TableReader
-from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
-from rotcal_ros.methods.tracer.table import TARGETS
-from rotcal_ros.methods.tracer_six import calibration, table
-from rotcal_ros.methods.tracer_six.disturbances import DISTURBANCES
+from rotcal_ros.methods.measurements import PlannedMeasurements
+from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials
+from rotcal_ros.methods.tracer.lengths import (
+    LengthCheck,
+    length_columns,
+    read_from,
+    reported_positions,
+    times_before,
+)
+from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
+from rotcal_ros.methods.tracer.solver.adjustment import locate_stations
+from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
+from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
 from rotcal_ros.methods.tracer_six.figures import figures, tables
-from rotcal_ros.methods.tracer_six.plan import check_plan, places_of, plan
-from rotcal_ros.methods.tracer_six.settings import SixPlanSettings, SixSimulationSettings
+from rotcal_ros.methods.tracer_six.plan import (
+    LOCATING,
+    check_plan,
+    described,
+    places_of,
+    plan,
+    plan_of,
+)
+from rotcal_ros.methods.tracer_six.settings import (
+    SixPlanSettings,
+    SixSimulationSettings,
+    Zero,
+    ZeroSetting,
+)
+from rotcal_ros.methods.tracer_six.simulation import DISTURBANCES, CarriedTracer
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
-from rotcal_ros.planning.plan import Plan
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
+from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of
+from rotcal_ros.planning.plan import Plan, Point
 
-if TYPE_CHECKING:
-    from rotcal_ros.methods.simulation.air import SimulatedTemperature
-    from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+COLUMNS: Final = {"place": "station", "position": "table_position", "target": "target"}
+HEADERS: Final[tuple[Header, ...]] = (
+    ("place", "position", "target", "length_m"),
+    ("place", "position", "target", "length_m", SEGMENT),
+)
+
+
+def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of a plan.
+
+    Those of both directions become one curve over the distinct angles:
+    :mod:`rotcal_ros.methods.arrivals`.
+    """
+    weighed = _at_equal_places(configuration, plan, observations)
+    result = with_reported(result_of(weighed.solution), weighed.reported)
+    if not configuration.plan.bidirectional:
+        return result
+    return mean_of_runs(result, _both_sides(plan, weighed.solution), from_first=False)
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about what :func:`solve` solves."""
+    prepared = SixTrials(_at_equal_places(configuration, plan, observations).solution)
+    if not configuration.plan.bidirectional:
+        return prepared
+    result, arrivals = result_of(prepared.solution), _both_sides(plan, prepared.solution)
+    return RepeatedTrials.of(prepared, result, arrivals, from_first=False)
+
+
+def _at_equal_places(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> WeighedSolution[SixSolution]:
+    """Return the solution, its lengths reduced to the mean place of their target.
+
+    Seen from the planned place: the tracer is near enough to it for some tenths of a micrometre.
+    """
+    posed = problem(configuration, plan, observations)
+    mean = posed.targets[posed.target]
+    turn = rotation_about_z(np.array([o.table_angle for o in observations]))
+    beam = mean - np.einsum("kij,kj->ki", turn, posed.places[posed.place])
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    shift = reported_positions(observations) - mean
+    return adjust_at_equal_places(posed, np.einsum("ki,ki->k", beam, shift))
+
+
+def _both_sides(plan: Plan, solution: SixSolution) -> Arrivals:
+    """Return the arrivals of the solved positions of a plan that measures both directions."""
+    return _every(plan).take(solution.positions)
+
+
+def _every(plan: Plan) -> Arrivals:
+    """Return the arrivals of all positions of such a plan."""
+    return arrivals_of(plan.distinct_angles, runs=1, bidirectional=True)
+
+
+def problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> SixProblem:
+    """Return the problem that observations of a plan pose.
+
+    Where all targets are measured at one arrival, they share its scatter; else every length has
+    an arrival of its own. A run that was interrupted and taken up again may count from another
+    zero, which its lengths share.
+
+    Raises DataError when an observation does not fit the plan.
+    """
+    settings: TracerSixSolverSettings = configuration.solver
+    places = np.array(places_of(configuration.plan))
+    _require_planned(plan, places, observations)
+    zero, segment = _zeros(settings.zero, observations)
+    arrival = times_before(plan)
+    shift, turn, own_std = _scatter(configuration)
+    return SixProblem(
+        **length_columns(settings, plan, observations, own_std),
+        place=np.array([o.station for o in observations], dtype=np.int64),
+        upward=_every(plan).upward if configuration.plan.bidirectional else None,
+        places=places,
+        place_tolerance=configuration.plan.place_tolerance_m,
+        datum=settings.datum,
+        zero=zero,
+        segment=segment,
+        scatter_translation_std=shift,
+        scatter_rotation_std=turn,
+        arrival=np.array(
+            [arrival[o.step] + len(plan.steps) * o.run for o in observations], dtype=np.int64
+        ),
+        tilt_std=settings.tilt_std_rad,
+        slip=settings.slip_m,
+    )
+
+
+def _scatter(configuration: Configuration) -> tuple[float | None, float | None, float]:
+    """Return the scatter of an arrival (m, rad) for the solver, and what joins a length (m).
+
+    Where the table arrives anew for every length, its scatter is noise of the lengths.
+    """
+    settings: TracerSixSolverSettings = configuration.solver
+    shift, turn = settings.scatter_translation_std_m, settings.scatter_rotation_std_rad
+    if configuration.plan.order == TARGETS_PER_STATION:
+        return shift, turn, 0.0
+    arm = np.linalg.norm(places_of(configuration.plan), axis=1).max()
+    return 0.0, 0.0, float(np.hypot(shift or 0.0, arm * (turn or 0.0)))
+
+
+def _require_planned(plan: Plan, places: Floats, observations: Sequence[Observation]) -> None:
+    if not observations:
+        raise DataError("no length was measured: there is nothing to solve")
+    for o in observations:
+        if not (
+            o.table_position < len(plan.table_angles)
+            and o.target < len(plan.targets)
+            and o.station < len(places)
+            and o.step < len(plan.steps)
+        ):
+            raise DataError(
+                f"step {o.step}: place {o.station}, position {o.table_position}, target "
+                f"{o.target} are not in the plan of {len(places)} places, "
+                f"{len(plan.table_angles)} angles and {len(plan.targets)} targets"
+            )
+
+
+def _zeros(zero: ZeroSetting, observations: Sequence[Observation]) -> tuple[Zero, Ints | None]:
+    """Return which lengths share a zero, with the segment (k,) of each where it takes numbers.
+
+    Whatever is chosen, a tracer that was fixed anew and a run that was resumed begin a new zero.
+    """
+    zero = "per_segment" if zero == "auto" else zero
+    mountings = {(o.station, o.run) for o in observations}
+    resumed = len(mountings) > len({o.station for o in observations})
+    if zero != "per_segment" and not resumed:
+        return zero, None
+    within = {"per_run": lambda _: 0, "per_station": lambda o: o.table_position}
+    part: Callable[[Observation], int] = within.get(zero, lambda o: o.segment)
+    keys = np.array([(o.station, o.run, part(o)) for o in observations])
+    _, segment = np.unique(keys, axis=0, return_inverse=True)
+    return "per_segment", np.asarray(segment.ravel(), dtype=np.int64)
+
+
+def check(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[str, ...]:
+    """Return in words how far the newest place is from where the plan has it, if too far.
+
+    Only the lengths at the first angle of that place are looked at, with targets and table as the
+    plan has them: what matters here are millimetres.
+    """
+    if not observations:
+        return ()
+    number = max(o.station for o in observations)
+    here = [o for o in observations if o.station == number]
+    first = [o for o in here if o.table_position == here[0].table_position]
+    if len({o.target for o in first}) <= LOCATING - 2:
+        return ()
+    planned = np.array(places_of(configuration.plan))[number]
+    found = _located(plan, first, planned)
+    away, allowed = float(np.linalg.norm(found - planned)), configuration.plan.place_tolerance_m
+    if away <= allowed:
+        return ()
+    return (
+        f"place {number + 1}: the tracer stands {away / MILLIMETRE:.1f} mm from its place, "
+        f"allowed {allowed / MILLIMETRE:g}: its centre is {described(_point(found))}, planned "
+        f"{described(_point(planned))}",
+    )
+
+
+def _located(plan: Plan, observations: Sequence[Observation], planned: Floats) -> Floats:
+    """Return where the tracer stands (3,), m, table frame; nearest to ``planned`` (3,)."""
+    targets = np.array([plan.targets[o.target] for o in observations])
+    length = np.array([[o.mean[0] for o in observations]])
+    turn = rotation_about_z(plan.table_angles[observations[0].table_position])
+    start = turn @ planned
+    zero = np.mean(np.linalg.norm(targets - start, axis=1) - length)
+    state, _ = locate_stations(
+        targets, length, np.ones_like(length), np.array([[*start.tolist(), float(zero)]])
+    )
+    return np.asarray(turn.T @ state[0, :3], dtype=np.float64)
+
+
+def _point(values: Floats) -> Point:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def read(configuration: Configuration, table: Table, targets: Table | None) -> PlannedMeasurements:
+    """Return lengths by place, table position and target; a table tells no scatter.
+
+    What the plan measures several times may stand in the table as often, in the order of time.
+    """
+    return read_lengths(
+        configuration,
+        table,
+        targets,
+        COLUMNS,
+        lambda _, listed: plan_of(configuration.plan, listed),
+    )
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
     """Return what a tracer reads that stands exactly at its places."""
     dead_distance: float = configuration.simulation.tracer.dead_distance_m
     return read_from(places_of(configuration.plan), dead_distance)
-
-
-def simulated_instrument(
-    settings: SixSimulationSettings, table: Table, temperature: SimulatedTemperature, start_ns: int
-) -> SimulatedInstrument:
-    """Return the tracer at its places and the reflector that the machine carries."""
-    from rotcal_ros.methods.tracer_six.simulated_cell import CarriedTracer
-
-    return CarriedTracer(settings, table, temperature, start_ns)
 
 
 METHOD: Final = Method(
@@ -49,18 +273,18 @@ METHOD: Final = Method(
     plan_settings=SixPlanSettings,
     solver_settings=TracerSixSolverSettings,
     simulation_settings=SixSimulationSettings,
-    simulated_instrument=simulated_instrument,
+    simulated_instrument=CarriedTracer,
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
-    solve=calibration.solve,
+    solve=solve,
     joins_runs=True,
-    trials=calibration.trials,
-    check=calibration.check,
+    trials=trials,
+    check=check,
     nominal=nominal,
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
-    table=TableReader(table.HEADERS, table.read, table.COLUMNS, TARGETS, runs="arrivals"),
+    table=TableReader(HEADERS, read, COLUMNS, TARGETS, runs="arrivals"),
     figures=figures,
     tables=tables,
     zero=gauge.in_words,

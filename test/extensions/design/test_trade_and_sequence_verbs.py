@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.plan import command
-from rotcal_ros.extensions.design.mirror_trade import USUAL, mirror_trade
+from rotcal_ros.extensions.design.trades import USUAL_MIRROR, mirror_trade
 from rotcal_ros.extensions.design.verbs.sequence import best_order
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.methods.configuration import changed, parse_configuration
@@ -36,7 +36,7 @@ def test_the_mirrors_hours_and_uncertainties_are_the_known_ones():
 
     The statement that the tracker may swing between its nests, 0.5 arcsec, is beside the noise.
     """
-    still = changed(parse_configuration(USUAL), ["solver.uneven_drift_std_arcsec=0"])
+    still = changed(parse_configuration(USUAL_MIRROR), ["solver.uneven_drift_std_arcsec=0"])
     rows = mirror_trade(still, [4, 6], [1, 3], move_s=600.0, pair_s=50.0, nest_s=10.0)
     noise = {(row.stations, row.reflectors): row.expanded for row in rows}
     assert np.degrees(noise[6, 1]) * 3600.0 == pytest.approx(1.28, rel=0.03)

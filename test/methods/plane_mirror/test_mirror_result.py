@@ -9,11 +9,12 @@ from mirror_cell import measure, paper_cell, ring_cell
 from mirror_scene import PLACES, measured
 from scipy.optimize import least_squares
 
+from rotcal_ros.adjust.closures import Closure
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
 from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
-from rotcal_ros.methods.plane_mirror.solver.solve import repeats
+from rotcal_ros.methods.plane_mirror.solver.solve import differing
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
 WAYS = ("direct", "stitching", "registration", "joint")
@@ -199,39 +200,13 @@ def test_the_closure_counts_in_the_sense_of_the_command(sense):
     assert entry["std_rad"] == pytest.approx(result.std["ECC"][16], rel=1e-6)
 
 
-def test_equal_commands_are_compared_with_the_first():
-    angles = np.radians([0.0, 90.0, 0.0, 450.0, -270.0, 91.0])
-    deviations = np.array([0.0, 1.0, 2.0, 5.0, 3.0, 0.0]) * 1e-6
-    root = 1e-7 * np.random.default_rng(2).normal(size=(6, 6))
-    covariance = root @ root.T
-    entries, warnings = repeats(angles, deviations, covariance, 1e-3)
-    assert [(e["first"], e["second"]) for e in entries] == [(0, 2), (1, 3), (1, 4)]
-    told = []
-    for entry in entries:
-        a, b = entry["first"], entry["second"]
-        contrast = np.zeros(6)
-        contrast[[a, b]] = -1.0, 1.0
-        std = np.sqrt(contrast @ covariance @ contrast)
-        difference = deviations[b] - deviations[a]
-        assert entry["std_rad"] == pytest.approx(std)
-        assert entry["difference_rad"] == pytest.approx(difference)
-        if abs(difference) > 3.2905 * std:  # two-sided, one in a thousand
-            told.append(
-                f"positions commanded to {np.degrees(angles[a]):g} and {np.degrees(angles[b]):g} "
-                f"deg differ by {np.degrees(difference) * 3600:.2f} arcsec, expected within "
-                f"{2 * np.degrees(std) * 3600:.2f}"
-            )
-    assert len(told) == len(warnings) > 0
-    for text, start in zip(warnings, told, strict=True):
-        assert text.startswith(start)
-
-
-@pytest.mark.parametrize("share", [0.99, 1.01])
-def test_a_repeat_may_differ_by_its_quantile(share):
-    limit = 3.290527 * 1e-6
-    covariance = np.diag([0.0, 1e-12])
-    warnings = repeats(np.zeros(2), np.array([0.0, share * limit]), covariance, 1e-3)[1]
-    assert len(warnings) == (share > 1)
+def test_positions_that_differ_are_named_with_what_chance_allows():
+    angles = np.radians([0.0, 90.0, 450.0])
+    found = Closure(1, 2, 3.3 * ARCSEC, 1.0 * ARCSEC)
+    (text,) = differing([Closure(0, 1, 3.2 * ARCSEC, ARCSEC), found], angles, 1e-3)
+    assert text.startswith(
+        "positions commanded to 90 and 450 deg differ by 3.30 arcsec, expected within 2.00"
+    )
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2, norm
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.closures import Closure
+from rotcal_ros.adjust.noise import GlobalTest
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.methods.tracer.solver.grid import arrange
@@ -27,8 +28,7 @@ from rotcal_ros.methods.tracer.solver.observability import (
 from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import solve
-from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
-from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, Evidence, closures, judge
+from rotcal_ros.methods.tracer.solver.verdict import Evidence, judge
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 LIMITS = TracerLimits()
@@ -39,7 +39,7 @@ GOOD = Evidence(
     circle=GlobalTest(1.0, 0.5),
     error_motion=ErrorMotion(0.0, 0.0, 1e-7, 7, 0.0),
     radial_rms=1e-7,
-    closures=(CircleClosure(0, 9, 1e-7, 1e-7),),
+    closures=(Closure(0, 9, 1e-7, 1e-7),),
     n_lengths=100,
     n_rejected=0,
     missing=(),
@@ -103,7 +103,7 @@ def test_a_closure_may_be_as_large_as_the_normal_quantile():
     limit = norm.isf(0.0005)
     for size, verdict in ((limit - 0.001, "ok"), (limit + 0.001, "suspect")):
         for sign in (1, -1):
-            closure = CircleClosure(2, 7, sign * size * 1e-6, 1e-6)
+            closure = Closure(2, 7, sign * size * 1e-6, 1e-6)
             found, warnings = judge(replace(GOOD, closures=(closure,)), LIMITS)
             assert found == verdict
             assert len(warnings) == (verdict != "ok")
@@ -113,23 +113,6 @@ def test_a_closure_may_be_as_large_as_the_normal_quantile():
         in (warnings[0])
     )
     assert "expected 0 with a standard deviation of 0.206 arcsec" in warnings[0]
-
-
-def test_positions_whole_turns_apart_close():
-    angles = 2 * np.pi * np.array([0.0, 0.3, 1.0, 1.3 + 1e-7, 2.0, -1.0, 2.3])
-    cumulative = np.array([0.0, 1.0, 5.0, 2.0, 7.0, 4.0, 3.5])
-    root = np.random.default_rng(1).normal(size=(7, 7))
-    covariance = root @ root.T
-    found = closures(
-        angles, cumulative, LowRank.whole(covariance), np.array([2, 3, 5, 7, 11, 13, 17])
-    )
-    expected = [(0, 2), (0, 4), (0, 5), (1, 6)]
-    ids = [2, 3, 5, 7, 11, 13, 17]
-    assert [(c.first, c.last) for c in found] == [(ids[a], ids[b]) for a, b in expected]
-    for closure, (a, b) in zip(found, expected, strict=True):
-        assert closure.error == cumulative[b] - cumulative[a]
-        variance = covariance[a, a] + covariance[b, b] - 2 * covariance[a, b]
-        assert closure.std == pytest.approx(np.sqrt(variance))
 
 
 def test_what_the_verdict_rests_on_is_counted():

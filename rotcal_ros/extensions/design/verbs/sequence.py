@@ -114,7 +114,7 @@ def _measuring_orders(
     calibration: Calibration, model: TimeModel, limit: float, seed: int
 ) -> tuple[MeasuringOrder, ...]:
     """Return the competing orders of the plan's lengths."""
-    from rotcal_ros.methods.tracer.calibration import problem
+    from rotcal_ros.methods.tracer.method import problem
     from rotcal_ros.methods.tracer.policy.sequence import SequenceForecast, measuring_orders
 
     plan = calibration.plan

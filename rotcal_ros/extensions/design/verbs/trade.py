@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,6 +19,9 @@ from rotcal_ros.extensions.design.verbs.options import (
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE, MINUTE
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
+
+if TYPE_CHECKING:
+    from rotcal_ros.methods.configuration import Configuration
 
 
 @dataclass(frozen=True)
@@ -222,11 +225,10 @@ def mirror(
     nest_s: float,
 ) -> TradeTable:
     """Hours and U of a plane mirror by stations and reflectors, for CONFIG or the usual case."""
-    from rotcal_ros.extensions.design.mirror_trade import USUAL, mirror_trade
-    from rotcal_ros.methods import parse_configuration, read_configuration
+    from rotcal_ros.extensions.design.trades import USUAL_MIRROR, mirror_trade
 
     rows = mirror_trade(
-        read_configuration(configuration) if configuration else parse_configuration(USUAL),
+        _configuration(configuration, USUAL_MIRROR),
         positive_whole_numbers(stations, "--stations"),
         positive_whole_numbers(reflectors, "--reflectors"),
         move_s=move_s,
@@ -268,11 +270,10 @@ def balls(
     turn_deg_s: float,
 ) -> TradeTable:
     """Touches and minutes that balls on the table take, for CONFIG or the usual case."""
-    from rotcal_ros.extensions.design.balls_trade import USUAL, balls_trade
-    from rotcal_ros.methods import parse_configuration, read_configuration
+    from rotcal_ros.extensions.design.trades import USUAL_BALLS, balls_trade
 
     rows = balls_trade(
-        read_configuration(configuration) if configuration else parse_configuration(USUAL),
+        _configuration(configuration, USUAL_BALLS),
         positive_whole_numbers(numbers, "--balls"),
         positive_whole_numbers(angles, "--angles"),
         positive_whole_numbers(runs, "--runs"),
@@ -303,6 +304,12 @@ def balls(
     ]
     title = "balls on the table: touches, minutes and U of the axis (k = 2)"
     return TradeTable({"need_m": need, **_rows(rows)}, columns, title, (note,))
+
+
+def _configuration(path: Path | None, usual: str) -> Configuration:
+    from rotcal_ros.methods import parse_configuration, read_configuration
+
+    return read_configuration(path) if path else parse_configuration(usual)
 
 
 def _rows(rows: Sequence[Any]) -> dict[str, Any]:

@@ -18,7 +18,12 @@ To read in this order:
 """
 
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
-from rotcal_ros.methods.ball_plate.solver.result import plate_trials, result_of, solve
+from rotcal_ros.methods.ball_plate.solver.result import (
+    plate_trials,
+    result_of,
+    solve,
+    trials_about,
+)
 from rotcal_ros.methods.ball_plate.solver.solution import adjust
 from rotcal_ros.methods.ball_plate.solver.spectral import ClosedForm, closed_form
 
@@ -31,4 +36,5 @@ __all__ = [
     "result_of",
     "select",
     "solve",
+    "trials_about",
 ]

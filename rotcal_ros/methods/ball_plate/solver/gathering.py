@@ -24,7 +24,7 @@ from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.adjust.gathering import Count, Gathering, GatheringLimits, Words
 from rotcal_ros.adjust.groups import Group, GroupTest
-from rotcal_ros.adjust.judgement import Belief, blame, judge
+from rotcal_ros.adjust.judgement import Belief, judge
 from rotcal_ros.adjust.reliability import Hidden, hidden
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.adjust.subsets import distinct, runs
@@ -172,10 +172,7 @@ def _counted(
 
 def left_out(gathering: Gathering) -> tuple[Gathering, dict[int, str]] | None:
     """Return what is proved to be wrong together, and why by its rows; None: nothing is."""
-    found = gathering.judgement
-    if found is None or not found.proved(SIGNIFICANCE):
-        return None
-    case = blame(found.groups[found.worst], BELIEF)
+    case = gathering.proved(SIGNIFICANCE, BELIEF)
     if case is None:
         return None
     rows = case.group.members[case.subset]
@@ -183,7 +180,7 @@ def left_out(gathering: Gathering) -> tuple[Gathering, dict[int, str]] | None:
         f"one of {len(rows)} centres of {case.group.name} that are off together, by "
         f"{WORDS.size(case.size)} (x, y, z)"
     )
-    return replace(gathering, blamed=(*gathering.blamed, case)), dict.fromkeys(rows.tolist(), why)
+    return gathering.without(case), dict.fromkeys(rows.tolist(), why)
 
 
 def suspected(gathering: Gathering) -> Ints:
@@ -192,11 +189,6 @@ def suspected(gathering: Gathering) -> Ints:
     if found is None or not found.possible:
         return np.empty(0, dtype=np.int64)
     return found.groups[found.worst].members
-
-
-def doubts(gathering: Gathering) -> list[str]:
-    """Return a sentence about everything that gathers, and about groups that do not fit."""
-    return engine.doubts(gathering, LIMITS, WORDS)
 
 
 def details(gatherings: Sequence[Gathering]) -> dict[str, Any]:

@@ -18,6 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust import gathering as engine
+from rotcal_ros.adjust.engine import Trials
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.foundation.arrays import Floats
@@ -243,7 +245,11 @@ def _doubts(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
     return [
         *(test.sentence() for test in likeliest),
         *(closure.sentence() for f in found for closure in f.closures if not closure.closed),
-        *(doubt for _, fit in solution.parts for doubt in gathering.doubts(fit.gathering)),
+        *(
+            doubt
+            for _, fit in solution.parts
+            for doubt in engine.doubts(fit.gathering, gathering.LIMITS, gathering.WORDS)
+        ),
     ]
 
 
@@ -611,23 +617,6 @@ def _one_place(hidden: Hidden | None) -> Protection:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearTrials:
-    """Trials by the linear map itself: ``value`` (6 M,) + noise @ ``gain`` (3 n, 6 M).
-
-    ``std`` (3 n,), metres, belongs to the coordinates of the centres.
-    """
-
-    value: Floats
-    gain: Floats
-    std: Floats
-
-    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles one after the other."""
-        noise = self.std * rng.standard_normal((count, len(self.std)))
-        return self.value + noise @ self.gain
-
-
-@dataclass(frozen=True, eq=False)
 class SolvedTrials:
     """Trials by solving each; for separate groups, an estimated drift, and too large grids.
 
@@ -638,7 +627,7 @@ class SolvedTrials:
     std: Floats
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return the same as :class:`LinearTrials`."""
+        """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles, one after the other."""
         return np.stack([self._trial(rng.standard_normal(self.std.shape)) for _ in range(count)])
 
     def _trial(self, noise: Floats) -> Floats:
@@ -646,33 +635,41 @@ class SolvedTrials:
         return _in_order(adjust(replace(self.problem, centres=centres)))
 
 
-def plate_trials(problem: BallPlateProblem) -> LinearTrials | SolvedTrials:
-    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
+def plate_trials(problem: BallPlateProblem) -> Trials | SolvedTrials:
+    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses."""
+    return trials_about(adjust(problem))
+
+
+def trials_about(solution: PlateSolution) -> Trials | SolvedTrials:
+    """Prepare Monte Carlo trials about a solution.
 
     Rejected centres stay rejected; the noise is the one that the standard deviations of the
     result belong to.
     """
-    solution = adjust(problem)
+    problem = solution.problem
     if _linear(problem):
-        used = solution.parts[0].fit.problem
-        std = (solution.noise.scale * used.noise_unit).ravel()
-        return LinearTrials(_in_order(solution), general_least_squares.table_gain(used).T, std)
+        return Trials(_in_order(solution), _gain(solution))
     return SolvedTrials(problem, solution.noise.used * problem.noise_unit)
 
 
 def _influence(solution: PlateSolution) -> Influence | None:
     """Return what a standard error of each coordinate does to the curves.
 
-    None for what :func:`plate_trials` solves trial by trial, and for too many centres.
+    None for what :func:`trials_about` solves trial by trial, and for too many centres.
     """
     used = solution.parts[0].fit.problem
     rows = len(COMPONENTS) * len(used.table_positions)
     if not _linear(solution.problem) or rows * used.centres.size > MOST_INFLUENCES:
         return None
-    std = (solution.noise.scale * used.noise_unit).ravel()
-    gain = general_least_squares.table_gain(used) * std
-    by_component = dict(zip(COMPONENTS, np.split(gain, len(COMPONENTS)), strict=True))
+    by_component = dict(zip(COMPONENTS, np.split(_gain(solution), len(COMPONENTS)), strict=True))
     return Influence(used.rows, 3, by_component)
+
+
+def _gain(solution: PlateSolution) -> Floats:
+    """Return what a standard error of each coordinate does to all deviations, (6 M, 3 n)."""
+    used = solution.parts[0].fit.problem
+    std = (solution.noise.scale * used.noise_unit).ravel()
+    return np.asarray(general_least_squares.table_gain(used) * std)
 
 
 def _linear(problem: BallPlateProblem) -> bool:

@@ -21,7 +21,7 @@ from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, Words
 from rotcal_ros.adjust.groups import Group
-from rotcal_ros.adjust.judgement import Belief, blame
+from rotcal_ros.adjust.judgement import Belief
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
@@ -146,12 +146,10 @@ def _left_out(
 
     None where nothing is proved, where it is nests, and where a position would lose all its pairs.
     """
-    prepared, found = screened.prepared, gathering.judgement
-    if found is None or not isinstance(prepared, PreparedNormals):
+    prepared = screened.prepared
+    if not isinstance(prepared, PreparedNormals):
         return None
-    if not found.groups or not found.proved(prepared.problem.significance):
-        return None
-    case = blame(found.groups[found.worst], BELIEF)
+    case = gathering.proved(prepared.problem.significance, BELIEF)
     if case is None:
         return None
     pairs, members = prepared.pairs, case.group.members[case.subset]
@@ -165,7 +163,7 @@ def _left_out(
         f"{WORDS.size(case.size)} (along the beam, level across it, upwards)"
     )
     rows = np.concatenate([pairs.direct[members], pairs.mirrored[members]])
-    return replace(gathering, blamed=(*gathering.blamed, case)), dict.fromkeys(rows.tolist(), why)
+    return gathering.without(case), dict.fromkeys(rows.tolist(), why)
 
 
 def groups_of(points: Linear, problem: PlaneMirrorProblem, lost: tuple[int, ...]) -> list[Group]:

@@ -6,15 +6,19 @@ about it, of which a thousand are solved in one go.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
-from rotcal_ros.adjust.distributions import chi2_isf, noise_growth, normal_isf
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.adjust.closures import Closure, closures
+from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.noise import GlobalTest
+from rotcal_ros.adjust.reliability import hidden_noise
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, Protection, ordered
 from rotcal_ros.foundation.results import FreeDirection, Residuals, Result
@@ -62,8 +66,8 @@ def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
     angles, deviations = prepared.angles, curve.deviations
     check_size(problem, angles, deviations)
     fit = curve.fit
-    sigma0 = float(np.sqrt(fit.chi_square / fit.dof)) if fit.dof else 1.0
-    covariance, warnings = _judge(problem, curve, sigma0)
+    test = GlobalTest.of(fit.chi_square, fit.dof)
+    covariance, warnings = _judge(test, curve, problem.significance)
     # To the noise come errors that may gather in one place, and drift that the nests cannot show.
     if (added := gathered.covariance()) is not None:
         covariance = covariance + added
@@ -71,15 +75,23 @@ def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
         swung = points.response(swings(prepared.problem, prepared.drift))
         covariance = covariance + swung @ swung.T
     side = None if problem.upward is None else problem.upward[prepared.positions]
-    again, differing = repeats(angles, deviations, covariance, problem.significance, side)
-    std, closure = _std(covariance), _closure(angles, again)
+    repeats = closures(angles, deviations, LowRank.whole(covariance), np.arange(len(angles)), side)
+    std, closure = _std(covariance), _whole_turn(repeats, angles)
     limits = engine.GatheringLimits(gathering.USUAL_SHARE, problem.significance)
     gathers = engine.doubts(gathered, limits, gathering.WORDS)
     warnings = [
-        *screened.warnings, *gathers, *warnings, *correction.doubts(std), *differing
-    ]  # fmt: skip
+        *screened.warnings,
+        *gathers,
+        *warnings,
+        *correction.doubts(std),
+        *differing(repeats, angles, problem.significance),
+    ]
     closes = closure.get("closure_std_rad")
     facts = _Evidence(prepared, correction, std, fit.dof, closes, points is not None)
+    again = [
+        {"first": c.first, "second": c.last, "difference_rad": c.error, "std_rad": c.std}
+        for c in repeats
+    ]
     details = {**_details(prepared, curve), "repeats": again, **closure}
     if gathered.judgement is not None:
         details["gathering"] = engine.details(gathered, gathering.WORDS.elements)
@@ -90,7 +102,7 @@ def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
         deviations={"ECC": deviations},
         std={"ECC": std},
         covariance={"ECC": covariance},
-        sigma0=sigma0,
+        sigma0=test.sigma0,
         dof=fit.dof,
         n_observations=len(problem.xyz),
         rejected=screened.rejected,
@@ -169,7 +181,7 @@ def _details(prepared: PreparedWay, curve: AdjustedCurve) -> dict[str, Any]:
 
 
 def _judge(
-    problem: PlaneMirrorProblem, curve: AdjustedCurve, sigma0: float
+    test: GlobalTest, curve: AdjustedCurve, significance: float
 ) -> tuple[Floats, list[str]]:
     """Return the covariance, and a warning where it could not be trusted as it is.
 
@@ -177,13 +189,14 @@ def _judge(
     """
     if curve.fit.dof == 0:
         return curve.covariance, ["nothing is measured twice: the noise could not be checked"]
-    if curve.fit.chi_square <= chi2_isf(problem.significance, curve.fit.dof):
+    scale = test.enlargement(significance)
+    if scale == 1.0:
         return curve.covariance, []
     text = (
-        f"the residuals are {sigma0:.2f} times what the stated noise explains; the standard "
+        f"the residuals are {scale:.2f} times what the stated noise explains; the standard "
         "deviations are scaled by that: check tracker noise, nests and mirror"
     )
-    return curve.covariance * sigma0**2, [text]
+    return curve.covariance * scale**2, [text]
 
 
 def _stations(prepared: PreparedWay) -> dict[str, Any]:
@@ -237,55 +250,24 @@ def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) 
         )
 
 
-def repeats(
-    angles: Floats,
-    deviations: Floats,
-    covariance: Floats,
-    significance: float,
-    upward: Bools | None = None,
-) -> tuple[list[dict[str, float | int]], list[str]]:
-    """Compare positions commanded to the same angle from the same side, whole turns apart or not.
-
-    Returns one entry per repeat (positions, difference, its std; rad) and a warning for each that
-    differs by more than its uncertainty explains. 0 and 360 degrees are the closure.
-    """
-    entries: list[dict[str, float | int]] = []
-    warnings: list[str] = []
-    for later in range(len(angles)):
-        # What is left of whole turns, on either side of zero.
-        turn = (angles[later] - angles[:later] + 1e-7) % (2.0 * np.pi)
-        same_side = upward is None or upward[:later] == upward[later]
-        for earlier in np.flatnonzero((turn < 2e-7) & same_side)[:1]:
-            difference = float(deviations[later] - deviations[earlier])
-            spread = covariance[later, later] + covariance[earlier, earlier]
-            variance = max(float(spread - 2.0 * covariance[later, earlier]), 1e-300)
-            entries.append(
-                {
-                    "first": int(earlier),
-                    "second": int(later),
-                    "difference_rad": difference,
-                    "std_rad": variance**0.5,
-                }
-            )
-            if difference**2 / variance > chi2_isf(significance, 1):
-                warnings.append(
-                    f"positions commanded to {angles[earlier] / DEGREE:g} and "
-                    f"{angles[later] / DEGREE:g} deg differ by {difference / DEGREE * 3600:.2f} "
-                    f"arcsec, expected within {2 * variance**0.5 / DEGREE * 3600:.2f}: the table "
-                    "does not repeat, or mirror or tracker moved"
-                )
-    return entries, warnings
+def differing(repeats: Sequence[Closure], angles: Floats, significance: float) -> list[str]:
+    """Return a sentence about positions, commanded to the same of ``angles`` (N,), that differ."""
+    return [
+        f"positions commanded to {angles[c.first] / DEGREE:g} and {angles[c.last] / DEGREE:g} deg "
+        f"differ by {c.error / ARCSEC:.2f} arcsec, expected within {2 * c.std / ARCSEC:.2f}: the "
+        "table does not repeat, or mirror or tracker moved"
+        for c in repeats
+        if c.open(significance)
+    ]
 
 
-def _closure(angles: Floats, repeats: list[dict[str, float | int]]) -> dict[str, float]:
+def _whole_turn(repeats: Sequence[Closure], angles: Floats) -> dict[str, float]:
     """Return how far the table is from its first place after a whole turn, if it was measured."""
-    for entry in repeats:
-        first, second = int(entry["first"]), int(entry["second"])
-        if abs(angles[second] - angles[first]) > np.pi:
-            sign = float(np.sign(angles[second] - angles[first]))
+    for c in repeats:
+        if abs(turned := angles[c.last] - angles[c.first]) > np.pi:
             return {
-                "closure_rad": sign * entry["difference_rad"],
-                "closure_std_rad": entry["std_rad"],
+                "closure_rad": float(np.sign(turned)) * c.error,
+                "closure_std_rad": c.std,
             }
     return {}
 
@@ -428,7 +410,8 @@ def _knock(facts: _Evidence) -> Protection:
 def _noise(facts: _Evidence) -> Protection:
     if not facts.dof:
         return Protection("axis noise", "not protected", "nothing is measured twice")
-    error = _hidden(facts.prepared.problem.significance, facts.dof)
+    # No noise at all along the beam, a third of all coordinates, hides most of that across it.
+    error = hidden_noise(facts.prepared.problem.significance, facts.dof, 1.5)
     return Protection(
         "axis noise",
         "tested",
@@ -437,16 +420,6 @@ def _noise(facts: _Evidence) -> Protection:
         "this case",
         error,
     )
-
-
-def _hidden(significance: float, dof: int) -> float:
-    """Return the error, in stated standard uncertainties, of noise across the beam once found.
-
-    Found with POWER. The noise along the beam, a third of all coordinates, is taken as none at
-    all, which hides most; the error is what comes on top of the stated noise.
-    """
-    growth = noise_growth(significance, POWER, dof)
-    return float(np.sqrt(max(1.5 * growth - 1.0, 0.0)))
 
 
 @dataclass(frozen=True)

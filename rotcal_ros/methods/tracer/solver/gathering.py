@@ -9,15 +9,13 @@ same rules. What is proved is left out; what is only probable joins the covarian
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
-from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, GatheringLimits, Words
+from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, Words
 from rotcal_ros.adjust.groups import Group, Undivided
-from rotcal_ros.adjust.judgement import blame
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.adjust.subsets import neighbourhoods, runs
@@ -46,10 +44,7 @@ def left_out(
 
     None where nothing is proved, or where too few lengths would be left.
     """
-    found = gathering.judgement
-    if found is None or not found.proved(limits.rejection_significance):
-        return None
-    case = blame(found.groups[found.worst])
+    case = gathering.proved(limits.rejection_significance)
     if case is None:
         return None
     rejected = np.zeros(grid.used.shape, dtype=np.bool_)
@@ -66,18 +61,7 @@ def left_out(
         f"are off together, by {WORDS.size(case.size)}"
         for j, i in np.argwhere(rejected)
     }
-    return replace(gathering, blamed=(*gathering.blamed, case)), rejected, why
-
-
-def doubts(gathering: Gathering, limits: TracerLimits) -> list[str]:
-    """Return a sentence about everything that gathers, and about groups that do not fit."""
-    usual = GatheringLimits(limits.max_rejected_share, limits.test_significance)
-    return engine.doubts(gathering, usual, WORDS)
-
-
-def details(gathering: Gathering) -> dict[str, Any]:
-    """Return what was found for the details of a result; sizes in m."""
-    return engine.details(gathering, WORDS.elements)
+    return gathering.without(case), rejected, why
 
 
 def protection(gathering: Gathering, std: Floats) -> tuple[Protection, ...]:

@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.closures import closures
 from rotcal_ros.adjust.distributions import chi2_isf, noise_growth, normal_isf
 from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.low_rank import LowRank
@@ -43,7 +44,7 @@ from rotcal_ros.methods.tracer.solver.problem import share_gone
 from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import circle_tested, error_motion_spread
-from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS, closures
+from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS
 from rotcal_ros.methods.tracer.solver.zeros import largest_share
 
 LARGEST_MOVE: Final = 1e-4

@@ -7,9 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.closures import closures
 from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.noise import NoiseEvidence
+from rotcal_ros.adjust.noise import GlobalTest, NoiseEvidence
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.results import ErrorMotion
@@ -49,7 +50,6 @@ from rotcal_ros.methods.tracer.solver.uncertainty import (
     AngleUncertainty,
     CircleStatement,
     CircleTest,
-    GlobalTest,
     angle_uncertainty,
     circle_test,
     circle_tested,
@@ -57,7 +57,7 @@ from rotcal_ros.methods.tracer.solver.uncertainty import (
     length_test,
     likely_circle,
 )
-from rotcal_ros.methods.tracer.solver.verdict import Evidence, closures, judge
+from rotcal_ros.methods.tracer.solver.verdict import Evidence, judge
 from rotcal_ros.methods.tracer.solver.zeros import (
     MOST_JUMPS,
     Jump,

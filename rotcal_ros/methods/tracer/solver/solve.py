@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.adjust import gathering
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import ordered
@@ -14,7 +15,7 @@ from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Placement, Rejection, Residuals, Result, Zeros
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter
-from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
+from rotcal_ros.methods.tracer.solver.gathering import WORDS
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.joint import target_corrections
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
@@ -198,7 +199,7 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
         "circle_test": asdict(evidence.circle),
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squared / np.maximum(redundancy, 1e-9)),
-        "gathering": gathering_details(evidence.gathering),
+        "gathering": gathering.details(evidence.gathering, WORDS.elements),
         "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
     }
 

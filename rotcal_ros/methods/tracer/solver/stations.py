@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.closures import closures
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.noise import UNTESTED
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import Protection, ordered
@@ -30,13 +31,12 @@ from rotcal_ros.methods.tracer.solver.protections import tangential_protection
 from rotcal_ros.methods.tracer.solver.solution import check_sense
 from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.methods.tracer.solver.uncertainty import (
-    UNTESTED,
     angle_uncertainty,
     circle_test,
     circle_tested,
     error_motion_of,
 )
-from rotcal_ros.methods.tracer.solver.verdict import closures
+from rotcal_ros.methods.tracer.solver.verdict import doubt_closure
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +84,9 @@ def solve(problem: StationProblem) -> Result:
         LowRank.whole(angles.covariance),
         problem.positions,
     )
-    limit = normal_isf(0.5 * problem.significance)
     warnings = (
         *((_doubt(motion, error_motion),) if contradicted else ()),
-        *(c.sentence() for c in closing if abs(c.error) > limit * c.std),
+        *(doubt_closure(c) for c in closing if c.open(problem.significance)),
     )
     return Result(
         method=METHOD,

@@ -32,8 +32,8 @@ from typing import Final
 import numpy as np
 from scipy.special import erfc
 
-from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.low_rank import LowRank, Slopes
+from rotcal_ros.adjust.noise import UNTESTED, GlobalTest
 from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
@@ -306,18 +306,6 @@ class AngleUncertainty:
 
 
 @dataclass(frozen=True, slots=True)
-class GlobalTest:
-    """A chi-squared test: ``sigma0`` = sqrt(chi2 / dof), and the chance to exceed it."""
-
-    sigma0: float
-    probability: float
-
-    def enlargement(self, significance: float) -> float:
-        """Return by how much standard deviations are too small where the test fails; else 1."""
-        return max(self.sigma0, 1.0) if self.probability < significance else 1.0
-
-
-@dataclass(frozen=True, slots=True)
 class CircleStatement:
     """What was stated of the stations' circle, and what became of it.
 
@@ -331,10 +319,6 @@ class CircleStatement:
     dof: int
     sigma0: float
     probability: float
-
-
-UNTESTED: Final = GlobalTest(1.0, 1.0)
-"""Of nothing: no degree of freedom is left."""
 
 
 def angle_uncertainty(
@@ -382,10 +366,7 @@ def angle_uncertainty(
 
 def length_test(fit: Adjustment, dof_effective: float) -> GlobalTest:
     """Compare the residuals of the lengths with their stated standard deviations."""
-    if fit.dof <= 0:
-        return UNTESTED
-    probability = chi2_sf(fit.chi2 * dof_effective / fit.dof, dof_effective)
-    return GlobalTest(float(np.sqrt(fit.chi2 / fit.dof)), probability)
+    return GlobalTest.of(fit.chi2, fit.dof, dof_effective)
 
 
 def circle_test(circle: CircleTest) -> GlobalTest:
@@ -396,11 +377,10 @@ def circle_test(circle: CircleTest) -> GlobalTest:
     the angle cannot be told from. A stated circle has twice as many, the axial ones, or fewer
     where the lengths do not tell them.
     """
-    dof = circle.residuals.dof
-    if dof == 0:
+    residuals = circle.residuals
+    if residuals.dof == 0:
         return UNTESTED
-    chi2 = float(circle.residuals.squares(circle.residuals.seen[None])[0])
-    return GlobalTest(float(np.sqrt(chi2 / dof)), chi2_sf(chi2, dof))
+    return GlobalTest.of(float(residuals.squares(residuals.seen[None])[0]), residuals.dof)
 
 
 def _root(variance: Floats) -> Floats:

@@ -23,16 +23,16 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.adjust.gathering import Gathering
-from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.adjust.closures import Closure
+from rotcal_ros.adjust.gathering import Gathering, GatheringLimits
+from rotcal_ros.adjust.gathering import doubts as doubt_gathering
+from rotcal_ros.adjust.noise import GlobalTest
 from rotcal_ros.foundation.results import ErrorMotion, Verdict
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
+from rotcal_ros.methods.tracer.solver.gathering import WORDS as LENGTHS
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM
 from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
-from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement, GlobalTest
+from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement
 from rotcal_ros.methods.tracer.solver.zeros import Jump
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
@@ -51,65 +51,6 @@ NOISY: Final = 2.0
 """Times the stated noise from which the middle half of all residuals is no matter of outliers."""
 HARDLY_CHECKED: Final = 0.01
 """Share of a stated circle below which nothing would contradict it."""
-TURN: Final = 2.0 * np.pi
-"""One turn of the table, rad."""
-SAME_ANGLE: Final = 1e-9
-"""Turns that the sum of commanded steps may be off by rounding; 1.3 milliarcsec."""
-
-
-@dataclass(frozen=True, slots=True)
-class CircleClosure:
-    """Two positions at the same table angle, whole turns apart: what should agree, and how well.
-
-    ``error`` is the deviation at position ``last`` minus that at ``first``, with its standard
-    deviation ``std``; radians.
-    """
-
-    first: int
-    last: int
-    error: float
-    std: float
-
-    def sentence(self) -> str:
-        """Say that they do not agree."""
-        return (
-            f"stations {self.first} and {self.last} stand at the same table angle but differ by "
-            f"{self.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
-            f"{self.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
-        )
-
-
-def closures(
-    angles: Floats,
-    cumulative: Floats,
-    covariance: LowRank,
-    position_ids: Ints,
-    upward: Bools | None = None,
-) -> tuple[CircleClosure, ...]:
-    """Return the closures of ``angles`` (m,): later positions against the first at their angle.
-
-    ``covariance`` (m, m): of the angles, rad^2.
-    ``upward`` (m,): from which side the table came; what differs between the sides is a reversal.
-    """
-    found = []
-    for last in range(1, len(angles)):
-        apart = (angles[last] - angles[:last]) / TURN
-        meets = np.abs(apart - np.round(apart)) < SAME_ANGLE
-        if upward is not None:
-            meets &= upward[:last] == upward[last]
-        same = np.flatnonzero(meets)
-        if len(same):
-            first = int(same[0])
-            variance = float(covariance.between(np.array([first]), np.array([last]))[0])
-            found.append(
-                CircleClosure(
-                    first=int(position_ids[first]),
-                    last=int(position_ids[last]),
-                    error=float(cumulative[last] - cumulative[first]),
-                    std=float(np.sqrt(max(variance, 0.0))),
-                )
-            )
-    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +86,7 @@ class Evidence(LengthEvidence):
     circle: GlobalTest
     error_motion: ErrorMotion
     radial_rms: float
-    closures: tuple[CircleClosure, ...]
+    closures: tuple[Closure, ...]
     missing: tuple[int, ...]
     spare: tuple[int, ...]
     mirror_ambiguous: bool
@@ -165,11 +106,12 @@ def judged(
     remarks: Sequence[str] = (),
 ) -> tuple[Verdict, tuple[str, ...]]:
     """Return verdict and warnings of any network of lengths, with a method's own doubts."""
+    usual = GatheringLimits(settings.max_rejected_share, settings.test_significance)
     doubts = [
         *_doubt_noise(evidence.noise, settings),
         *_doubt_residuals(evidence.unexplained),
         *_doubt_rejected(evidence, settings),
-        *doubt_gathering(evidence.gathering, settings),
+        *doubt_gathering(evidence.gathering, usual, LENGTHS),
         *doubts,
     ]
     factors = evidence.unexplained * evidence.noise.factors
@@ -238,11 +180,10 @@ def _doubt_rejected(evidence: LengthEvidence, settings: TracerLimits) -> list[st
 
 def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
     doubts: list[str] = []
-    limit = normal_isf(0.5 * settings.test_significance)
     doubts += [
         doubt_jump(f"segment {jump.segment}", jump, evidence.fringe) for jump in evidence.jumps
     ]
-    doubts += [c.sentence() for c in evidence.closures if abs(c.error) > limit * c.std]
+    doubts += [doubt_closure(c) for c in evidence.closures if c.open(settings.test_significance)]
     doubts += _doubt_circle(evidence, settings)
     motion = evidence.error_motion
     stated = motion.stated is not None and evidence.circle_statement is None
@@ -268,6 +209,15 @@ def _doubt_circle(evidence: Evidence, settings: TracerLimits) -> list[str]:
         f"as is expected ({circle.dof} contrasts that the lengths tell): the stated circle_std of "
         f"{circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its place"
     ]
+
+
+def doubt_closure(closure: Closure) -> str:
+    """Return the sentence about a closure that is larger than its uncertainty allows."""
+    return (
+        f"stations {closure.first} and {closure.last} stand at the same table angle but differ by "
+        f"{closure.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
+        f"{closure.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
+    )
 
 
 def doubt_jump(where: str, jump: Jump, fringe: float) -> str:

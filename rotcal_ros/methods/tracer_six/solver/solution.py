@@ -26,9 +26,10 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.closures import Closure, closures
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.noise import GlobalTest
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, unit_of
@@ -48,8 +49,7 @@ from rotcal_ros.methods.tracer.solver.screening import (
 )
 from rotcal_ros.methods.tracer.solver.start import start_candidates
 from rotcal_ros.methods.tracer.solver.trials import MOST_STEPS, SETTLED
-from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
-from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, LengthEvidence, closures
+from rotcal_ros.methods.tracer.solver.verdict import LengthEvidence
 from rotcal_ros.methods.tracer.solver.zeros import (
     MOST_JUMPS,
     Jump,
@@ -395,7 +395,7 @@ class SixSolution:
     table: CurvePosterior
     covariance: Floats
     scale: float
-    closures: dict[str, tuple[CircleClosure, ...]]
+    closures: dict[str, tuple[Closure, ...]]
     rejected: dict[int, str]
     evidence: LengthEvidence
     slips: Slips | None = None
@@ -475,7 +475,8 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
     why = {row: renamed(text, names) for row, text in (why | screened.why).items()}
     table = curve_posterior(fit.posterior.network, fit.posterior.covariance)
-    lengths, scale = _length_test(fit, limits.test_significance)
+    lengths = GlobalTest.of(fit.chi2, fit.dof)
+    scale = lengths.enlargement(limits.test_significance)
     covariance = scale**2 * _enlarged(fit, table)
     slips = slips_among(shifts, problem.slip, limits.rejection_significance, scale)
     unseen = 0.0 if slips is None else _by_curve(slips.covariance())
@@ -564,13 +565,6 @@ def _without_gross(
     return replace(coarse, used=coarse.used | (grid.used & ~most)), start, why
 
 
-def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest, float]:
-    """Return the test of chi-squared, and the factor by which noise is larger than it allows."""
-    dof = max(fit.dof, 1)
-    test = GlobalTest(float(np.sqrt(fit.chi2 / dof)), chi2_sf(fit.chi2, dof))
-    return test, test.enlargement(significance) if fit.dof > 0 else 1.0
-
-
 def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
     """Return the covariance (6, m, 6, m) with what is not known of the scatter."""
     network, after = fit.posterior.network, fit.posterior
@@ -604,7 +598,7 @@ def _by_curve(covariance: Floats) -> Floats:
 
 def _closures(
     layout: StationLayout, table: CurvePosterior, covariance: Floats, upward: Bools | None
-) -> dict[str, tuple[CircleClosure, ...]]:
+) -> dict[str, tuple[Closure, ...]]:
     """Return for each component what whole turns apart should agree."""
     ids = layout.position_ids
     side = None if upward is None else upward[ids]

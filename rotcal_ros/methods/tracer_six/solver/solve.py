@@ -26,8 +26,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import noise_growth, noncentrality, normal_isf
+from rotcal_ros.adjust import gathering as engine
+from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.effects import Unseen
+from rotcal_ros.adjust.reliability import hidden_noise
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, ROTATIONS
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
@@ -167,7 +169,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "noise": solution.evidence.noise.details(),
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
         "length_test": asdict(solution.evidence.lengths),
-        "gathering": gathering.details(solution.evidence.gathering),
+        "gathering": engine.details(solution.evidence.gathering, gathering.WORDS.elements),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
             name: [asdict(closure) for closure in found]
@@ -318,7 +320,6 @@ def _doubt_motion(solution: SixSolution) -> list[str]:
             f"{scatter.n_contrasts} contrasts tell, are used; look for a tracer that slips, or "
             "state a larger scatter"
         )
-    limit = normal_isf(0.5 * solution.problem.settings.test_significance)
     for name, found in solution.closures.items():
         unit = "rad" if name in ROTATIONS else "m"
         doubts += [
@@ -326,7 +327,7 @@ def _doubt_motion(solution: SixSolution) -> list[str]:
             f"{c.error:.3g} {unit}, expected 0 with a standard deviation of {c.std:.3g} {unit}: "
             "something moved or drifted during the runs"
             for c in found
-            if abs(c.error) > limit * c.std
+            if c.open(solution.problem.settings.test_significance)
         ]
     doubts += [
         doubt_jump(f"place {solution.problem.place[jump.row]}", jump, solution.problem.slip)
@@ -362,6 +363,7 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
     when = timing(solution.problem, solution.grid)
     distance = _distance(solution)
     standing, targets = _standing(solution), solution.network.state.targets
+    significance = solution.problem.settings.test_significance
     drift = _worst(solution, _drifts(solution, when), LARGEST_MOVE)
     knock = _worst(solution, _knocks(solution, when), LARGEST_MOVE)
     scale = _worst(solution, distance[None], LARGEST_RATIO)
@@ -380,7 +382,7 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
                 knock,
                 "a tracer that slips on the table, up above all, tilts the curves",
             ),
-            noise_protection(_hidden(solution, max(solution.fit.dof, 1))),
+            noise_protection(hidden_noise(significance, max(solution.fit.dof, 1))),
             Protection("error motion", "estimated", "EXC, EYC and EZC are measured"),
             _repeatability(solution),
             _felt("refraction", air, "air in layers bends all runs alike"),
@@ -467,12 +469,6 @@ def _felt(effect: Effect, worst: Unseen, what: str) -> Protection:
     )
 
 
-def _hidden(solution: SixSolution, dof: int) -> float:
-    """Return the error, in standard uncertainties, of noise that chi-squared just shows."""
-    significance = solution.problem.settings.test_significance
-    return float(np.sqrt(max(noise_growth(significance, POWER, dof) - 1.0, 0.0)))
-
-
 def _repeatability(solution: SixSolution) -> Protection:
     scatter = solution.scatter
     if scatter.estimated:
@@ -492,7 +488,7 @@ def _repeatability(solution: SixSolution) -> Protection:
         "tested",
         f"stated as {scatter.in_words()} between runs; {contrasts} contrasts between the places "
         "show more of it; left unset, it is estimated",
-        _hidden(solution, contrasts),
+        hidden_noise(solution.problem.settings.test_significance, contrasts),
     )
 
 

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.tracer import solver as tracer
-from rotcal_ros.methods.tracer.calibration import problem
+from rotcal_ros.methods.tracer.method import problem
 from rotcal_ros.methods.tracer.policy.sequence import (
     Forecast,
     SequenceForecast,
