@@ -1,6 +1,8 @@
 """Balls on the table by the engine: one fit against scipy with the same equations and derivatives.
 
-``rows()`` yields one measurement each; both sides run alternately, the best time of each counts.
+And the same fit with all derivatives in one matrix, where every step costs the cube of the
+unknowns. ``rows()`` yields one measurement each; both sides run alternately, the best time of each
+counts.
 """
 
 import os
@@ -10,14 +12,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import json
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 from racing import Row, race
 from scipy.optimize import least_squares
 
+from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.model import Model, fitted
 from rotcal_ros.methods.table_balls.model import model_of
@@ -29,29 +32,45 @@ from ball_world import THREE, World
 SIGMA_M, TRIALS = 1e-6, 1000
 
 
-def measurement() -> Model:
-    """72 angles, 3 balls, twice: 1296 coordinates, 451 unknowns with six motions at each angle."""
+def measurement(chain: str = "C", tilts: tuple[float, ...] = ()) -> Model:
+    """72 angles, 3 balls, twice: 1296 coordinates, 451 unknowns with six motions at each angle.
+
+    At two tilts these are 899.
+    """
     plan = BallsPlanSettings(
-        balls_m=THREE, axis_m=(0.0, 0.0, 0.06), table_step_deg=5.0, table_positions=72, runs=2
-    )
+        balls_m=THREE, axis_m=(0.0, 0.0, 0.06), table_step_deg=5.0, table_positions=72,
+        runs=1 if tilts else 2, chain=chain, tilts_deg=tilts,
+    )  # fmt: skip
     random = np.random.default_rng(20)
     world = World.drawn(plan, random)
     return model_of(plan, world.solver, world.readings(SIGMA_M, random))
 
 
-def one_fit() -> Row:
-    """From start values to the deviations."""
-    model = measurement()
+def solving(model: Model) -> Callable[[], np.ndarray]:
+    """Return what solves a model, from start values to the deviations."""
     every = np.ones(model.size[0], dtype=np.bool_)
+    return lambda: fitted(model, every, model.std, model.first).value
 
-    def ours() -> np.ndarray:
-        return fitted(model, every, model.std, model.first).value
+
+def whole_matrix(model: Model) -> Model:
+    """Return the same model with one matrix of derivatives."""
+
+    def equations(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        computed, design = model.equations(x)
+        return computed, dense(design)
+
+    return replace(model, equations=equations)
+
+
+def one_fit() -> Row:
+    """Against scipy's solver for any least squares."""
+    model = measurement()
 
     def opponent() -> np.ndarray:
         best = least_squares(
             lambda x: (model.equations(x)[0] - model.observed) / model.std,
             model.first,
-            lambda x: model.equations(x)[1] / model.std[:, None],
+            lambda x: dense(model.equations(x)[1]) / model.std[:, None],
             x_scale="jac",
             xtol=1e-12,
             ftol=1e-12,
@@ -59,8 +78,15 @@ def one_fit() -> Row:
         )
         return model.every_output @ best.x
 
-    a, b, difference = race(ours, opponent, (10, 2))
+    a, b, difference = race(solving(model), opponent, (10, 2))
     return Row("one fit, 72 angles x 3 balls x 2", a, b, b / a, difference)
+
+
+def by_blocks() -> Row:
+    """Against the engine itself without blocks."""
+    model = measurement("AC", (-45.0, 45.0))
+    a, b, difference = race(solving(model), solving(whole_matrix(model)), (10, 3))
+    return Row("the same at 2 tilts, and as one matrix", a, b, b / a, difference)
 
 
 def whole(model: Model) -> Iterator[Row]:
@@ -76,6 +102,7 @@ def whole(model: Model) -> Iterator[Row]:
 def rows() -> Iterator[Row]:
     """Run everything, one row after the other."""
     yield one_fit()
+    yield by_blocks()
     yield from whole(measurement())
 
 

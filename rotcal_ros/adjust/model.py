@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
+from rotcal_ros.adjust.arrow import Arrow, Design, FewEach, beside, dense, weighted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.subsets import runs
@@ -41,8 +42,12 @@ HALVINGS: Final = 20
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
-Equations = Callable[[Floats], tuple[Floats, Floats]]
-"""Takes the unknowns (p,) to the computed observations (n,) and their derivatives (n, p)."""
+Equations = Callable[[Floats], tuple[Floats, Design]]
+"""Takes the unknowns (p,) to the computed observations (n,) and their derivatives (n, p).
+
+As scipy's ``csr_array`` of those entries that can be other than zero, the same at all unknowns,
+they are solved block by block where they fall into blocks (:mod:`.arrow`).
+"""
 
 
 ANGULAR: Final = ("arcsec", "arcmin", "deg", "rad", "mrad", "urad", "µrad", "nrad", "gon", "mgon")
@@ -330,9 +335,9 @@ class Model:
         """
         n, k = len(self.observed), len(values)
 
-        def equations(x: Floats) -> tuple[Floats, Floats]:
+        def equations(x: Floats) -> tuple[Floats, Design]:
             computed, design = self.equations(x)
-            return np.append(computed, rows @ x), np.concatenate([design, rows])
+            return np.append(computed, rows @ x), beside(design, rows)
 
         def spared(effect: Disturbing) -> Disturbing:
             if callable(effect.columns):
@@ -378,7 +383,12 @@ class Fit:
     residual: Floats
     std: Floats
     used: Bools
-    design: Floats
+    jacobian: Design
+
+    @cached_property
+    def design(self) -> Floats:
+        """The derivatives (n, p + q) of the computed observations."""
+        return dense(self.jacobian)
 
     @cached_property
     def _factors(self) -> tuple[Floats, Floats]:
@@ -476,7 +486,8 @@ def require_determined(model: Model) -> None:
 
     Raises ObservabilityError with the unknowns.
     """
-    computed, jacobian = model.equations(model.first)
+    computed, design = model.equations(model.first)
+    jacobian = dense(design)
     if not (np.isfinite(computed).all() and np.isfinite(jacobian).all()):
         raise DataError(
             "the equations give no finite numbers at the start values: give others in Model.first"
@@ -500,10 +511,12 @@ def fitted(
     x[: min(len(start), len(x))] = start[: len(x)]
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
+    blocks = weighted(jacobian, weight)
+    arrow = Arrow.of(blocks.few) if isinstance(blocks, FewEach) else None
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
-        step, left = _step(model, jacobian * weight[:, None], white)
+        step, left = _step(model, weighted(jacobian, weight), white, arrow)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
@@ -512,8 +525,7 @@ def fitted(
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
-            finite = np.isfinite(after).all() and np.isfinite(jacobian).all()
-            if finite and (left < NEARLY or float(after @ after) <= square):
+            if _finite(after, jacobian) and (left < NEARLY or float(after @ after) <= square):
                 break
             step = 0.5 * step
         else:
@@ -529,19 +541,35 @@ def _unsettled() -> DataError:
     )
 
 
-def _computed(model: Model, x: Floats, extra: Floats) -> tuple[Floats, Floats]:
+def _finite(computed: Floats, design: Design) -> bool:
+    entries = design.few if isinstance(design, FewEach) else design
+    entries = entries if isinstance(entries, np.ndarray) else entries.data
+    return bool(np.isfinite(computed).all() and np.isfinite(entries).all())
+
+
+def _computed(model: Model, x: Floats, extra: Floats) -> tuple[Floats, Design]:
     """Return computed observations (n,) and the design (n, p + q), effects included."""
     p = model.size[1]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         computed, jacobian = model.equations(x[:p])  # outside its domain a step is shortened
-    return computed + extra @ x[p:], np.concatenate([jacobian, extra], axis=1)
+    if not extra.shape[1]:
+        return computed, jacobian
+    return computed + extra @ x[p:], np.concatenate([dense(jacobian), extra], axis=1)
 
 
-def _step(model: Model, design: Floats, white: Floats) -> tuple[Floats, float]:
+def _step(
+    model: Model, design: Floats | FewEach, white: Floats, arrow: Arrow | None
+) -> tuple[Floats, float]:
     """Return the step (p + q,) that ``white`` (n,) asks for, and the square that it takes off.
 
-    By the normal equations, which are quick, where these are firm.
+    Block by block, or by the normal equations, which are quick, where these are firm.
     """
+    if isinstance(design, FewEach):
+        step = None if arrow is None else arrow.solved(design, white)
+        if step is not None:
+            felt = design.times(step)
+            return step, float(felt @ felt)
+        design = design.dense()
     normal = design.T @ design
     scale = np.sqrt(np.where(normal.diagonal() > 0.0, normal.diagonal(), 1.0))
     normal /= scale * scale[:, None]
@@ -631,7 +659,8 @@ def _in_words(model: Model, unknowns: Ints, telling: Bools) -> str:
 
 def _padded(rows: Floats, unknowns: int) -> Floats:
     """Return ``rows`` (k, p) of so many unknowns; they do not count the last ones."""
-    return np.pad(rows, ((0, 0), (0, unknowns - rows.shape[1])))
+    more = unknowns - rows.shape[1]
+    return np.pad(rows, ((0, 0), (0, more))) if more else rows
 
 
 def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:

@@ -81,7 +81,7 @@ class ByModel:
     ``counts_from``: what they count from, see :class:`~rotcal_ros.foundation.results.Zeros`.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
     the result, and the curves from each side. ``nominal``: what is read at a step where nothing is
-    wrong.
+    wrong. ``wrong``: blocks of what may be wrong beside the table, with the effect that it is.
     """
 
     name: str
@@ -89,10 +89,13 @@ class ByModel:
     states: Callable[[Configuration, Adjusted], Statement]
     components: Callable[[Configuration], tuple[str, ...]] = lambda _configuration: ("ECC",)
     arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
-    nominal: See = lambda _step: (0.0, 0.0, 0.0)
-    coordinates: int = 1
+    nominal: Callable[[Configuration, Plan], See] = lambda _configuration, _plan: (
+        lambda _step: (0.0, 0.0, 0.0)
+    )
+    coordinates: Callable[[Configuration], int] = lambda _configuration: 1
     further: Callable[[Configuration], int] = lambda _configuration: 0
     counts_from: str = "first angle"
+    wrong: Mapping[str, Effect] = field(default_factory=dict)
 
     def solve(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
@@ -108,7 +111,7 @@ class ByModel:
             {c: slice(k * count, (k + 1) * count) for k, c in enumerate(components)},
             (read.position % count, read.target),
             counts_from=self.counts_from,
-            coordinates=self.coordinates,
+            coordinates=self.coordinates(configuration),
             doubts=statement.doubts,
             protections=statement.protections,
             details=statement.details,
@@ -142,19 +145,18 @@ class ByModel:
 
         The table deviates at random; all else is as near to perfect as the outputs allow.
         """
-        nothing = [step.observed(self.nominal(step)) for step in plan.steps]
+        see, count = self.nominal(configuration, plan), self.coordinates(configuration)
+        nothing = [step.observed(see(step)) for step in plan.steps]
         model = self.model(configuration, Readings.of(nothing))
         random = np.random.default_rng([seed, 2])
         true = TRUE_SIZE * model.unit.si * random.standard_normal(len(model.outputs))
         unknowns = model.first + np.linalg.pinv(model.outputs) @ (
             true - model.outputs @ model.first
         )
-        unknowns = unknowns + _wandering(model, sizes, random)
-        found = spoiled(model.at(unknowns), plan, sizes, seed, self.coordinates)
-        values = np.zeros((len(plan.steps), 3))  # what is known comes after them
-        values[:, : self.coordinates] = found[: len(values) * self.coordinates].reshape(
-            len(values), self.coordinates
-        )
+        unknowns = unknowns + self._wandering(model, sizes, random)
+        found = spoiled(model.at(unknowns), plan, sizes, seed, count)
+        values = np.array([o.mean for o in nothing])  # what is known comes after them
+        values[:, :count] = found[: len(values) * count].reshape(-1, count)
         seen = zip(plan.steps, map(tuple, values.tolist()), strict=True)
         read = tuple(step.observed(point) for step, point in seen)
         further = self.further(configuration)
@@ -170,7 +172,7 @@ class ByModel:
         usual: dict[str, Any] = {
             "topics": ("probe_point", "joint_states"),
             "capture": CaptureRules({PointKind.READING: points(mean_point)}),
-            "nominal": lambda _configuration, _plan: self.nominal,
+            "nominal": self.nominal,
             "tables": tables_of_also,
         }
         return Method(
@@ -197,20 +199,15 @@ class ByModel:
         whole = [np.resize(curve, len(plan.distinct_angles)) for curve in curves]
         return dict(zip(components, whole, strict=True))
 
+    def _wandering(self, model: Model, sizes: Sizes, random: np.random.Generator) -> Floats:
+        """Return the unknowns (p,) of a table that wanders by ``sizes``, and of what is wrong.
 
-OF_AXES: Final[Mapping[str, Effect]] = {"scale": "scale", "squareness": "gauge"}
-"""Blocks of what may be wrong with linear axes, and the effect that it is."""
-
-
-def _wandering(model: Model, sizes: Sizes, random: np.random.Generator) -> Floats:
-    """Return the unknowns (p,) of a table that wanders by ``sizes``, and of axes that are wrong.
-
-    Only of a model with blocks of that name: what another cannot tell is harmless to it.
-    """
-    moved, largest = np.zeros(model.size[1]), max(model.blocks.values())
-    every = table_deviations(largest, sizes, random)
-    for name, effect in OF_AXES.items():
-        every[name] = sizes.get(effect, 0.0) * random.standard_normal(largest)
-    for name in every.keys() & model.blocks.keys():
-        moved += block_rows(model.blocks, name).T @ every[name][: model.blocks[name]]
-    return moved
+        Only of a model with blocks of that name: what another cannot tell is harmless to it.
+        """
+        moved, largest = np.zeros(model.size[1]), max(model.blocks.values())
+        every = table_deviations(largest, sizes, random)
+        for name, effect in self.wrong.items():
+            every[name] = sizes.get(effect, 0.0) * random.standard_normal(largest)
+        for name in every.keys() & model.blocks.keys():
+            moved += block_rows(model.blocks, name).T @ every[name][: model.blocks[name]]
+        return moved

@@ -2,7 +2,7 @@
 
 usage: /usr/bin/python3 ball_plant.py PLANT.json AGENT_FOLDER PROGRAM.ngc...
 
-Runs beside LinuxCNC, on the system's Python. The ball follows the joints A and C by rotations
+Runs beside LinuxCNC, on the system's Python. The ball follows the tilting joint and C by rotations
 about lines in space, which the controller does not know; while a touch is made, both stand still.
 """
 
@@ -35,7 +35,7 @@ def follow(plant, component, ended):
     """Move the ball with the joints until ``ended``."""
     while not ended.is_set():
         a, c = (hal.get_value(f"joint.{n}.motor-pos-cmd") for n in (3, 4))
-        place = turned(turned(plant["ball"], plant["C"], c), plant["A"], a)
+        place = turned(turned(plant["ball"], plant["C"], c), plant["tilting"], a)
         for axis, value in zip("xyz", place, strict=True):
             component[axis] = value
         time.sleep(0.001)

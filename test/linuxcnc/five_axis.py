@@ -1,4 +1,4 @@
-"""A real LinuxCNC with XYZAC, whose axes A and C are not where its kinematics think."""
+"""A real LinuxCNC with XYZAC or XYZBC, whose rotary axes are not where its kinematics think."""
 
 import json
 import subprocess
@@ -7,7 +7,6 @@ from real_linuxcnc import HERE, INI, JOINT, LINEAR, TABLE
 
 from rotcal_ros.compensation.linuxcnc_machine import AGENT
 
-KINS = "xyzac-trt-kins"
 HAL = """loadrt {kins}
 loadrt motmod servo_period_nsec=1000000 num_joints=5
 loadrt sum2 names=off-x,off-y,off-z
@@ -46,11 +45,12 @@ FAST = {"limits": (-1000, 1000), "velocity": 1000, "acceleration": 20000}
 class FiveAxis:
     """The files of such a machine in ``folder``; ``pins``: HAL lines that place its axes, mm.
 
-    ``plant``: the lines of A and C and the ball, with both at zero, as (point, direction).
+    ``plant``: the lines of C and of what tilts it, the axis ``letter``, and the ball, with both
+    at zero, as (point, direction).
     """
 
-    def __init__(self, folder, plant):
-        self.folder, self.plant = folder, plant
+    def __init__(self, folder, plant, letter="A"):
+        self.folder, self.kins = folder, f"xyz{letter.lower()}c-trt-kins"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "tool.tbl").write_text("")
         (folder / "axis.var").write_text("5161\t0.0\n")
@@ -59,10 +59,11 @@ class FiveAxis:
         kinds = [LINEAR | FAST] * 3 + [TABLE] * 2
         joints = (
             JOINT.format(letter=a, number=n, **k)
-            for n, a, k in zip(range(5), "XYZAC", kinds, strict=True)
+            for n, a, k in zip(range(5), f"XYZ{letter}C", kinds, strict=True)
         )
-        text = INI.replace("trivkins coordinates=XYZA", KINS).replace("JOINTS = 4", "JOINTS = 5")
-        text = text.replace("COORDINATES = XYZA", "COORDINATES = XYZAC").replace(
+        text = INI.replace("trivkins coordinates=XYZA", self.kins)
+        text = text.replace("JOINTS = 4", "JOINTS = 5")
+        text = text.replace("COORDINATES = XYZA", f"COORDINATES = XYZ{letter}C").replace(
             "[TRAJ]", "[TRAJ]\nMAX_LINEAR_VELOCITY = 1000\nDEFAULT_LINEAR_VELOCITY = 1000"
         )
         self.ini.write_text(text + "".join(joints))
@@ -70,7 +71,7 @@ class FiveAxis:
 
     def place(self, pins):
         """Take the HAL lines that tell the kinematics where the axes are."""
-        (self.folder / "axis.hal").write_text(HAL.format(kins=KINS, reach=REACH_MM) + pins)
+        (self.folder / "axis.hal").write_text(HAL.format(kins=self.kins, reach=REACH_MM) + pins)
 
     def run(self, *programs):
         """Start the controller, run programs, and end it."""

@@ -43,7 +43,8 @@ def without(motions, angles, pairs):
 class World:
     """Truth: ``axis`` (4,) place and lean, ``motions`` (6, p), ``linear`` (3, 3), balls as found.
 
-    The machine reads p + linear (p - foot), the axis and its motions refer to the foot. On a
+    The machine reads p + linear (p - foot), the axis and its motions refer to the foot; ``bars``
+    (k b,) is how much too long a ball bar is in each set-up. On a
     tilting axis (``plan.chain``) ``motions`` are (6, t p), tilt after tilt; ``line`` (4,) is the
     place and direction of that axis, ``tilting`` (6, t) its motions.
     """
@@ -56,6 +57,7 @@ class World:
     missed: np.ndarray = None
     line: tuple = (6e-5, -4e-5, 3e-5, -2e-5)
     tilting: np.ndarray = None
+    bars: np.ndarray = None
 
     def __post_init__(self):
         self.angles = np.radians(
@@ -73,6 +75,8 @@ class World:
             self.tilting = np.zeros((6, tilts))
         if self.linear is None:
             self.linear = np.zeros((3, 3))
+        if self.bars is None:
+            self.bars = np.zeros(len(self.balls) * len(self.plan.bars_m) // 3)
         if self.missed is None:
             self.missed = np.zeros(self.balls.shape)
 
@@ -89,6 +93,8 @@ class World:
         world.linear = 1e-6 * size * rng.standard_normal((3, 3))
         world.axis = tuple(1e-4 * rng.standard_normal(4))
         world.missed = placing * rng.standard_normal(world.balls.shape)
+        if plan.measure == "bar":
+            world.bars = solver.bar_std_m * rng.standard_normal(len(world.bars))
         if plan.chain.strip("-") != "C":
             world.line = tuple(1e-4 * rng.standard_normal(4))
             world.tilting = moves[:, None] * rng.standard_normal(world.tilting.shape)
@@ -135,31 +141,47 @@ class World:
             @ np.linalg.inv(there)
         )
 
-    def centre(self, position, ball, tilt=0):
-        """Return where the machine finds a ball (3,), m."""
+    def carried(self, place, position, tilt=0):
+        """Return where the table takes a ``place`` (3,), m, both from the foot."""
         x, y, a, b = self.axis
         exc, eyc, ezc, eac, ebc, ecc = self.motions[:, tilt * len(self.angles) + position]
         chain = (
             self.tilted(tilt) @ shifted((x, y, 0.0)) @ turned(a, b, 0.0) @ shifted((exc, eyc, ezc))
             @ turned(eac, ebc, 0.0) @ turned(0.0, 0.0, self.angles[position] + ecc)
         )  # fmt: skip
-        place = chain @ np.append(self.balls[ball] + self.missed[ball], 1.0)
-        return np.array(self.plan.axis_m) + (np.eye(3) + self.linear) @ place[:3]
+        return (chain @ np.append(place, 1.0))[:3]
+
+    def centre(self, position, ball, tilt=0):
+        """Return where the machine finds a ball (3,), m."""
+        place = self.carried(self.balls[ball] + self.missed[ball], position, tilt)
+        return np.array(self.plan.axis_m) + (np.eye(3) + self.linear) @ place
+
+    def length(self, position, target, tilt=0):
+        """Return the length (1,), m, from a ball to the spindle, sent where it would be best."""
+        bars = np.reshape(self.plan.bars_m, (-1, 3))
+        ball, bar = divmod(target, len(bars))
+        x, y, _ = self.balls[ball]
+        aim = self.balls[ball] + turned(0.0, 0.0, np.arctan2(y, x))[:3, :3] @ bars[bar]
+        shown = World(self.plan, axis=(0,) * 4, line=(0,) * 4).carried(aim, position, tilt)
+        spindle = np.linalg.solve(np.eye(3) + self.linear, shown)
+        place = self.carried(self.balls[ball] + self.missed[ball], position, tilt)
+        return [np.linalg.norm(spindle - place) + self.bars[target]]
 
     def readings(self, noise=0.0, rng=None, keep=slice(None)):
         """Return all readings of the plan, run by run, the first position again at the end."""
-        count, balls = len(self.angles), len(self.balls)
-        tilts = len(self.plan.tilts_deg)
+        count, bar = len(self.angles), self.plan.measure == "bar"
+        targets, tilts = len(self.bars) if bar else len(self.balls), len(self.plan.tilts_deg)
         rows = [
-            (position, ball, run)
+            (position, target, run)
             for run in range(tilts or self.plan.runs)
             for position in range(count)
-            for ball in range(balls)
+            for target in range(targets)
         ]
         if self.plan.closing:
             last = range(tilts) if tilts else [self.plan.runs - 1]
-            rows += [(0, ball, run) for run in last for ball in range(balls)]
-        points = np.array([self.centre(p, ball, run if tilts else 0) for p, ball, run in rows])
+            rows += [(0, target, run) for run in last for target in range(targets)]
+        see = self.length if bar else self.centre
+        points = np.array([see(p, target, run if tilts else 0) for p, target, run in rows])
         if rng is not None:
             points = points + noise * rng.standard_normal(points.shape)
         columns = (*np.array(rows).T, points[:, 0], np.arange(len(rows)), points)

@@ -183,7 +183,8 @@ def balls_trade(
 
 def _with_balls(plan: Calibration, touch_s: float, way_s: float, turn_deg_s: float) -> BallsTrade:
     settings, steps = plan.configuration.plan, plan.plan.steps
-    read = Readings.of([step.observed(nominal(step)) for step in steps])
+    see = nominal(plan.configuration, plan.plan)
+    read = Readings.of([step.observed(see(step)) for step in steps])
     expanded = COVERAGE_FACTOR * predicted(model(plan.configuration, read)).std
     lines = AXES * (2 if below_the_table(settings.chain) else 1)
     of_lines = expanded[len(expanded) - lines :].reshape(-1, 2, 2)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.model import Model, require_determined
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.capture.decisions import decide_length, mean_point, points
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
@@ -29,7 +28,7 @@ from rotcal_ros.foundation.tables import Table
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
-from rotcal_ros.methods.by_model import OF_AXES, ByModel, Statement
+from rotcal_ros.methods.by_model import ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     Disturbance,
@@ -43,7 +42,7 @@ from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.curves import polar
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import planned_table
-from rotcal_ros.methods.method import Measurements, TableReader
+from rotcal_ros.methods.method import Measurements, See, TableReader
 from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.methods.table_balls.model import (
     AXIS,
@@ -53,6 +52,7 @@ from rotcal_ros.methods.table_balls.model import (
     model_of,
 )
 from rotcal_ros.methods.table_balls.settings import (
+    BAR,
     DISPLACEMENT,
     FARTHEST_M,
     BallsPlanSettings,
@@ -60,8 +60,8 @@ from rotcal_ros.methods.table_balls.settings import (
     BallsSolverSettings,
     below_the_table,
 )
-from rotcal_ros.methods.table_balls.simulation import simulated_instrument
-from rotcal_ros.planning.plan import Pause, Plan, Point, Step, pauses_at_stations
+from rotcal_ros.methods.table_balls.simulation import TouchedBalls
+from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -71,6 +71,7 @@ KINDS: Final = {
     SURFACE: PointKind.SURFACE,
     CENTRE: PointKind.CENTRE,
     DISPLACEMENT: PointKind.READING,
+    BAR: PointKind.REFLECTOR,
 }
 LARGEST_DISPLACEMENT_M: Final = 0.01
 NEAR_AXIS_M: Final = 5e-3
@@ -84,6 +85,8 @@ AXIS_SHOWN: Final = (
     (ARCSEC, "arcsec"),
 )
 """Units in which people read :data:`AXIS`."""
+OF_AXES: Final[Mapping[str, Effect]] = {"scale": "scale", "squareness": "gauge"}
+"""Blocks of what may be wrong with the linear axes, and the effect that it is."""
 AXES: Final = ("axis", "tilting_axis")
 """Details of a result that tell a line."""
 ARRIVALS: Final = 1.0
@@ -99,7 +102,8 @@ def balls_of(configuration: Configuration, read: Readings | None = None) -> Ball
 def plan(configuration: Configuration) -> Plan:
     """Return the plan: every run goes through all angles, at each to all balls, there and back.
 
-    A step's ``station`` is its run; with a tilting axis its tilt, to which a person brings it.
+    A step's ``station`` is its run; with a tilting axis its tilt, to which a person brings it. A
+    ball bar is brought from set-up to set-up instead, which ``target`` counts, ball by ball.
     Raises ConfigurationError for a ball without place and for tilts that do not fit the chain,
     PlanError for angles that do not ascend.
     """
@@ -108,35 +112,58 @@ def plan(configuration: Configuration) -> Plan:
     balls = balls_of(configuration)
     if not len(balls.places):
         raise ConfigurationError(f"{configuration.source}: plan.balls_m: state at least one ball")
-    places = planned_places(balls)
-    kind = KINDS[settings.measure]
+    if settings.measure == BAR and not len(balls.bars):
+        raise ConfigurationError(f"{configuration.source}: plan.bars_m: state at least one set-up")
+    sent, kind = balls.sent, KINDS[settings.measure]
     steps: list[Step] = []
-    stops = list(_stops(settings))
-    for number, (run, position, angle) in product(range(balls.tilts), stops):
-        ways = range(len(balls.places))
-        for ball in ways if position % 2 == 0 else ways[::-1]:
-            x, y, z = places[number, position, ball].tolist()
-            steps.append(
-                Step(
-                    index=len(steps),
-                    table_position=position,
-                    table_angle=angle,
-                    approach=Approach.POSITIVE,
-                    kind=kind,
-                    target=ball,
-                    position=(x, y, z),
-                    station=run if balls.tilting is None else number,
-                    n_points=settings.points_per_ball if kind == PointKind.SURFACE else 1,
-                    ball_diameter=settings.ball_diameter_m,
-                )
+    for number, target, (run, position, angle) in _order(settings, balls):
+        x, y, z = sent[number, position, target].tolist()
+        steps.append(
+            Step(
+                index=len(steps),
+                table_position=position,
+                table_angle=angle,
+                approach=Approach.POSITIVE,
+                kind=kind,
+                target=target,
+                position=(x, y, z),
+                station=run if balls.tilting is None else number,
+                n_points=settings.points_per_ball if kind == PointKind.SURFACE else 1,
+                ball_diameter=settings.ball_diameter_m,
             )
-    targets = tuple((x, y, z) for x, y, z in (balls.places + balls.origin).tolist())
-    pauses: tuple[Pause, ...] = ()
-    if balls.tilting is not None:
-        letter = balls.tilting.letter
-        turn = [f"turn {letter} to {degrees:g} deg" for degrees in balls.tilting.degrees]
-        pauses = pauses_at_stations(steps, letter, turn)
+        )
+    targets = tuple((x, y, z) for x, y, z in (balls.aims + balls.origin).tolist())
+    pauses = tuple(_pauses(balls, steps))
     return Plan(NAME, table_angles(settings), targets, tuple(steps), pauses)
+
+
+def _order(
+    settings: BallsPlanSettings, balls: BallsOnTable
+) -> Iterator[tuple[int, int, tuple[int, int, float]]]:
+    """Yield number of the tilt, target and stop of every step."""
+    stops, targets = list(_stops(settings)), range(len(balls.aims))
+    for number in range(balls.tilts):
+        if len(balls.bars):
+            yield from ((number, target, stop) for target in targets for stop in stops)
+            continue
+        for stop in stops:
+            yield from ((number, target, stop) for target in targets[:: -1 if stop[1] % 2 else 1])
+
+
+def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
+    """Yield a pause wherever a person turns the tilting axis, or brings the bar to a set-up."""
+    before, bars, tilting = (-1, -1), len(balls.bars), balls.tilting
+    for step in steps:
+        here, work, move = (step.station, step.target), list[str](), Move("ball bar", step.target)
+        if tilting is not None and here[0] != before[0]:
+            work.append(f"turn {tilting.letter} to {tilting.degrees[step.station]:g} deg")
+            move = Move(tilting.letter, step.station)
+        if bars and (work or here[1] != before[1]):
+            ball, number = divmod(step.target, bars)
+            work.append(f"bring the ball bar to ball {ball}, set-up {number} of plan.bars_m")
+        if work:
+            yield Pause(step.index, step.index, "; ".join(work), move=move)
+        before = here
 
 
 def _check_chain(settings: BallsPlanSettings, source: str) -> None:
@@ -162,14 +189,6 @@ def _check_chain(settings: BallsPlanSettings, source: str) -> None:
         )
 
 
-def planned_places(balls: BallsOnTable) -> Floats:
-    """Return where each ball is planned at each angle of each tilt (t, p, k, 3), m."""
-    flat = balls.turned(balls.places) + balls.origin
-    if balls.tilting is None:
-        return flat[None]
-    return np.array([balls.tilting.forth(flat, tilt) for tilt in range(balls.tilts)])
-
-
 def _stops(settings: BallsPlanSettings) -> Iterator[tuple[int, int, float]]:
     """Yield run, table position and commanded angle (rad) of every stop of the table."""
     angles = np.array(table_angles(settings))
@@ -192,29 +211,44 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
             f"all balls stand within {radius.max() / MILLIMETRE:.3g} mm of the axis and tell "
             "nothing of its turns: put at least one aside, or correct plan.axis_m"
         )
-    exact = Readings.of([step.observed(nominal(step)) for step in planned.steps])
+    if "ECC" not in balls.shown:
+        raise PlanError(
+            "no set-up of the ball bar tells ECC: add a tangential one to plan.bars_m, such as "
+            "[0.0, 0.1, 0.0]"
+        )
+    see = nominal(configuration, planned)
+    exact = Readings.of([step.observed(see(step)) for step in planned.steps])
     try:
         require_determined(model(configuration, exact))
     except ObservabilityError as error:
         raise PlanError(f"with {len(planned.table_angles)} table angles {error}") from error
 
 
-def nominal(step: Step) -> Point:
+def nominal(configuration: Configuration, _plan: Plan) -> See:
     """Return what is measured at a step where nothing is wrong, m."""
-    return (0.0, 0.0, 0.0) if step.kind == PointKind.READING else step.position
+    lengths = np.linalg.norm(balls_of(configuration).arms, axis=1).tolist()
+
+    def see(step: Step) -> tuple[float, ...]:
+        if step.kind == PointKind.REFLECTOR:
+            return (lengths[step.target],)
+        return (0.0, 0.0, 0.0) if step.kind == PointKind.READING else step.position
+
+    return see
 
 
 def model(configuration: Configuration, read: Readings) -> Model:
-    """Return the centres for the engine; DataError where a ball is not where it is planned.
+    """Return what is read for the engine; DataError where a ball is not where it is planned.
 
     A displacement counts from where the nest was sent, which is where the ball is planned.
     """
+    balls = balls_of(configuration, read)
     if configuration.plan.measure == DISPLACEMENT:
-        planned = balls_of(configuration, read)
-        sent = planned_places(planned)[planned.tilt, planned.position, planned.ball]
+        sent = balls.sent[balls.tilt, balls.position, balls.target]
         read = replace(read, points=read.points + sent)
     found = model_of(configuration.plan, configuration.solver, read)
-    balls = balls_of(configuration, read)
+    if len(balls.bars):
+        _check_lengths(balls, read)
+        return found
     assert found.start is not None
     places = found.start[balls.first["ball"] : balls.first["EXC"]].reshape(-1, 3)
     places = places + np.append(found.start[:2], 0.0)
@@ -229,6 +263,18 @@ def model(configuration: Configuration, read: Readings) -> Model:
             "plan.axis_m, or the table turns the other way (plan.chain), or z points into it"
         )
     return found
+
+
+def _check_lengths(balls: BallsOnTable, read: Readings) -> None:
+    """Raise DataError for a length that the set-up of its bar cannot have."""
+    wanted = np.linalg.norm(balls.arms, axis=1)[balls.target]
+    worst = int(np.abs(read.value - wanted).argmax())
+    if abs(read.value[worst] - wanted[worst]) > MISPLACED_M:
+        raise DataError(
+            f"bar {balls.target[worst]} at position {balls.position[worst]} is "
+            f"{read.value[worst]:.6g} m long, expected {wanted[worst]:.6g} m: lengths are those "
+            "between the centres of both balls, in the order of plan.bars_m at each ball"
+        )
 
 
 def states(configuration: Configuration, found: Adjusted) -> Statement:
@@ -254,13 +300,14 @@ def _protections(
         else:
             yield Protection(effect, "estimated", "the balls tell it at every angle")
     yield Protection("refraction", "harmless", "no light measures")
-    for name, effect, stated in _linear_axes(configuration):
-        left = found.also[name][1].max() / MICROMETRE
+    for name, effect in OF_AXES.items():
+        stated, left = LINEAR[name](configuration), found.also[name][1].max()
         yield Protection(
             effect,
             "bounded",
-            f"the uncertainty holds the {name} of the linear axes: stated are {stated:.3g} um/m, "
-            f"the balls leave {left:.3g} um/m of the worst",
+            f"the uncertainty holds the {name} of the linear axes: stated are "
+            f"{stated / MICROMETRE:.3g} um/m, the balls leave {left / MICROMETRE:.3g} um/m of the "
+            "worst",
         )
     if configuration.plan.runs == 1:
         yield Protection("repeatability", "not protected", "the table comes once to an angle")
@@ -268,14 +315,6 @@ def _protections(
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
     yield Protection("repeatability", "tested", "every run comes to every angle", error)
-
-
-def _linear_axes(configuration: Configuration) -> Iterator[tuple[str, Effect, float]]:
-    """Yield the errors of the linear axes with their effect, and what is stated of them, um/m."""
-    solver: BallsSolverSettings = configuration.solver
-    stated = {"scale": solver.scale_std_um_per_m, "squareness": solver.squareness_std_um_per_m}
-    for name, effect in OF_AXES.items():
-        yield name, effect, stated[name]
 
 
 def _details(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:
@@ -376,23 +415,16 @@ def _axis(axis: Mapping[str, Any]) -> str:
     return style.svg(panels[0])
 
 
-def _parts(whole: int, count: int) -> list[slice]:
-    """Return the parts of so many values each that follow each other."""
-    return [slice(begin, begin + count) for begin in range(0, whole, count)]
-
-
 def _polar(result: Result) -> str:
     """Draw the motions of the balls or, where they tell those of the table, these."""
     count, also = len(result.angles), result.details["also"]
     motions = [
-        (
-            f"{name} of ball {k}",
-            np.asarray(also[name]["value"])[at],
-            np.asarray(also[name]["std"])[at],
-        )
+        (f"{name} of ball {ball}", value, std)
         for name in MOTIONS
         if name in also
-        for k, at in enumerate(_parts(len(also[name]["value"]), count))
+        for ball, (value, std) in enumerate(
+            zip(*(np.reshape(also[name][of], (-1, count)) for of in ("value", "std")), strict=True)
+        )
     ]
     if motions:
         return polar(result.angles, [(*motion, *unit_of("EXC")) for motion in motions])
@@ -402,42 +434,41 @@ def _polar(result: Result) -> str:
     )
 
 
-def _stated_motion(configuration: Configuration) -> float:
-    return float(configuration.solver.error_motion_std_m)
+def _stated(name: str, unit_si: float) -> Callable[[Configuration], float]:
+    """Return what tells a statement of the solver's settings, SI."""
+    return lambda configuration: float(getattr(configuration.solver, name)) * unit_si
 
 
-def _stated_tilt(configuration: Configuration) -> float:
-    return float(configuration.solver.tilt_std_arcsec) * ARCSEC
-
-
-def _linear(effect: Effect, what: str) -> Disturbance:
-    """Return an error of the linear axes that the uncertainty holds."""
-
-    def stated(configuration: Configuration) -> float:
-        return MICROMETRE * next(std for _, e, std in _linear_axes(configuration) if e == effect)
-
-    return Disturbance(effect, what, "um/m", MICROMETRE, 1.0, 1e3, scatters=True, stated=stated)
-
-
-COLUMNS: Final = {"position": "table_position", "ball": "target"}
-TILTED: Final = {**COLUMNS, "tilt": "station"}
-AT: Final = dict.fromkeys(("x_m", "y_m", "z_m"), FARTHEST_M)
-OFF: Final = dict.fromkeys(("dx_m", "dy_m", "dz_m"), LARGEST_DISPLACEMENT_M)
-READERS: Final = [planned_table(c, v) for c in (COLUMNS, TILTED) for v in (AT, OFF)]
+LINEAR: Final = {name: _stated(f"{name}_std_um_per_m", MICROMETRE) for name in OF_AXES}
+"""What is stated of the linear axes."""
+KNOWN: Final = {
+    "position": "table_position", "ball": "target", "bar": "target", "tilt": "station"
+}  # fmt: skip
+READ: Final = {
+    CENTRE: ("ball", dict.fromkeys(("x_m", "y_m", "z_m"), FARTHEST_M)),
+    DISPLACEMENT: ("ball", dict.fromkeys(("dx_m", "dy_m", "dz_m"), LARGEST_DISPLACEMENT_M)),
+    BAR: ("bar", {"length_m": FARTHEST_M}),
+}
+"""By what is measured: the column of its number, and those of its values with the largest."""
+READERS: Final = {
+    (measure, tilt): planned_table({n: KNOWN[n] for n in ("position", number, *tilt)}, values)
+    for tilt in (("tilt",) * tilted for tilted in range(2))
+    for measure, (number, values) in READ.items()
+}
 
 
 def read_rows(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
-    """Return the centres of a table, or the displacements, as its columns say."""
-    displaced, tilted = "dx_m" in table.header, "tilt" in table.header
+    """Return centres, displacements or lengths of a table, as its columns say."""
+    tilted = "tilt" in table.header
     if tilted != bool(below_the_table(configuration.plan.chain)):
         has, needs = ("a", "states an axis for it") if tilted else ("no", "has none, as C")
         raise DataError(
             f"{table.path} has {has} column of tilts, expected a plan.chain that {needs}: "
             f"plan.chain is {configuration.plan.chain}"
         )
-    measure = DISPLACEMENT if displaced else CENTRE
+    measure = next(each for each, (_, values) in READ.items() if set(values) <= set(table.header))
     configuration = replace(configuration, plan=replace(configuration.plan, measure=measure))
-    return READERS[2 * tilted + displaced].read(configuration, table, targets)
+    return READERS[measure, ("tilt",) * tilted].read(configuration, table, targets)
 
 
 BY_MODEL: Final = ByModel(
@@ -446,11 +477,12 @@ BY_MODEL: Final = ByModel(
     states,
     components=lambda configuration: components_of(balls_of(configuration)),
     nominal=nominal,
-    coordinates=3,
+    coordinates=lambda configuration: balls_of(configuration).coordinates,
     further=lambda configuration: (
         len(AXIS) * (2 if below_the_table(configuration.plan.chain) else 1)
     ),
     counts_from="mean",
+    wrong=OF_AXES,
 )
 METHOD: Final = BY_MODEL.method(
     title="Balls on the table, touched by the machine",
@@ -458,7 +490,7 @@ METHOD: Final = BY_MODEL.method(
     plan_settings=BallsPlanSettings,
     solver_settings=BallsSolverSettings,
     simulation_settings=BallsSimulationSettings,
-    simulated_instrument=simulated_instrument,
+    simulated_instrument=TouchedBalls,
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
@@ -466,24 +498,39 @@ METHOD: Final = BY_MODEL.method(
             PointKind.SURFACE: points(touched_centre),
             PointKind.CENTRE: points(reported_centre),
             PointKind.READING: points(mean_point),
+            PointKind.REFLECTOR: decide_length,
         }
     ),
     gauge=gauge.without_axis_and_artefact,
     zero=gauge.in_words,
     table=TableReader(
-        tuple(header for reader in READERS for header in reader.headers),
+        tuple(header for reader in READERS.values() for header in reader.headers),
         read_rows,
-        TILTED,
+        KNOWN,
         runs="runs",
     ),
     tables=tables,
     figures=figures,
     disturbances=(
         *(d for d in of_readings(1.0, 200.0, "um", MICROMETRE) if d.effect != "scale"),
-        _linear("scale", "x, y and z read more by so much each"),
-        _linear("gauge", "each pair of linear axes is out of square by so much"),
-        error_motion(0.5, 100.0, _stated_motion),
-        tilt(0.5, 100.0, _stated_tilt),
+        *(
+            Disturbance(
+                OF_AXES[name],
+                what,
+                "um/m",
+                MICROMETRE,
+                1.0,
+                1e3,
+                scatters=True,
+                stated=LINEAR[name],
+            )
+            for name, what in (
+                ("scale", "x, y and z read more by so much each"),
+                ("squareness", "each pair of linear axes is out of square by so much"),
+            )
+        ),
+        error_motion(0.5, 100.0, _stated("error_motion_std_m", 1.0)),
+        tilt(0.5, 100.0, _stated("tilt_std_arcsec", ARCSEC)),
         repeatability(0.5, 100.0),
         *harmless("refraction"),
     ),

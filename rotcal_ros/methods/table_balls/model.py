@@ -15,6 +15,9 @@ out.
 Where the table stands on an axis that tilts it, that is what p is with the tilt at 0, and c0 stays
 where it is: :mod:`.tilting`. The motions of the table are then its own at every tilt.
 
+A ball bar reads the length |p - s| + b from the ball to another one in the spindle, which the
+machine shows at s + S (s - c0); b is how much longer the bar is than it says.
+
 What the equations leave open is a matter of definition, see :func:`definitions`. Of the motions
 at one angle that no ball tells, the statement of the settings takes the place of observations.
 """
@@ -27,6 +30,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
@@ -43,6 +47,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.table_balls.settings import (
+    BAR,
     BallsPlanSettings,
     BallsSolverSettings,
     sense_of,
@@ -54,8 +59,6 @@ from rotcal_ros.planning.table_angles import table_angles
 
 AXIS: Final = ("XOC", "YOC", "AOC", "BOC")
 """Position (m) and direction (rad) of the axis average line, named as in ISO 230-1."""
-TILTING: Final = "tilting axis"
-"""The block of the line of the axis below the table, see :attr:`.tilting.Tilting.line`."""
 MOTIONS: Final = ("radial motion", "tangential motion", "axial motion")
 """Of a ball, in the directions that turn with it."""
 ENTRIES: Final = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
@@ -68,29 +71,39 @@ HELD: Final = 1e-3
 """Standard deviation of a definition in those of a centre: it adds a millionth to a variance."""
 WEAK: Final = 3e-4
 """Singular values below this share of the largest tell nothing that anybody could use."""
+OF_TABLE, OF_MACHINE = 13, 19
+"""Unknowns that a reading feels: of the table's axis, ball and motions; with S."""
 SHARED: Final = 0.01
 """Share of a definition that has to be new, beside those before it; of a variance, to be left."""
+WORDS: Final = {
+    3: Words("coordinates", "dirt, heat or a loose ball", "at the balls", "at the ball"),
+    1: Words("lengths", "dirt, heat or a loose ball", "at the bar", "at the bar"),
+}
+"""What readings of so many values are called."""
 UM: Final = Unit("um", MICROMETRE)
 
 
 @dataclass(frozen=True, eq=False)
 class BallsOnTable:
-    """Which ball is seen at which angle: ``angles`` (p,) rad; ``position``, ``ball`` (n,).
+    """Which target is seen at which angle: ``angles`` (p,) rad; ``position``, ``target`` (n,).
 
     The angles count counter-clockwise; ``sense`` times them are those that were commanded.
 
     ``tilting``: the axis below the table, if there is one, and ``tilt`` (n,), which of its t
     tilts; the motions (6, t p) of the table are those at all angles, tilt after tilt.
     ``origin`` (3,): c0 in the machine's coordinates. ``places`` (k, 3): nominal places of the
-    balls from there, with the table at angle 0; ``stated`` (6,): standard deviations of the
-    motions, m and rad; ``sigma``: that of a coordinate of a centre, m.
+    balls from there, with the table at angle 0; ``bars`` (b, 3): the set-ups of a bar at each of
+    them, outward, along its way and up, m; none: centres are seen, target is the ball.
+    ``stated`` (6,): standard deviations of the motions, m and rad; ``sigma``: that of a coordinate
+    of a centre or of a length, m.
     """
 
     angles: Floats
     origin: Floats
     places: Floats
+    bars: Floats
     position: Ints
-    ball: Ints
+    target: Ints
     stated: Floats
     sigma: float
     sense: float
@@ -101,7 +114,7 @@ class BallsOnTable:
     def of(
         cls, plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings | None = None
     ) -> BallsOnTable:
-        """Return those of what was read, or of one run in which every ball is seen.
+        """Return those of what was read, or of one run in which every target is seen.
 
         With a tilting axis the station of what was read is the tilt.
 
@@ -113,15 +126,50 @@ class BallsOnTable:
         origin = np.array(plan.axis_m)
         tilting = Tilting.of(plan)
         tilts = 1 if tilting is None else len(tilting.tilts)
-        tilt, position, ball = np.indices((tilts, len(angles), len(balls))).reshape(3, -1)
+        bars = np.array(triples(plan.bars_m * (plan.measure == BAR), "bars_m")).reshape(-1, 3)
+        targets = len(balls) * max(1, len(bars))
+        tilt, position, target = np.indices((tilts, len(angles), targets)).reshape(3, -1)
         if read is not None:
-            position, ball = read.position, read.target
+            position, target = read.position, read.target
             tilt = np.zeros_like(position) if tilting is None else read.station
         shift, lean = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
         stated = np.array([shift, shift, shift, lean, lean, UNSTATED_RAD])
-        places = balls - origin
-        sigma = solver.sigma_centre_m
-        return cls(angles, origin, places, position, ball, stated, sigma, sense, tilting, tilt)
+        return cls(
+            angles, origin, balls - origin, bars, position, target,
+            stated, solver.sigma_centre_m, sense, tilting, tilt,
+        )  # fmt: skip
+
+    @property
+    def ball(self) -> Ints:
+        """Which ball is seen (n,)."""
+        return self.target // max(1, len(self.bars))
+
+    @property
+    def coordinates(self) -> int:
+        """How many values a reading has: those of a centre, or a length."""
+        return 1 if len(self.bars) else 3
+
+    @cached_property
+    def arms(self) -> Floats:
+        """From the ball of each target to that in the spindle (k b, 3), m, at angle 0."""
+        return np.asarray(self.bars @ _around(self.places)).reshape(-1, 3)
+
+    @cached_property
+    def aims(self) -> Floats:
+        """Where the spindle goes for each target (k,) or (k b, 3), from c0, at angle 0."""
+        return self.places if not len(self.bars) else self._of_targets(self.places) + self.arms
+
+    def _of_targets(self, balls: Floats) -> Floats:
+        """Return what is said of balls (k, ...) for each of the targets."""
+        return np.repeat(balls, max(1, len(self.bars)), axis=0)
+
+    @property
+    def sent(self) -> Floats:
+        """Where the spindle goes for each target at each angle of each tilt (t, p, k b, 3), m."""
+        flat = self.turned(self.aims) + self.origin
+        if self.tilting is None:
+            return flat[None]
+        return np.array([self.tilting.forth(flat, tilt) for tilt in range(self.tilts)])
 
     @property
     def tilts(self) -> int:
@@ -137,10 +185,11 @@ class BallsOnTable:
     def blocks(self) -> dict[str, int]:
         """How many unknowns there are of each kind; ``ball`` are three coordinates of each."""
         motions = {name: self.tilts * len(self.angles) for name in COMPONENTS}
-        table = {"axis": 4, "ball": self.places.size, **motions, "scale": 3, "squareness": 3}
-        if self.tilting is None:
-            return table
-        return table | {TILTING: 4, **dict.fromkeys(self.tilting.motions, self.tilts)}
+        found = {**dict.fromkeys(AXIS, 1), "ball": self.places.size, **motions}
+        found |= {"scale": 3, "squareness": 3}
+        if (axis := self.tilting) is not None:
+            found |= dict.fromkeys(axis.line, 1) | dict.fromkeys(axis.motions, self.tilts)
+        return found | ({"bar": len(self.arms)} if len(self.bars) else {})
 
     @cached_property
     def first(self) -> dict[str, int]:
@@ -155,26 +204,36 @@ class BallsOnTable:
     def untold(self, places: Floats, seen: Floats | float) -> Floats:
         """Return rows (t p, 6, 6), per unit of a statement, of motions that no ball tells there.
 
-        Balls at ``places`` (k, 3); ``seen`` (t p, k, 1, 1): 0 for those that are not. Rows of
-        zeros are none. A motion counts as told if a centre tells more of it than its statement.
+        Balls at ``places`` (k, 3); ``seen`` (t p, k b, 1, 1): 0 for targets that are not. Rows of
+        zeros are none. A motion counts as told if a reading tells more of it than its statement.
         """
-        turned = np.tile(self.turned(places), (self.tilts, 1, 1))
+        turned = np.tile(self.turned(self._of_targets(places)), (self.tilts, 1, 1))
         shifts = np.broadcast_to(np.eye(3), (*turned.shape, 3))
         moves = np.concatenate([shifts, -cross_matrix(turned)], axis=-1) * self.stated * seen
+        if len(self.bars):  # what a shift does to a length
+            along = self.arms / np.linalg.norm(self.arms, axis=1)[:, None]
+            moves = np.tile(self.turned(along), (self.tilts, 1, 1))[:, :, None] @ moves
         rows = np.pad(moves.reshape(len(turned), -1, 6), ((0, 0), (0, 6), (0, 0)))
         _, size, ways = np.linalg.svd(rows, full_matrices=False)
         return np.asarray(ways * (size < self.sigma)[:, :, None])
 
     @cached_property
     def shown(self) -> tuple[str, ...]:
-        """The motions that the balls tell at every angle where all are seen."""
+        """The motions that the targets tell at every angle where all are seen."""
         share = np.linalg.norm(self.untold(self.places, 1.0), axis=1).max(axis=0)
         return tuple(
             name for name, left in zip(COMPONENTS, share, strict=True) if left < LEFT_OVER
         )
 
     def started(self, points: Floats) -> Floats:
-        """Return unknowns (u,) of a perfect table that fits ``points`` (n, 3) best."""
+        """Return unknowns (u,) of a perfect table that fits centres at ``points`` (n, 3) best.
+
+        With a bar, those of perfect axes and balls at their places.
+        """
+        start = np.zeros(sum(self.blocks.values()))
+        start[4 : self.first["EXC"]] = self.places.ravel()
+        if len(self.bars):
+            return start
         if self.tilting is not None:
             points = self.tilting.back(points, self.tilt)
         turn = rotation_about_z(self.angles[self.position])
@@ -185,64 +244,100 @@ class BallsOnTable:
             design[np.arange(len(points)), :, column] = turn[:, :, axis]
         away = (points - self.origin).ravel()
         found = np.linalg.lstsq(design.reshape(len(away), -1), away, rcond=None)[0]
-        start = np.zeros(sum(self.blocks.values()))
         start[:2], start[4 : self.first["EXC"]] = found[:2], found[2:]
         return start
 
-    def __call__(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return what the machine shows (3 n,) with unknowns ``x`` (u,), and its derivatives."""
-        first = self.first
-        show = np.eye(3)
-        show[ENTRIES] += x[first["scale"] : first["scale"] + 6]
-        if self.tilting is None:
-            away, rows = self._on_table(x, show)
+    @cached_property
+    def columns(self) -> Ints:
+        """Numbers of the unknowns that each reading feels (n, f), by kind as in ``blocks``."""
+        own = {"ball": 3 * self.ball[:, None] + np.arange(3), "bar": self.target[:, None]}
+        own |= dict.fromkeys(COMPONENTS, self.stop[:, None])
+        if self.tilting is not None:
+            own |= dict.fromkeys(self.tilting.motions, self.tilt[:, None])
+        each = {name: own.get(name, np.arange(count)[None]) for name, count in self.blocks.items()}
+        rows = [
+            np.broadcast_to(self.first[name] + at, (len(self.tilt), at.shape[1]))
+            for name, at in each.items()
+        ]
+        return np.concatenate(rows, axis=1)
+
+    def __call__(self, x: Floats) -> tuple[Floats, csr_array]:
+        """Return what is read (3 n,) or (n,) with unknowns ``x`` (u,), and its derivatives."""
+        own, show = x[self.columns], np.eye(3)
+        show[ENTRIES] += own[0, OF_TABLE:OF_MACHINE]
+        away, rows = self._on_table(own)
+        if self.tilting is not None:
+            away, rows = self._on_tilting(self.tilting, own, away, rows)
+        if not len(self.bars):
+            read, rows = self.origin + away @ show.T, _shown(rows, show, away)
         else:
-            away, rows = self._on_tilting(self.tilting, x, show)
-        for number, (row, column) in enumerate(zip(*ENTRIES, strict=True), first["scale"]):
-            rows[:, row, number] = away[:, column]
-        return (self.origin + away @ show.T).ravel(), rows.reshape(-1, len(x))
+            spindle = np.linalg.solve(show, self._spindle.T).T
+            arm, by_bar = spindle - away, np.ones((len(own), 1, 1))
+            length = np.linalg.norm(arm, axis=1)
+            along = np.linalg.solve(show.T, (arm / length[:, None]).T).T
+            read = length + own[:, -1]
+            rows = np.append(-along[:, None] @ _shown(rows, show, spindle), by_bar, axis=2)
+        return read.ravel(), csr_array((rows.ravel(), *self._felt), shape=(read.size, len(x)))
 
-    def _on_tilting(self, axis: Tilting, x: Floats, show: Floats) -> tuple[Floats, Floats]:
-        """Return the same as :meth:`_on_table` where the table is tilted."""
-        n, line = np.arange(len(self.tilt)), self.first[TILTING]
-        away, rows = self._on_table(x, np.eye(3))
-        from_point = self.origin - axis.point
-        away, by_away, by_line, by_motions = axis.tilted(
-            away + from_point, self.tilt, x[line : line + 4], x[line + 4 :].reshape(6, -1)
+    @cached_property
+    def _spindle(self) -> Floats:
+        """Where the machine shows the spindle's ball at each reading (n, 3), from c0."""
+        return np.asarray(self.sent[self.tilt, self.position, self.target] - self.origin)
+
+    @cached_property
+    def _felt(self) -> tuple[Ints, Ints]:
+        """Columns of the entries of all rows, and where each row begins."""
+        columns = np.repeat(self.columns, self.coordinates, axis=0)
+        return columns.ravel(), np.arange(0, columns.size + 1, columns.shape[1])
+
+    def _on_tilting(
+        self, axis: Tilting, own: Floats, away: Floats, rows: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return the same as :meth:`_on_table` where the table is tilted, (n, 3, 13 + 10)."""
+        from_point, line = self.origin - axis.point, OF_MACHINE + 4
+        away, by_away, *by_others = axis.tilted(
+            away + from_point, self.tilt, own[0, OF_MACHINE:line], own[:, line : line + 6]
         )
-        rows = show @ by_away @ rows
-        rows[:, :, line : line + 4] = show @ by_line
-        for number, name in enumerate(axis.motions):
-            rows[n, :, self.first[name] + self.tilt] = (show @ by_motions)[:, :, number]
-        return away - from_point, rows
+        return away - from_point, np.concatenate([by_away @ rows, *by_others], axis=2)
 
-    def _on_table(self, x: Floats, show: Floats) -> tuple[Floats, Floats]:
+    def _on_table(self, own: Floats) -> tuple[Floats, Floats]:
         """Return where the balls are (n, 3), from c0, as with a tilt of 0.
 
-        And what unknowns of the table do to them in a machine with the S of ``show``.
+        And what unknowns of axis, balls and motions, the first of ``own`` (n, f), do to them.
         """
-        first, position, n = self.first, self.position, np.arange(len(self.ball))
-        stop = self.stop
-        places = x[first["ball"] : first["EXC"]].reshape(-1, 3)[self.ball]
-        motions = x[first["EXC"] : first["scale"]].reshape(6, -1).T[stop]
-        turn = rotation_about_z(self.angles[position] + motions[:, 5])
+        places, motions = own[:, 4:7], own[:, 7:OF_TABLE]
+        turn = rotation_about_z(self.angles[self.position] + motions[:, 5])
         carried = np.einsum("nij,nj->ni", turn, places)
         tilt = np.eye(3) + cross_matrix(motions[:, 3:5] @ np.eye(2, 3))
         moved = np.einsum("nij,nj->ni", tilt, carried) + motions[:, :3]
-        direction, *changes = _direction(*x[2:4])
-        away = moved @ direction.T + np.append(x[:2], 0.0)
-        fixed = show @ direction
-        rows = np.zeros((len(n), 3, len(x)))
-        rows[:, :, :2] = show[:, :2]
+        direction, *changes = _direction(*own[0, 2:4])
+        rows = np.zeros((len(own), 3, OF_TABLE))
+        rows[:, [0, 1], [0, 1]] = 1.0
         for number, change in enumerate(changes, 2):
-            rows[:, :, number] = moved @ (show @ change).T
-        by_place, by_rotation = fixed @ tilt @ turn, fixed @ -cross_matrix(carried)
-        by_rotation[:, :, 2] = np.einsum("nij,nj->ni", fixed @ tilt, np.cross([0, 0, 1], carried))
-        for axis in range(3):
-            rows[n, :, first["ball"] + 3 * self.ball + axis] = by_place[:, :, axis]
-            rows[n, :, first[COMPONENTS[axis]] + stop] = fixed[:, axis]
-            rows[n, :, first[COMPONENTS[3 + axis]] + stop] = by_rotation[:, :, axis]
-        return away, rows
+            rows[:, :, number] = moved @ change.T
+        leaning = direction @ tilt
+        rows[:, :, 4:7] = leaning @ turn
+        rows[:, :, 7:10] = direction
+        rows[:, :, 10:12] = (direction @ -cross_matrix(carried))[:, :, :2]
+        rows[:, :, 12] = np.einsum("nij,nj->ni", leaning, np.cross([0, 0, 1], carried))
+        return moved @ direction.T + np.append(own[0, :2], 0.0), rows
+
+
+def _shown(rows: Floats, show: Floats, place: Floats) -> Floats:
+    """Return what unknowns, and behind those of the table S, do to a ``place`` (n, 3) as shown."""
+    linear = np.zeros((len(rows), 3, OF_MACHINE - OF_TABLE))
+    linear[:, ENTRIES[0], np.arange(len(ENTRIES[0]))] = place[:, ENTRIES[1]]
+    rows = show @ rows
+    return np.concatenate([rows[:, :, :OF_TABLE], linear, rows[:, :, OF_TABLE:]], axis=2)
+
+
+def _around(places: Floats) -> Floats:
+    """Return the directions outward, along its way, and up (k, 3, 3) of balls at ``places``."""
+    flat = places * [1.0, 1.0, 0.0]
+    radius = np.linalg.norm(flat, axis=1)[:, None]
+    out = np.where(radius > 0.0, flat, [1.0, 0.0, 0.0]) / np.where(radius > 0.0, radius, 1.0)
+    up = np.broadcast_to([0.0, 0.0, 1.0], out.shape)
+    return np.stack([out, np.cross(up, out), up], axis=1)
 
 
 def _direction(about_x: float, about_y: float) -> tuple[Floats, Floats, Floats]:
@@ -284,19 +379,22 @@ def stated(balls: BallsOnTable, places: Floats, solver: BallsSolverSettings) -> 
         / np.repeat(balls.stated, balls.tilts * len(balls.angles))
     )
     first, end = balls.first["EXC"], balls.first["scale"]
-    scale, square = solver.scale_std_um_per_m, solver.squareness_std_um_per_m
+    known = {
+        "scale": solver.scale_std_um_per_m * MICROMETRE,
+        "squareness": solver.squareness_std_um_per_m * MICROMETRE,
+        **({"bar": solver.bar_std_m} if len(balls.bars) else {}),
+    }
     return np.concatenate([
         np.pad(rows, ((0, 0), (first, sum(balls.blocks.values()) - end))),
-        block_rows(balls.blocks, "scale") / (scale * MICROMETRE),
-        block_rows(balls.blocks, "squareness") / (square * MICROMETRE),
+        *(block_rows(balls.blocks, name) / std for name, std in known.items()),
     ])  # fmt: skip
 
 
 def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
     """Return orthonormal rows (k, 6 p), per unit of a statement, of what no ball tells."""
     count = balls.tilts * len(balls.angles)
-    position, seen = np.arange(count), np.zeros((count, len(places), 1, 1))
-    seen[balls.stop, balls.ball] = 1.0
+    position, seen = np.arange(count), np.zeros((count, len(balls.aims), 1, 1))
+    seen[balls.stop, balls.target] = 1.0
     untold = balls.untold(places, seen)
     rows = np.zeros((*untold.shape, len(position)))
     rows[position, :, :, position] = untold
@@ -338,9 +436,7 @@ def defined(balls: BallsOnTable, telling: Floats) -> Floats:
 def ball_motions(balls: BallsOnTable, place: Floats) -> Iterator[Floats]:
     """Yield rows (p, u) of the :data:`MOTIONS` of a ball at ``place`` (3,), m, at each angle."""
     place = balls.turned(place[None])[:, 0]
-    up = np.array([0.0, 0.0, 1.0])
-    out = place * (1.0 - up) / np.hypot(*place.T[:2])[:, None]
-    for direction in (out, np.cross(up, out), np.broadcast_to(up, out.shape)):
+    for direction in np.swapaxes(_around(place), 0, 1):
         parts = np.concatenate([direction, np.cross(place, direction)], axis=1)
         rows = np.zeros((len(place), sum(balls.blocks.values())))
         for number, name in enumerate(COMPONENTS):
@@ -356,17 +452,16 @@ def _deviation(balls: BallsOnTable, name: str) -> Floats:
 def mean_of_tilts(balls: BallsOnTable, name: str) -> Floats:
     """Return rows (p, u) of a motion of the table, the mean of all tilts."""
     rows = block_rows(balls.blocks, name)
-    if balls.tilts == 1:
-        return rows
     return np.asarray(rows.reshape(balls.tilts, -1, rows.shape[1]).mean(axis=0))
 
 
 def _by_tilt(balls: BallsOnTable, tilting: Tilting) -> dict[str, Floats]:
     """Return rows of the table's axis and its motions at each tilt, and of the tilting axis."""
     blocks, found = balls.blocks, dict[str, Floats]()
-    for number, (name, rows) in enumerate(tilting.table_axis(balls.origin).items()):
-        axis = np.repeat(block_rows(blocks, "axis")[number][None], balls.tilts, axis=0)
-        axis[:, balls.first[TILTING] :] += rows
+    line = balls.first[tilting.line[0]]
+    for name, rows in tilting.table_axis(balls.origin).items():
+        axis = np.repeat(block_rows(blocks, name), balls.tilts, axis=0)
+        axis[:, line : line + rows.shape[1]] += rows
         found[f"{name} by tilt"] = axis
     for name in components_of(balls):
         sense = balls.sense if name == "ECC" else 1.0
@@ -380,7 +475,7 @@ def components_of(balls: BallsOnTable) -> tuple[str, ...]:
 
 
 def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings) -> Model:
-    """Return unknowns, centres and what could spoil them.
+    """Return unknowns, centres or lengths, and what could spoil them.
 
     Outputs are the :func:`components_of` the balls at the table positions, and below them
     :data:`AXIS` at the height of the origin and the line of the tilting axis. ``also``: the
@@ -388,66 +483,70 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     axes, and what happens at each tilt. Deviations are the means of the tilts.
     """
     balls = BallsOnTable.of(plan, solver, read)
-    start = balls.started(read.points)
-    design, places = balls(start)[1], start[4 : balls.first["EXC"]].reshape(-1, 3)
+    start, count = balls.started(read.points), balls.coordinates
+    design, places = balls(start)[1].toarray(), start[4 : balls.first["EXC"]].reshape(-1, 3)
     known = stated(balls, places, solver)
     known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
-    blocks, axis = balls.blocks, np.tile(np.arange(3), len(read.points))
-    outputs = [_deviation(balls, name) for name in components_of(balls)]
-    outputs.append(block_rows(blocks, "axis"))
-    also = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
-    for name in ("scale", "squareness"):
-        also[name] = block_rows(blocks, name)
-    if balls.tilting is not None:
-        outputs.append(block_rows(blocks, TILTING))
-        also |= _by_tilt(balls, balls.tilting)
-    numbers = (balls.stop, read.position, read.target, read.station)
-    stop, position, target, station = (np.repeat(number, 3) for number in numbers)
-    run = "run" if balls.tilting is None else "tilt"
-    when = np.repeat(read.when, 3)
-    names = [
-        f"{'xyz'[a]} of ball {ball} at position {at}, run {number}"
-        if balls.tilting is None
-        else f"{'xyz'[a]} of ball {ball} at position {at}, tilt {number}"
-        for a, ball, at, number in zip(axis, target, position, station, strict=True)
-    ]
-    largest = solver.largest_shift_um * MICROMETRE
+    zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
+    stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
+    when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
+    shifts = _from_mean(knocks(zero, when), zero)
     model = Model(
-        blocks=blocks,
-        observed=read.points.ravel(),
-        std=np.full(read.points.size, balls.sigma),
+        blocks=balls.blocks,
+        observed=read.value if count == 1 else read.points.ravel(),
+        std=np.full(len(zero), balls.sigma),
         equations=balls,
-        outputs=np.concatenate(outputs),
-        words=Words("coordinates", "dirt, heat or a loose ball", "at the balls", "at the ball"),
+        outputs=_outputs(balls),
+        words=WORDS[count],
         unit=UM,
         start=start,
-        also=also,
-        components=("the centres",),
+        also=_also(balls, places),
+        # arrivals of the table scatter in tangential lengths, and not in others
+        components=[f"lengths of set-up {k}" for k in range(len(balls.bars))] or ["the centres"],
+        component=read.target % len(balls.bars) if len(balls.bars) else None,
         groupings=(
             Grouping("position", stop),  # of each the start trusts the better part
-            Grouping(run, station, along=when),
-            Grouping("ball", target),
+            Grouping("run" if balls.tilting is None else "tilt", station, along=when),
+            Grouping("ball" if count == 3 else "bar", target),
         ),
         effects=(
-            Disturbing("drift", "machine or table drift", drifts(axis, when), largest, UM),
-            Disturbing(
-                "knock",
-                "machine or table moved",
-                _from_mean(knocks(axis, when), axis),
-                largest,
-                UM,
-                family=True,
-            ),
+            Disturbing("drift", "machine or table drift", drifts(zero, when), largest, UM),
+            Disturbing("knock", "machine or table moved", shifts, largest, UM, family=True),
         ),
-        row_names=names,
+        row_names=list(_names(balls, read)),
     )
     return model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
 
 
+def _outputs(balls: BallsOnTable) -> Floats:
+    outputs = [_deviation(balls, name) for name in components_of(balls)]
+    lines = AXIS if balls.tilting is None else (*AXIS, *balls.tilting.line)
+    return np.concatenate([*outputs, *(block_rows(balls.blocks, name) for name in lines)])
+
+
+def _also(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:
+    found = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
+    found |= {name: block_rows(balls.blocks, name) for name in ("scale", "squareness")}
+    return found if balls.tilting is None else found | _by_tilt(balls, balls.tilting)
+
+
+def _names(balls: BallsOnTable, read: Readings) -> Iterator[str]:
+    tilted = balls.tilting is not None
+    for k, at, number in np.column_stack([read.target, read.position, read.station]).tolist():
+        if len(balls.bars):
+            run = f"bar {k} at position {at}, run {number}"
+            yield f"bar {k} at position {at}, tilt {number}" if tilted else run
+        for a in "xyz" * (not len(balls.bars)):
+            run = f"{a} of ball {k} at position {at}, run {number}"
+            yield f"{a} of ball {k} at position {at}, tilt {number}" if tilted else run
+
+
 def _from_mean(columns: Floats, axis: Ints) -> Floats:
     """Return shifts (n, k) along each ``axis`` (n,) from their mean: that is where the axis is."""
-    mean = [columns[axis == number].mean(axis=0) for number in range(3)]
-    return np.asarray(columns - np.array(mean)[axis], dtype=np.float64)
+    found: Floats = columns.copy()
+    for mine in (axis == number for number in np.unique(axis)):
+        found[mine] -= found[mine].mean(axis=0)
+    return found
 
 
 def _motions(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:

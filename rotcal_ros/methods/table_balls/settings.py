@@ -17,6 +17,7 @@ from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
 
 DISPLACEMENT: Final = "displacement"
+BAR: Final = "bar"
 FARTHEST_M: Final = 20.0
 """No machine with a rotary table is larger."""
 
@@ -74,10 +75,17 @@ class BallsPlanSettings(TableAngleSettings):
     )
     measure: str = setting(
         SURFACE,
-        doc="what is measured of a ball: surface (touch points), centre, or displacement from a "
-        "nest in the spindle that follows it (R-test)",
-        choices=(SURFACE, CENTRE, DISPLACEMENT),
+        doc="what is measured of a ball: surface (touch points), centre, displacement from a "
+        "nest in the spindle that follows it (R-test), or the length of a ball bar to the spindle",
+        choices=(SURFACE, CENTRE, DISPLACEMENT, BAR),
         first=True,
+    )
+    bars_m: tuple[float, ...] = setting(
+        (0.1, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1),
+        doc="m, set-ups of a ball bar at each ball: how far outward from the axis, along its way "
+        "and up the spindle is, which then turns with it; radial, tangential and axial of 0.1 m",
+        minimum=-FARTHEST_M,
+        maximum=FARTHEST_M,
     )
     points_per_ball: int = points_setting(5)
 
@@ -98,8 +106,8 @@ class BallsSolverSettings:
 
     sigma_centre_m: float = setting(
         1e-6,
-        doc="m, standard deviation of each coordinate of a centre, the table's repeatability "
-        "included",
+        doc="m, standard deviation of each coordinate of a centre, or of a ball bar's length, the "
+        "table's repeatability included",
         minimum=1e-9,
         maximum=1e-2,
         first=True,
@@ -130,6 +138,12 @@ class BallsSolverSettings:
         minimum=1e-3,
         maximum=1e4,
     )
+    bar_std_m: float = expert(
+        5e-6,
+        doc="m, standard uncertainty (k = 1) of the ball bar's own length in each set-up",
+        minimum=1e-9,
+        maximum=1.0,
+    )
     largest_shift_um: float = expert(
         100.0,
         doc="um, a drift or a knock of machine or table that nobody would overlook",
@@ -144,10 +158,12 @@ class SimulatedBallsSettings:
     balls_m: tuple[float, ...] = setting(
         (0.12, 0.0, 0.05), doc="m, x y z of each ball on the table at angle 0, from its foot"
     )
-    ball_diameter_m: float = setting(0.025, doc="m, of the balls", minimum=1e-4)
+    ball_diameter_m: float = expert(0.025, doc="m, of the balls", minimum=1e-4)
     placing_mm: float = expert(
         0.3, doc="mm, standard deviation with which a person places them", minimum=0.0
     )
+    bar_error_um: float = expert(3.0, doc="um, by which a ball bar is longer than it says")
+    bar_rate_hz: float = expert(10.0, doc="lengths of a ball bar per second", minimum=1e-3)
 
 
 @dataclass(frozen=True)

@@ -95,11 +95,11 @@ class Tilting:
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Return ``away`` (n, 3), from t0, after the tilt; its derivatives.
 
-        ``line`` (4,), ``motions`` (6, t). The derivatives are by ``away`` (n, 3, 3), by the line
+        ``line`` (4,), ``motions`` (n, 6). The derivatives are by ``away`` (n, 3, 3), by the line
         (n, 3, 4), and by the motions at that tilt (n, 3, 6).
         """
         place, turn = self.of_line(line)
-        d, e = motions[:3].T[tilt], motions[3:].T[tilt]
+        d, e = motions[:, :3], motions[:, 3:]
         nominal, u = self.turns[tilt], away - place
         by_away = nominal + cross_matrix(turn + e) @ nominal - nominal @ cross_matrix(turn)
         carried = np.einsum("nij,nj->ni", nominal, u)
@@ -132,7 +132,7 @@ class Tilting:
         inverse = np.swapaxes(self.turns, -1, -2)
         away = np.repeat((origin - self.point)[None], count, axis=0)
         _, _, by_line, by_motions = self.tilted(
-            away, np.arange(count), np.zeros(4), np.zeros((6, count))
+            away, np.arange(count), np.zeros(4), np.zeros((count, 6))
         )
         line_turn = (inverse - np.eye(3))[:, :, sorted(self.across)]
         shift = np.concatenate([inverse @ by_line, np.zeros((count, 3, 6 * count))], axis=2)

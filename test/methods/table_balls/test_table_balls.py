@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from scipy.optimize import brentq
 from scipy.stats import binom, chi2, ncx2
 
+from rotcal_ros.adjust.arrow import Arrow, weighted
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.model import fitted
 from rotcal_ros.cli.main import rotcal
@@ -128,7 +129,27 @@ def test_derivatives_are_those_of_differences():
     x = model.first + 1e-4 * np.random.default_rng(3).standard_normal(model.size[1])
     step = 1e-5 * np.eye(len(x))
     by_difference = [(model.equations(x + h)[0] - model.equations(x - h)[0]) / 2e-5 for h in step]
-    assert model.equations(x)[1] == pytest.approx(np.array(by_difference).T, abs=1e-9)
+    assert model.equations(x)[1].dense() == pytest.approx(np.array(by_difference).T, abs=1e-9)
+
+
+@pytest.mark.parametrize("chain", ["C", "AC"])
+def test_the_six_motions_of_an_angle_are_a_block_of_their_own(chain):
+    """Each step is solved so, and says what one whole matrix says, to 1e-12 of the uncertainty."""
+    tilts = (-40.0, 50.0) if chain == "AC" else ()
+    world = World.drawn(planned(chain=chain, tilts_deg=tilts), np.random.default_rng(2))
+    model = modelled(world, world.readings(SIGMA, np.random.default_rng(3)))
+    x = solved(model).x + 1e-7
+    computed, design = model.equations(x)
+    arrow, balls = Arrow.of(design.few), BallsOnTable.of(world.plan, world.solver)
+    motions = balls.first["EXC"] + np.arange(6 * 12 * balls.tilts).reshape(6, -1)
+    assert sorted(map(sorted, arrow.own.tolist())) == sorted(motions.T.tolist())
+    white = (model.observed - computed) / model.std
+    whole = design.dense() / model.std[:, None]
+    scale = np.linalg.norm(whole, axis=0)
+    root = np.linalg.inv(np.linalg.qr(whole / scale)[1]) / scale[:, None]
+    step = np.linalg.lstsq(whole / scale, white, rcond=None)[0] / scale
+    found = arrow.solved(weighted(design, 1.0 / model.std), white)
+    assert np.abs((found - step) / np.linalg.norm(root, axis=1)).max() < 1e-12
 
 
 def test_one_ball_moves_as_it_does_out_along_and_up():

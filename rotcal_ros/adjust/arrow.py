@@ -1,0 +1,187 @@
+"""Least squares of many unknowns that few observations feel each, and of few that all feel.
+
+Where every position, station or point has unknowns of its own and shares few with the others, the
+normal matrix is an arrow: blocks along the diagonal, and a border. The blocks follow from what the
+observations feel; each is taken out by itself, and what is left is small. That costs n where whole
+matrices cost n^3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+
+FIRM: Final = 1e-6
+"""Share of its length that the column of an unknown has to have beside those before it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FewEach:
+    """A design (n + m, p): rows ``few`` (n, p) that feel few unknowns each, and below them others.
+
+    Those, ``known`` (m, p), may feel any, as what is known beforehand does.
+    """
+
+    few: csr_array
+    known: Floats
+
+    def dense(self) -> Floats:
+        """Return the whole design."""
+        return np.concatenate([self.few.toarray(), self.known])
+
+    def weighted(self, weight: Floats) -> FewEach:
+        """Return the same, its rows times ``weight`` (n + m,)."""
+        n, p = self.few.shape
+        data = self.few.data * np.repeat(weight[:n], np.diff(self.few.indptr))
+        few = csr_array((data, self.few.indices, self.few.indptr), shape=(n, p))
+        return FewEach(few, self.known * weight[n:, None])
+
+    def times(self, x: Floats) -> Floats:
+        """Return the design times ``x`` (p,)."""
+        return np.append(self.few @ x, self.known @ x)
+
+
+Design: TypeAlias = "Floats | csr_array | FewEach"
+"""Derivatives (n, p), whole or only those that may not be zero."""
+
+
+def dense(design: Design) -> Floats:
+    """Return the whole design (n, p)."""
+    if isinstance(design, FewEach):
+        return design.dense()
+    return design if isinstance(design, np.ndarray) else np.asarray(design.toarray())
+
+
+def beside(design: Design, rows: Floats) -> Design:
+    """Return a design with further ``rows`` (k, p) at its end."""
+    if isinstance(design, np.ndarray):
+        return np.concatenate([design, rows])
+    if isinstance(design, FewEach):
+        return FewEach(design.few, np.concatenate([design.known, rows]))
+    return FewEach(design, rows)
+
+
+def weighted(design: Design, weight: Floats) -> Floats | FewEach:
+    """Return a design, its rows times ``weight`` (n,)."""
+    if isinstance(design, np.ndarray):
+        return np.asarray(design * weight[:, None])
+    few = (
+        design if isinstance(design, FewEach) else FewEach(design, np.zeros((0, design.shape[1])))
+    )
+    return few.weighted(weight)
+
+
+@dataclass(frozen=True, eq=False)
+class Arrow:
+    """The blocks of rows that feel few unknowns each.
+
+    ``own`` (g, s): unknowns of each group, -1 where one has fewer; ``shared`` (c,): all others.
+    In a stack of blocks (g, r, s + c + 1), flat, stand the ``entries`` of the rows, what they read
+    (``read``), and a 1 in ``missing`` places, which ties down the unknowns that are none.
+    """
+
+    own: Ints
+    shared: Ints
+    depth: int
+    entries: Ints
+    read: Ints
+    missing: Ints
+
+    @classmethod
+    def of(cls, few: csr_array) -> Arrow | None:
+        """Return those of rows (n, p); None where these do not fall into groups."""
+        n, p = few.shape
+        row, column = np.repeat(np.arange(n), np.diff(few.indptr)), few.indices
+        count = np.bincount(column, minlength=p)
+        # what many feel joins everything: many is between one group's rows and all of them
+        alone = (count > 0) & (count <= np.sqrt(n * np.median(count[count > 0])))
+        inside = alone[column]
+        ones = np.ones(int(inside.sum()))
+        graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
+        label = connected_components(graph, directed=False)[1]
+        groups, group = np.unique(label[n:][alone], return_inverse=True)
+        if len(groups) < 2:
+            return None
+        number = np.full(label.max() + 1, -1)
+        number[groups] = np.arange(len(groups))
+        of_row = number[label[:n]]
+        idle = of_row < 0  # rows of shared unknowns alone fit into any group
+        of_row[idle] = np.arange(int(idle.sum())) % len(groups)
+        at, at_row = _within(group), _within(of_row)
+        size, depth = int(at.max()) + 1, int(at_row.max()) + 1
+        own, shared = np.full((len(groups), size), -1), np.flatnonzero(~alone)
+        own[group, at] = np.flatnonzero(alone)
+        place = np.zeros(p, dtype=np.int64)
+        place[alone], place[~alone] = at, size + np.arange(len(shared))
+        width = size + len(shared) + 1
+        lacking, slot = np.nonzero(own < 0)
+        extra = _within(lacking)
+        whole = depth + int(extra.max(initial=-1)) + 1
+        begin = (of_row * whole + at_row) * width
+        return cls(
+            own, shared, whole, begin[row] + place[column], begin + width - 1,
+            (lacking * whole + depth + extra) * width + slot,
+        )  # fmt: skip
+
+    def solved(self, design: FewEach, read: Floats) -> Floats | None:
+        """Return the unknowns (p,) of least squares, None where these are not firm.
+
+        ``design`` (n + m, p) and what it ``read`` (n + m,), both whitened. Square roots, no normal
+        equations: of each group QR leaves rows of its own unknowns, and rows of shared ones. With
+        u for what its own rows are left with, what is known is H u + K x = k: variance I + H H'.
+        """
+        (groups, size), n, shared = self.own.shape, design.few.shape[0], len(self.shared)
+        width = size + shared + 1
+        stack = np.zeros(groups * self.depth * width)
+        stack[self.entries], stack[self.read], stack[self.missing] = design.few.data, read[:n], 1.0
+        upper = _triangle(stack.reshape(groups, self.depth, width))
+        if upper.shape[1] < size:
+            return None
+        triangle, rest = upper[:, :size, :size], upper[:, size:, size:].reshape(-1, shared + 1)
+        length = np.linalg.norm(triangle, axis=1)
+        if (np.abs(np.diagonal(triangle, axis1=1, axis2=2)) <= FIRM * length).any():
+            return None
+        of_own = np.where(self.own >= 0, design.known[:, self.own], 0.0)  # (m, g, s)
+        felt = np.linalg.solve(triangle, upper[:, :size, size:])
+        open_ = np.column_stack([design.known[:, self.shared], read[n:]])
+        open_ -= np.einsum("mgs,gsc->mc", of_own, felt)
+        by_left = np.linalg.solve(np.swapaxes(triangle, 1, 2), of_own.transpose(1, 2, 0))
+        by_left = by_left.reshape(groups * size, -1)  # H'
+        root = _triangle(np.concatenate([np.eye(len(open_)), by_left]))
+        white = np.linalg.solve(root.T, open_)
+        least = _triangle(np.concatenate([rest, white]))
+        x = np.zeros(design.few.shape[1] + 1)  # the last for unknowns that are none
+        if shared:
+            border = least[:shared, :shared]
+            length = np.linalg.norm(border, axis=0)
+            if len(border) < shared or not length.all():
+                return None
+            if lapack.dtrcon(border / length)[0] <= FIRM:
+                return None
+            x[self.shared] = lapack.dtrtrs(border, least[:shared, shared])[0]
+        along = np.append(-x[self.shared], 1.0)
+        left = by_left @ np.linalg.solve(root, white @ along)
+        own = felt @ along + np.linalg.solve(triangle, left.reshape(groups, size, 1))[:, :, 0]
+        x[self.own] = own
+        return x[:-1]
+
+
+def _triangle(matrix: Floats) -> Floats:
+    """Return R of the QR decomposition of each matrix (..., n, p)."""
+    return np.asarray(np.linalg.qr(matrix, mode="r"))
+
+
+def _within(group: Ints) -> Ints:
+    """Return which one of its group each member (k,) is, from 0."""
+    order = np.argsort(group, kind="stable")
+    sizes = np.bincount(group)
+    found = np.empty(len(group), dtype=np.int64)
+    found[order] = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return found

@@ -1,0 +1,113 @@
+"""Unknowns of groups and shared ones: block by block as by the whole matrix, and quicker."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from rotcal_ros.adjust.arrow import Arrow, FewEach, beside, dense, weighted
+from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.model import Grouping, Model, fitted
+from rotcal_ros.foundation.errors import ObservabilityError
+
+WORDS = Words("readings", "heat", "at the station", "at the station")
+
+
+def levels(groups=30, each=6, shared=4, uneven=False, seed=1):
+    """Return a design of readings from stations with a zero and a slope, and what all share."""
+    random, rows = np.random.default_rng(seed), []
+    for group in range(groups):
+        for number in range(each + (uneven and group % 3)):
+            own = [(2 * group, 1.0), (2 * group + 1, number - 2.0)]
+            own = own[: 1 if uneven and group % 5 == 0 else 2]
+            common = enumerate(random.standard_normal(shared), 2 * groups)
+            rows.append([*own, *common])
+    lengths = [len(row) for row in rows]
+    column, value = np.array([cell for row in rows for cell in row]).T
+    begin = np.concatenate([[0], np.cumsum(lengths)])
+    return csr_array((value, column.astype(int), begin), shape=(len(rows), 2 * groups + shared))
+
+
+def by_whole(design, read):
+    scale = np.linalg.norm(design, axis=0)
+    scale[scale == 0.0] = 1.0
+    return np.linalg.lstsq(design / scale, read, rcond=None)[0] / scale
+
+
+@pytest.mark.parametrize("known", [0, 1, 5])
+@pytest.mark.parametrize("shared", [0, 4])
+def test_blocks_give_what_the_whole_matrix_gives(known, shared):
+    """To 1e-12 of the uncertainty; what is known joins all groups, and holds far better."""
+    random, few = np.random.default_rng(2), levels(shared=shared)
+    rows = 1e3 * random.standard_normal((known, few.shape[1]))
+    design = beside(few, rows)
+    design = design if isinstance(design, FewEach) else FewEach(design, rows)
+    read = random.standard_normal(few.shape[0] + known)
+    arrow = Arrow.of(few)
+    assert arrow.own.shape == (30, 2)
+    assert arrow.shared.tolist() == list(range(60, 60 + shared))
+    whole = dense(design)
+    std = np.sqrt(np.linalg.inv(whole.T @ whole).diagonal())
+    found = arrow.solved(design, read)
+    assert np.abs((found - by_whole(whole, read)) / std).max() < 1e-12
+    assert design.times(found) == pytest.approx(whole @ found, abs=1e-12)
+
+
+def test_groups_may_differ_in_size_and_rows_be_left_out():
+    random, few = np.random.default_rng(3), levels(uneven=True)
+    few = csr_array(few[:, few.toarray().any(axis=0)])  # some stations have no slope
+    design = FewEach(few, np.zeros((0, few.shape[1])))
+    weight = random.uniform(0.5, 2.0, few.shape[0]) * (random.uniform(size=few.shape[0]) > 0.1)
+    read, arrow = random.standard_normal(few.shape[0]), Arrow.of(few)
+    assert (arrow.own < 0).sum() == 6
+    found = arrow.solved(weighted(design, weight), weight * read)
+    wanted = by_whole(weight[:, None] * few.toarray(), weight * read)
+    assert found == pytest.approx(wanted, abs=1e-12)
+
+
+def test_what_has_no_blocks_or_no_firm_ones_is_left_to_the_whole_matrix():
+    whole = csr_array(np.random.default_rng(4).standard_normal((20, 5)))
+    assert Arrow.of(whole) is None
+    few = levels(groups=4, each=1)
+    nothing = np.zeros((0, few.shape[1]))
+    assert Arrow.of(few).solved(FewEach(few, nothing), np.ones(few.shape[0])) is None
+    few = levels(groups=4)
+    open_ = few.toarray()
+    open_[:, -1] = open_[:, -2]
+    twice = csr_array(open_)
+    assert Arrow.of(twice).solved(FewEach(twice, nothing), np.ones(few.shape[0])) is None
+
+
+def stations(sparse):
+    few = levels(groups=8)
+    design = few if sparse else few.toarray()
+    random = np.random.default_rng(6)
+    true = random.standard_normal(few.shape[1])
+    observed = few @ true + 1e-3 * random.standard_normal(48)
+    observed[11] += 0.05
+    model = Model(
+        blocks={"station": 16, "shared": 4},
+        observed=observed,
+        std=np.full(48, 1e-3),
+        equations=lambda x: (design @ x, design),
+        outputs=np.eye(4, 20, 16),
+        words=WORDS,
+        groupings=[Grouping("station", np.arange(48) // 6)],
+    )
+    return model.knowing("a sum", np.ones((1, 20)), np.array([true.sum()]), 1e-6)
+
+
+def test_the_engine_says_the_same_of_both_forms():
+    few, whole = adjust(stations(True)), adjust(stations(False))
+    assert list(few.why) == list(whole.why) == [11]
+    assert np.abs((few.value - whole.value) / whole.std).max() < 1e-9
+    assert few.std == pytest.approx(whole.std, rel=1e-9)
+    assert few.doubts == whole.doubts
+
+
+def test_what_nothing_tells_is_refused_in_both_forms():
+    for sparse in (True, False):
+        model = stations(sparse)
+        used = np.arange(49) >= 48  # nothing but what is known
+        with pytest.raises(ObservabilityError, match="shared"):
+            fitted(model, used, model.std, model.first)
