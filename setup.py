@@ -127,7 +127,7 @@ setup(
             "ros-visualization-msgs",
         ],
         "history": ["alembic", "psycopg[binary]", "pyarrow", "sqlalchemy"],
-        "many": ["distributed", "duckdb", "fsspec", "pyarrow"],
+        "many": ["alembic", "distributed", "fsspec", "psycopg[binary]", "pyarrow", "sqlalchemy"],
         "opcua": ["asyncua", "cryptography"],
         "ads": ["pyads"],
         "dcc": ["cryptography", "lxml", "signxml"],
@@ -157,6 +157,7 @@ setup(
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
             "Babel",
+            "duckdb",
             "flask",
             "flask-cors",
             "httpx2",

@@ -2,42 +2,32 @@
 
 usage: fleet.py [--bags 10000] [--folder out/fleet] [--kill-every 5] [--seconds 0] [--compare 500]
        fleet.py --ratio [--bags 60]      two workers against one, in turns
-       fleet.py --overview [--bags 100000]      the overview of that many, after a run
 
 Says what was lost (nothing), how the memory of the parent grew, and what 100,000 bags would take.
-For the overview the dataset of the run is multiplied: each copy stands for further tables.
 """
 
 import argparse
 import json
-import math
 import random
-import resource
-import shutil
 import signal
 import statistics
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import psutil
-import pyarrow.compute as compute
-import pyarrow.parquet as parquet
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "test" / "extensions" / "fleet"))
 from fleet_bags import configuration_text, write_bag  # noqa: E402
 
 from rotcal_ros.extensions.fleet.batch_solving import Job  # noqa: E402
-from rotcal_ros.extensions.fleet.overview import connected, write_overview  # noqa: E402
-from rotcal_ros.extensions.fleet.results_dataset import parts  # noqa: E402
 from rotcal_ros.extensions.fleet.workers import on_all_cores  # noqa: E402
+from rotcal_ros.extensions.history.database import ParkHistory, result_of  # noqa: E402
 from rotcal_ros.methods.configuration import parse_configuration  # noqa: E402
 
 TABLES = 50
@@ -115,7 +105,8 @@ def disturbed(arguments: argparse.Namespace, bags: Path, setup: Path, output: Pa
     begin = time.monotonic()
     with cluster(arguments.folder) as (address, workers):
         command = [sys.executable, "-m", "rotcal_ros.cli.main", "reprocess", str(bags), "--setup",
-                   str(setup), "-o", str(output), "--scheduler", address]  # fmt: skip
+                   str(setup), "-o", str(output), "--serial", "{folder}",
+                   "--scheduler", address]  # fmt: skip
         log = (arguments.folder / "reprocess.log").open("w")
         verb = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log)
         disturbance = Disturbance(workers, arguments.kill_every)
@@ -150,82 +141,22 @@ def disturbed(arguments: argparse.Namespace, bags: Path, setup: Path, output: Pa
 
 
 def lost(output: Path, configuration, compare: int) -> dict:
-    """Compare the dataset with bags solved alone, undisturbed; count what is not there."""
-    with connected(output / "results.parquet") as connection:
-        counted = connection.execute(
-            "SELECT count(*), count(*) FILTER (error IS NOT NULL), count(DISTINCT source) "
-            "FROM bags"
-        ).fetchone()
-        sources = [row[0] for row in connection.execute("SELECT source FROM bags").fetchall()]
-        chosen = random.Random(2).sample(sorted(sources), min(compare, len(sources)))
-        different = []
-        with tempfile.TemporaryDirectory() as cache:
-            jobs = [Job(source, configuration, cache) for source in chosen]
-            for outcome in on_all_cores(jobs, 2):
-                rows = connection.execute(
-                    "SELECT component, deviation, std FROM rows WHERE source = ? "
-                    "ORDER BY component, angle_rad", [outcome.source],
-                ).fetchall()  # fmt: skip
-                result = outcome.deviations()
-                expected = [
-                    (name, deviation, std)
-                    for name in sorted(result.components)
-                    for _, deviation, std in sorted(
-                        zip(result.angles, result.deviations[name], result.std[name], strict=True)
-                    )
-                ]
-                if rows != expected:
-                    different.append(outcome.source)
+    """Compare the history with bags solved alone, undisturbed; count what is not there."""
+    with ParkHistory(str(output / "history.db")) as history, TemporaryDirectory() as cache:
+        entries = {entry.why: entry.id for entry in history.entries()}
+        chosen = random.Random(2).sample(sorted(entries), min(compare, len(entries)))
+        jobs = [Job(source, configuration, cache) for source in chosen]
+        different = [
+            outcome.source
+            for outcome in on_all_cores(jobs, 2)
+            if result_of(history.entry(entries[outcome.source])).to_dict() != outcome.result
+        ]
+        wrong = history.check()
     return {
-        "bags": counted[0],
-        "distinct": counted[2],
-        "without_result": counted[1],
+        "results": len(entries),
+        "damaged": len(wrong),
         "compared": len(chosen),
         "different": len(different),
-    }
-
-
-def enlarged(dataset: Path, bags: int, folder: Path) -> Path:
-    """Write a dataset of so many bags into the new ``folder``: copies of one, as other tables."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    with connected(dataset) as connection:
-        (there,) = connection.execute("SELECT count(DISTINCT source) FROM rows").fetchone()
-    for copy in range(math.ceil(bags / there)):
-        for path in parts(dataset):
-            table = parquet.read_table(path, partitioning=None)
-            for name in ("source", "table", "session"):
-                column = table.schema.get_field_index(name)
-                other = compute.binary_join_element_wise(table[name], f" {copy}", "")
-                table = table.set_column(column, name, other)
-            parquet.write_table(table, folder / f"{path.stem}-{copy}.parquet", compression="zstd")
-    return folder
-
-
-def pages(output: Path, text: str) -> dict:
-    """Write the overview in a process of its own; return what it takes and how large it is."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as alone:
-        return alone.submit(_pages, output, text).result()
-
-
-def _pages(output: Path, text: str) -> dict:
-    counts = write_overview(output / "results.parquet", text, output / "overview.html")
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    files = [output / "overview.html", *(output / "overview").iterdir()]
-    return {
-        "overview_processor_seconds": round(used.ru_utime + used.ru_stime, 2),
-        "overview_peak_mb": round(used.ru_maxrss / 1e3),
-        "bags": counts.bags,
-        "overview_files": len(files),
-        "largest_page_kb": round(
-            max(f.stat().st_size for f in files if f.suffix == ".html") / 1e3
-        ),
-        "search_index_kb": round((output / "overview" / "bags.js").stat().st_size / 1e3),
-        "dataset_mb": round(
-            sum(f.stat().st_size for f in (output / "results.parquet").iterdir()) / 1e6, 2
-        ),
-        "tables": len(counts.tables),
-        "alarms": len(counts.alarms),
     }
 
 
@@ -237,7 +168,7 @@ def ratio(folder: Path, bags: int, rounds: int = 3) -> dict:
     seconds: dict[int, list[float]] = {1: [], 2: []}
     for _ in range(rounds):
         for workers, taken in seconds.items():
-            with tempfile.TemporaryDirectory() as cache:
+            with TemporaryDirectory() as cache:
                 begin = time.monotonic()
                 jobs = [Job(source, configuration, cache) for source in sources]
                 assert not any(outcome.error for outcome in on_all_cores(jobs, workers))
@@ -254,18 +185,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=0.0, help="interrupt after; 0: never")
     parser.add_argument("--compare", type=int, default=500, help="bags solved alone to compare")
     parser.add_argument("--ratio", action="store_true", help="two workers against one")
-    parser.add_argument("--overview", action="store_true", help="of so many bags")
     arguments = parser.parse_args()
     arguments.folder = arguments.folder.absolute()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     if arguments.ratio:
         print(json.dumps(ratio(arguments.folder, arguments.bags), indent=1))
-        return
-    if arguments.overview:
-        output = arguments.folder / "overview"
-        enlarged(arguments.folder / "results" / "results.parquet", arguments.bags,
-                 output / "results.parquet")  # fmt: skip
-        print(json.dumps(pages(output, configuration_text()), indent=1))
         return
     begin = time.monotonic()
     bags = generated(arguments.folder / "bags", arguments.bags)
@@ -275,7 +199,6 @@ def main() -> None:
     setup.write_text(text)
     seen = disturbed(arguments, bags, setup, output)
     print(json.dumps(seen, indent=1), flush=True)
-    seen |= pages(output, text)
     seen |= lost(output, parse_configuration(text), arguments.compare)
     (arguments.folder / "figures.json").write_text(json.dumps(seen, indent=1))
     print(json.dumps(seen, indent=1))

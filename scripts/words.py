@@ -24,6 +24,7 @@ from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.adjust.model import effect_texts
 from rotcal_ros.evaluation.budget import WHOLE
+from rotcal_ros.extensions.history.database import DOCUMENTS, EVENT, EVENTS, RESULT, WITHDRAWAL
 from rotcal_ros.extensions.page.web import asked_settings
 from rotcal_ros.foundation.language import FOLDER, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
@@ -49,7 +50,7 @@ DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
     "tracker", "tracer", "laser", "mirror", "plate", "cmm", "rotary table", "machine",
     "ball plate", "thermometer", "barometer", "hygrometer", *effect_texts(INSTRUMENT, MOVED),
-    WORDS.elements, WORDS.contradicts,
+    WORDS.elements, WORDS.contradicts, RESULT, EVENT, WITHDRAWAL, *DOCUMENTS, *EVENTS,
 )  # fmt: skip
 """Words that come as data."""
 

@@ -140,8 +140,8 @@ _RULE_OPTIONS = (
     click.option(
         "--within",
         type=click.FloatRange(0.0, min_open=True),
-        required=True,
-        help="arcsec or um: by how much the earlier curve may be off at any angle.",
+        help="arcsec or um: by how much the earlier curve may be off at any angle; can only be "
+        "left out for a plan --from-history, which takes what the tolerance leaves.",
     ),
     shown_option(
         "--ageing",
@@ -178,7 +178,13 @@ def rule_options(function: Function) -> Function:
 
 
 def rule_of(
-    unit: float, *, within: float, ageing: float, months: float, miss: float, false_alarm: float
+    unit: float,
+    *,
+    within: float | None,
+    ageing: float,
+    months: float,
+    miss: float,
+    false_alarm: float,
 ) -> CheckRule:
     """Return the rule that these options state; ``unit`` (m or rad) is that of limit and ageing.
 
@@ -186,6 +192,8 @@ def rule_of(
     """
     from rotcal_ros.planning.check_rule import CheckRule
 
+    if within is None:
+        raise click.UsageError("give --within: by how much the earlier curve may be off")
     if ageing > 0.0 and months == 0.0:
         raise click.UsageError("--ageing is per month: give the number of months with --months")
     return CheckRule(within * unit, miss, false_alarm, ageing * months * unit)

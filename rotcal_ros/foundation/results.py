@@ -562,6 +562,9 @@ def _plain(value: Any) -> Any:
     """Return arrays, mappings and tuples as lists and dicts of plain values, NaN as None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        items = value.tolist()
+        return items if np.all(np.isfinite(value)) else _plain(items)
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, float) and value != value:

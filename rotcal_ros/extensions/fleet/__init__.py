@@ -1,4 +1,4 @@
-"""Many bags at once: found, solved on all cores or a cluster, kept as a dataset, and shown."""
+"""Many bags at once: found, solved on all cores or a cluster, for the history of all tables."""
 
 from rotcal_ros.foundation.plugins import Verb
 

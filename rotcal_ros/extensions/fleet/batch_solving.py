@@ -17,11 +17,14 @@ from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 from rotcal_ros.bags.session_identity import session_of
 from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.extensions.fleet.bag_search import is_remote, local, remote_state
-from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.plugins import culprit, in_words
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.configuration import Configuration, parse_configuration
+from rotcal_ros.foundation.settings import load
+from rotcal_ros.methods.configuration import Configuration, raw_groups
+from rotcal_ros.planning.settings import CellSettings
 from rotcal_ros.recordings.replay import Recording, read_recording
 
 
@@ -88,25 +91,35 @@ def _solve(job: Job, path: Path, key: str) -> BagOutcome:
     return BagOutcome(
         source=job.source,
         key=key,
-        table=_table(recording, job.source),
         start_ns=min(starts, default=None),
         session=session_of(path),
-        result=recording.solve().to_dict(),
+        result=_of_its_table(recording).to_dict(),
         warnings=recording.warnings(),
         unread=tuple(missing),
     )
 
 
-def _table(recording: Recording, source: str) -> str:
-    """Return what distinguishes tables: namespace and axis as recorded, else the folder."""
+def _of_its_table(recording: Recording) -> Result:
+    """Solve a recording; its result is of the table that it was recorded as, if it says which.
+
+    One set-up solves the bags of many tables, but the tolerances that it states count.
+    """
+    result = recording.solve()
     text = recording.attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
+    known = result.circumstances
     with suppress(ConfigurationError):
-        recorded = parse_configuration(text, groups=("cell",))
-        if "cell" in recorded.given:
-            return f"{recorded.cell.namespace} {recorded.cell.axis}"
-    return source.rstrip("/").rpartition("/")[0].rpartition("/")[2]
+        _, groups = raw_groups(text, "the recorded configuration")
+        recorded = load(Identity, groups.get("identity"), "identity")
+        if recorded.serial:
+            axis = load(CellSettings, groups.get("cell"), "cell").axis
+            agreed = {n: getattr(known.identity, n) or getattr(recorded, n) for n in AGREED}
+            known = replace(known, identity=replace(recorded, **agreed), axis=axis)
+    return replace(result, circumstances=known)
 
 
+FORM: Final = 2
+"""Of what the cache keeps."""
+AGREED: Final = ("tolerance_arcsec", "tolerance_um")
 TAIL_BYTES: Final = 1 << 16
 """Hashed bytes of a file's end: the summary of an MCAP file, the last pages of a database."""
 
@@ -116,16 +129,14 @@ class BagOutcome:
     """The outcome of one bag; ``error`` is empty if there is a result.
 
     ``set_aside``: no worker survived or finished it.
-    ``table`` distinguishes rotary tables: cell and axis of the configuration that the bag was
-    recorded with, else the folder it lies in. ``start_ns`` is the log time of the first message,
-    ``session`` is the same for a recording, its copies and its repaired twins. ``cached`` says
+    ``start_ns`` is the log time of the first message, ``session`` is the same for a recording, its
+    copies and its repaired twins. ``cached`` says
     that nothing had to be computed, ``healed`` that the cached entry was damaged and was computed
     again. ``unread`` says what of the bag could not be read.
     """
 
     source: str
     key: str
-    table: str = ""
     start_ns: int | None = None
     session: str = ""
     result: dict[str, Any] | None = field(default=None, repr=False)
@@ -152,7 +163,7 @@ def fingerprint(source: str, configuration: Configuration, *, whole: bool = Fals
     The state is size and time of change of every file and its last 64 KiB; with ``whole`` it is
     all bytes and nothing else.
     """
-    digest = hashlib.sha256(f"{__version__} {configuration.plan_id} {whole}".encode())
+    digest = hashlib.sha256(f"{__version__} {FORM} {configuration.plan_id} {whole}".encode())
     if is_remote(source):
         for part in remote_state(source, TAIL_BYTES, whole=whole):
             digest.update(part)
@@ -184,6 +195,14 @@ def read_entry(folder: Path, key: str) -> BagOutcome | None:
         raise BrokenEntry(f"{key}: not as it was written")
     known = json.loads(text)
     return BagOutcome(**known | {name: tuple(known[name]) for name in ("warnings", "unread")})
+
+
+def kept_result(folder: Path, key: str) -> Result:
+    """Return the result under ``key``; DataError where the cache could not keep it."""
+    with suppress(BrokenEntry):
+        if (known := read_entry(folder, key)) and (result := known.deviations()) is not None:
+            return result
+    raise DataError(f"{folder} did not keep the result: make room there, and give the call again")
 
 
 def write_entry(folder: Path, outcome: BagOutcome) -> None:

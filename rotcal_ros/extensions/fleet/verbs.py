@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import configurations
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.report.terminal.console import progress, say, tell
+from rotcal_ros.foundation.escapes import encodable
+from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
     from rotcal_ros.extensions.fleet.batch_solving import BagOutcome
-    from rotcal_ros.extensions.fleet.results_dataset import ResultsDataset
-    from rotcal_ros.foundation.results import Result
+
+HISTORY: Final = "history.db"
+FOLDER: Final = "{folder}"
+"""Stands in ``--serial`` for the name of the folder in which a bag lies."""
 
 
 @click.command()
@@ -37,7 +42,7 @@ if TYPE_CHECKING:
     type=path_type,
     default=Path("out/reprocessed"),
     show_default=True,
-    help="Folder for table, overview page and cached results.",
+    help="Folder for the history and cached results.",
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: all cores.")
 @click.option("--scheduler", metavar="tcp://...", help="Use the workers of a Dask cluster.")
@@ -53,7 +58,12 @@ if TYPE_CHECKING:
 @click.option(
     "--history",
     metavar="FILE|URL",
-    help="Also add every result to this history of all tables.",
+    help="The history that gets the results; default: history.db in the folder of -o.",
+)
+@click.option(
+    "--serial",
+    default="",
+    help="Serial number of bags that state none; {folder} is the name of the folder they lie in.",
 )
 @click.option(
     "--verify-bytes",
@@ -70,129 +80,114 @@ def command(
     scheduler: str | None,
     time_limit_s: float,
     history: str | None,
+    serial: str,
     verify_bytes: bool,
     as_json: bool,
 ) -> int:
-    """Solve every bag that the arguments name, and show the trend of each table over time.
+    """Solve every bag that the arguments name, and add the results to a history of all tables.
 
     Bags may be local or remote (s3://..., through fsspec). A bag that was solved before with the
-    same content and configuration is not solved again, and results are kept as they come: an
-    interruption costs only the bags being solved. One bad bag does not stop the rest; the exit
-    code is then 1.
+    same content and configuration is not solved again: an interruption costs only the bags being
+    solved. In the history a result stands in the place of an earlier one of the same measurement.
+    One bad bag does not stop the rest; the exit code is then 1.
     """
     from rotcal_ros.extensions.fleet.bag_search import find_bags
     from rotcal_ros.extensions.fleet.batch_solving import Job
-    from rotcal_ros.extensions.fleet.overview import OVERVIEW, write_overview
-    from rotcal_ros.extensions.fleet.results_dataset import RESULTS_TABLE, ResultsDataset
     from rotcal_ros.extensions.fleet.workers import on_all_cores, on_cluster
     from rotcal_ros.foundation.machine_load import cores
     from rotcal_ros.methods.configuration import read_configuration
 
+    keeper = plugins.extension(plugins.HISTORIES, "history", "a place for the results")
     configuration = read_configuration(setup)
-    bags = find_bags(sources)
+    found = find_bags(sources)
     cache = (output / "cache").absolute()
     cache.mkdir(parents=True, exist_ok=True)
-    jobs = (Job(bag, configuration, str(cache), verify_bytes) for bag in bags)
-    table, overview = output.absolute() / RESULTS_TABLE, output.absolute() / OVERVIEW
-    with ResultsDataset(table) as dataset:
-        if dataset.broken:
-            say(f"{dataset.broken} parts of {table} were damaged: they are written again")
+    jobs = (Job(bag, configuration, str(cache), verify_bytes) for bag in found)
+    database = history or str(output.absolute() / HISTORY)
+    with keeper.ParkHistory(database) as park:
         if scheduler:
             running = on_cluster(jobs, scheduler, time_limit_s)
         else:
-            workers = min(workers or cores(), len(bags))
+            workers = min(workers or cores(), len(found))
             running = on_all_cores(jobs, workers, time_limit_s)
         with closing(running):
-            tally = _followed(running, len(bags), dataset, history)
-    write_overview(table, configuration.text, overview)
+            bags = _followed(running, len(found))
+        _keep(bags, cache, serial, partial(keeper.keep_measurement, park))
+    say(f"history: {park.place}")
     if as_json:
-        _print_json(table, overview)
-    else:
-        _print(tally, table, overview)
-    return int(bool(tally.bad))
+        bags.sort(key=lambda bag: (bag.start_ns is None, bag.start_ns or 0, bag.source))
+        print_json({"bags": [bag.to_dict() for bag in bags], "history": park.place})
+    return int(any(bag.error for bag in bags))
 
 
 @dataclass
-class _Tally:
-    """Counts of bags by outcome; ``aside`` are those that no worker survived or finished."""
+class _Bag:
+    """What became of a bag; its result is in the cache under ``key``.
 
-    bags: int = 0
-    repeated: int = 0
-    healed: int = 0
-    bad: int = 0
-    aside: list[str] = field(default_factory=list)
+    ``error`` says why there is no result, or why it is not in the history. ``twin_of`` is the bag
+    of the same session that counts for both. ``table`` and ``entry`` are those of the history.
+    """
 
-    def count(self, outcome: BagOutcome) -> None:
-        self.bags += 1
-        self.repeated += outcome.cached
-        self.healed += outcome.healed
-        self.bad += bool(outcome.error)
-        if outcome.set_aside:
-            self.aside.append(f"{outcome.source}: {outcome.error}")
+    source: str
+    key: str
+    session: str
+    start_ns: int | None
+    verdict: str = ""
+    verdict_line: str = ""
+    warnings: tuple[str, ...] = ()
+    error: str = ""
+    observations: int = 0
+    table: str = ""
+    entry: int | None = None
+    twin_of: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what others are told of it."""
+        own = ("key", "session", "start_ns", "observations")
+        return {name: value for name, value in asdict(self).items() if name not in own}
 
 
-def _followed(
-    running: Iterable[BagOutcome], total: int, dataset: ResultsDataset, history: str | None
-) -> _Tally:
-    """Keep the outcomes as they come, under a progress bar; show bad bags at once."""
-    tally = _Tally()
+def _followed(running: Iterable[BagOutcome], total: int) -> list[_Bag]:
+    """Return the bags as they are done, under a progress bar; show bad ones at once."""
+    bags, before, healed = list[_Bag](), 0, 0
     with progress("solving") as shown:
-        for outcome in running:
-            dataset.add(outcome)
-            tally.count(outcome)
-            shown(tally.bags, total)
-            if outcome.error:
-                say(f"{outcome.source}: {outcome.error}")
-            note_unread(f"{outcome.source}: {text}" for text in outcome.unread)
-            if history is not None and (result := outcome.deviations()) is not None:
-                _keep(result, history, outcome.source)
-    return tally
+        for done in running:
+            bag = _Bag(done.source, done.key, done.session, done.start_ns, error=done.error)
+            if (result := done.deviations()) is not None:
+                bag.verdict, bag.verdict_line = result.verdict, str(result.verdict_line)
+                bag.warnings = tuple(dict.fromkeys((*done.warnings, *result.warnings)))
+                bag.observations = result.n_observations
+            bags.append(bag)
+            before, healed = before + done.cached, healed + done.healed
+            shown(len(bags), total)
+            if done.error:
+                say(f"{done.source}: {done.error}")
+            note_unread(f"{done.source}: {text}" for text in done.unread)
+    bad = sum(bool(bag.error) for bag in bags)
+    good = f"{len(bags) - bad} solved ({before} of them before)"
+    say(f"{len(bags)} bags: {good}, {bad} without a result")
+    if healed:
+        say(f"{healed} kept results were damaged: computed again")
+    return bags
 
 
-def _keep(result: Result, history: str, source: str) -> None:
-    """Add a result to a history; one that says too little of itself is told and left out."""
-    from rotcal_ros.foundation import plugins
+def _keep(bags: Sequence[_Bag], cache: Path, serial: str, keep: Callable[..., Any]) -> None:
+    """Add the results to the history; of the bags of one session that with most observations."""
+    from rotcal_ros.extensions.fleet.batch_solving import kept_result
 
-    results = plugins.extension(plugins.HISTORIES, "history", "a history")
-    try:
-        results.keep(result, history)
-    except DataError as error:
-        say(f"{source} is not in the history: {error}")
-
-
-def _print(tally: _Tally, table: Path, overview: Path) -> None:
-    tell(
-        f"{tally.bags} bags: {tally.bags - tally.bad} solved ({tally.repeated} of them before), "
-        f"{tally.bad} without a result"
-    )
-    if tally.healed:
-        tell(f"{tally.healed} kept results were damaged: computed again")
-    for text in tally.aside:
-        tell(text)
-    tell(f"table:        {table}")
-    tell(f"overview:     {overview}")
-
-
-def _print_json(table: Path, overview: Path) -> None:
-    """Print one object per bag, as the dataset has it, in order of recording."""
-    from rotcal_ros.extensions.fleet.overview import bags_by_table, connected
-
-    with connected(table) as connection:
-        bags = sorted(
-            bags_by_table(connection),
-            key=lambda b: (b.start_ns is None, b.start_ns or 0, b.source),
-        )
-    rows = [
-        {
-            "source": bag.source,
-            "table": bag.table,
-            "verdict": bag.verdict,
-            "verdict_line": bag.line,
-            "warnings": list(bag.warnings),
-            "error": bag.error,
-            "twin_of": bag.twin_of,
-            "alarm": bag.alarm or "",
-        }
-        for bag in bags
-    ]
-    print_json({"bags": rows, "table": str(table), "overview": str(overview)})
+    best: dict[str, _Bag] = {}
+    good = [bag for bag in bags if not bag.error]
+    for bag in sorted(good, key=lambda b: (-b.observations, len(b.warnings), b.source)):
+        first = best.setdefault(bag.session or bag.source, bag)
+        bag.twin_of = "" if first is bag else first.source
+    with progress("adding to the history") as shown:
+        for number, bag in enumerate(best.values(), 1):
+            shown(number, len(best))
+            folder = PurePosixPath(bag.source).parent.name
+            try:
+                result = kept_result(cache, bag.key)
+                added = keep(result, serial.replace(FOLDER, folder), encodable(bag.source))
+                bag.table, bag.entry = added.entry.title, added.entry.id
+            except DataError as error:
+                bag.error = f"not in the history: {error}"
+                say(f"{bag.source}: {bag.error}")

@@ -2,46 +2,112 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
 
 from rotcal_ros.evaluation.compare import compare
-from rotcal_ros.extensions.history.database import RESULT, Added, ParkHistory, canonical, result_of
+from rotcal_ros.extensions.history.database import (
+    RESULT,
+    Added,
+    ParkHistory,
+    canonical,
+    result_of,
+    time_of,
+)
+from rotcal_ros.extensions.history.outlook import expected_curve
 from rotcal_ros.extensions.history.page import render
+from rotcal_ros.extensions.history.park import deviation_series
+from rotcal_ros.extensions.history.settings import HistorySettings
+from rotcal_ros.extensions.history.trend import fit
+from rotcal_ros.foundation.arrays import std_of
+from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import SPOKEN, phrase
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import Result, Zeros
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.comparison import curves_and_errors
 
 TITLE = phrase("Since last time")
+LONGEST_NS: Final = 86_400_000_000_000
+"""No measurement takes longer."""
 
 
-def keep(result: Result, database: str, axis: str = "", report: Path | None = None) -> str:
-    """Add a result, and its report, to a history; return in words what became of it.
+def add_source(history: ParkHistory, source: Path, given: Mapping[str, Any]) -> list[Added]:
+    """Add the result of a file, bag or session, and the report that a session has.
 
-    Raises what :meth:`ParkHistory.add_result` does.
+    ``given`` is what the result does not state; raises what :meth:`ParkHistory.add_result` does.
     """
-    with ParkHistory(database) as history:
-        added = history.add_result(result, axis=_unless_stated(result, axis))
-        if report is not None:
-            entry, page = added.entry, report.read_bytes()
-            facts = (entry.serial, entry.axis, "report", report.name, entry.measured_ns)
-            history.add_document(*facts, page)
-    return in_words(added)
+    found = read_source(source)
+    given = {**given, "axis": given.get("axis") or found.axis or ""}
+    added = [history.add_result(found.result, **given, where=str(source))]
+    report, entry = SessionFolder(source).report, added[0].entry
+    if source.is_dir() and report.is_file():
+        about = (entry.serial, entry.axis, "report", report.name, entry.measured_ns)
+        added.append(history.add_document(*about, report.read_bytes()))
+    return added
 
 
 def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
-    """Add the result of a session, and its report if it has one, to a history."""
-    report = folder.report if folder.report.is_file() else None
-    return keep(read_source(folder.result).result, database, axis, report)
+    """Add the result and the report of a session to a history; return what became of it."""
+    with ParkHistory(database) as history:
+        return in_words(add_source(history, folder.path, {"axis": axis})[0])
+
+
+def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
+    """Add the result of a bag, in the place of an earlier one of the same measurement.
+
+    So a bag that is solved again counts once. The earlier one stays if it had more observations:
+    a damaged copy replaces no whole recording. ``serial`` is for a result that states none,
+    ``source`` for people. Raises what :meth:`ParkHistory.add_result` does, and DataError for a
+    measurement that somebody withdrew or gave to another table.
+    """
+    known = result.circumstances
+    serial, begun = known.identity.serial or serial, known.from_ns
+    ended = max(begun, known.ended_ns or 0)
+    about = serial, known.axis, result.method, begun - LONGEST_NS, ended
+    valid, replaced = history.measured_between(*about)
+    for entry in valid:
+        earlier = result_of(entry)
+        if not _same_measurement(result, earlier):
+            continue
+        fuller = _observed(earlier) > _observed(result)
+        if fuller or canonical(earlier) == canonical(result):
+            return Added(entry, new=False)
+        why = f"{source}, solved again"
+        return history.add_result(result, serial=serial, why=why, corrects=entry.id, where=source)
+    for entry in replaced:
+        if _same_measurement(result, result_of(entry)):
+            raise DataError(
+                f"entry {entry.id} of the same measurement was taken from this table: add it with "
+                "`rotcal history add` if it counts after all"
+            )
+    return history.add_result(result, serial=serial, why=source, where=source)
+
+
+def _same_measurement(result: Result, earlier: Result) -> bool:
+    """Return whether two results of an axis share observations, or were measured together."""
+    if set(result.raw_data.hashes) & set(earlier.raw_data.hashes):
+        return True
+    a, b = result.circumstances, earlier.circumstances
+    if a.begun_ns is None or b.begun_ns is None:
+        return False
+    return a.begun_ns <= (b.ended_ns or b.begun_ns) and b.begun_ns <= (a.ended_ns or a.begun_ns)
+
+
+def _observed(result: Result) -> int:
+    """Return how many observations there were, used or not."""
+    return result.n_observations + len(result.rejected)
 
 
 def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str, str] | None:
     """Return title and HTML of the changes since the newest result before; None without one."""
-    axis = _unless_stated(result, axis) or result.circumstances.axis
+    axis = result.circumstances.axis or axis
     serial = result.circumstances.identity.serial
     with ParkHistory(database) as history:
         earlier = _earlier(history, result, serial, axis)
@@ -61,14 +127,39 @@ def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str,
     return (TITLE, render("since_last_time", changes=changes)) if changes else None
 
 
+def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, float]:
+    """Return the ECC that a history expects of a table on a day, and what its tolerance leaves.
+
+    The day is as 2026-03-31, the result suspect, since nobody has measured it. If nowhere the
+    table is further than what is left (rad) from this curve, both about their mean, it is within
+    its tolerance; zero or less without a tolerance, or where the curve itself is beyond. Raises
+    DataError for a table of which too little is known.
+    """
+    with ParkHistory(database, must_exist=True) as history:
+        item, settings = history.item(serial, axis), HistorySettings()
+        curves = deviation_series(history, item, "ECC", settings)
+        newest = result_of(history.entry(curves.campaigns[-1].entry_id))
+    curve, covariance = expected_curve(curves, fit(curves.series), time_of(day))
+    # A curve that counts from an angle moves by the error there, too.
+    room = (curves.tolerance - float(np.max(np.abs(curve)))) / (1 if curves.zero is None else 2)
+    words = f"expected of {len(curves.campaigns)} results for {day}: not measured"
+    identity = newest.circumstances.identity
+    result = Result(
+        method=newest.method, angles=curves.newest.angles, deviations={"ECC": curve},
+        std={"ECC": std_of(covariance)}, covariance={"ECC": covariance}, sigma0=1.0, dof=0,
+        n_observations=0, verdict="suspect", warnings=(words,),
+        circumstances=Circumstances(
+            newest.simulated, axis=item.axis, identity=identity, begun_ns=time_of(day)
+        ),
+        zeros=Zeros(newest.zeros.counts_from),
+    )  # fmt: skip
+    return result, room
+
+
 def in_words(added: Added) -> str:
     """Say what became of an addition."""
     entry, state = added.entry, "added" if added.new else "there already"
-    return f"entry {entry.id}: {entry.kind} of {entry.serial}/{entry.axis}, {entry.day}, {state}"
-
-
-def _unless_stated(result: Result, axis: str) -> str:
-    return "" if result.circumstances.axis else axis
+    return f"entry {entry.id}: {entry.kind} of {entry.title}, {entry.day}, {state}"
 
 
 def _earlier(

@@ -13,7 +13,7 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import datetime, timezone
 from functools import partial
 from hashlib import sha256
@@ -93,6 +93,11 @@ class HistoryEntry:
     content: bytes = b""
 
     @property
+    def title(self) -> str:
+        """Serial number and axis for people."""
+        return f"{self.serial}/{self.axis}"
+
+    @property
     def day(self) -> str:
         """The day (UTC) that it is about."""
         return day_of(self.measured_ns)
@@ -137,11 +142,14 @@ class Campaign:
 
 
 class ParkHistory:
-    """An open history; a context manager. Raises BagError where the database does not answer."""
+    """An open history; a context manager. ``place`` is its file, or URL without a password.
+
+    Raises BagError where the database does not answer.
+    """
 
     def __init__(self, database: str, *, must_exist: bool = False) -> None:
         self._engine = _engine(database, must_exist=must_exist)
-        self.database = database
+        self.place = _shown(database)
         with self._connected() as connection:
             _upgrade(connection, database)
 
@@ -243,13 +251,13 @@ class ParkHistory:
             axes = ", ".join(item.axis for item in found)
             raise DataError(f"{serial!r} has the axes {axes}: say which with --axis")
         near = ", ".join(item.serial for item in self.items()[:10]) or "none yet"
-        raise DataError(f"no table {serial!r} in {self.database}; there are: {near}")
+        raise DataError(f"no table {serial!r} in {self.place}; there are: {near}")
 
     def entry(self, entry_id: int) -> HistoryEntry:
         """Return an entry with its content; DataError if there is none, BagError if damaged."""
         entry = next(self.entries(ENTRIES.c.id == entry_id, content=True), None)
         if entry is None:
-            raise DataError(f"no entry {entry_id} in {self.database}: `{_VERB} show` lists them")
+            raise DataError(f"no entry {entry_id} in {self.place}: `{_VERB} show` lists them")
         if _hash(entry.content) != entry.content_sha256:
             raise BagError(f"entry {entry_id} is not what was added: take it from an export")
         return entry
@@ -258,6 +266,23 @@ class ParkHistory:
         """Return the entries of an axis by time of measurement, without their content."""
         wanted = [ENTRIES.c.item_id == item.id, *([_valid()] if valid else [])]
         return sorted(self.entries(*wanted), key=lambda entry: (entry.measured_ns, entry.id))
+
+    def measured_between(
+        self, serial: str, axis: str, method: str, begin_ns: int, end_ns: int
+    ) -> tuple[list[HistoryEntry], list[HistoryEntry]]:
+        """Return the results of a method, of an axis, that begin in a time, with their content.
+
+        First the valid ones, then those that something replaces.
+        """
+        wanted = (
+            ITEMS.c.serial == serial, ITEMS.c.axis == axis, ENTRIES.c.kind == RESULT,
+            ENTRIES.c.what == method, ENTRIES.c.measured_ns.between(begin_ns, end_ns),
+        )  # fmt: skip
+        valid, others = _valid(), sa.not_(_valid())
+        return (
+            list(self.entries(*wanted, valid, content=True)),
+            list(self.entries(*wanted, others, content=True)),
+        )
 
     def entries(self, *wanted: Any, content: bool = False) -> Iterator[HistoryEntry]:
         """Yield entries in the order in which they were added."""
@@ -286,6 +311,13 @@ class ParkHistory:
             for row in connection.execute(measured):
                 curves.setdefault(row.entry_id, {})[row.component] = _unpacked(row)
             return [_campaign(row, curves) for row in connection.execute(asked)]
+
+    def verdicts(self, item: Item) -> dict[int, str]:
+        """Return, by number of an entry, the verdict of each result of an axis in a line."""
+        asked = sa.select(RESULTS.c.entry_id, RESULTS.c.verdict_line).join(ENTRIES)
+        with self._connected() as connection:
+            of_item = connection.execute(asked.where(ENTRIES.c.item_id == item.id))
+            return {row.entry_id: row.verdict_line for row in of_item}
 
     def bases(self) -> dict[int, str]:
         """Return, by number of an axis, the hash of its valid entries."""
@@ -321,7 +353,7 @@ class ParkHistory:
         wrong = self._file_faults()
         known: dict[int, str] = {}
         for entry in self.entries(content=True):
-            where = f"entry {entry.id} ({entry.serial}/{entry.axis}, {entry.day})"
+            where = f"entry {entry.id} ({entry.title}, {entry.day})"
             known[entry.id] = entry.sha256
             replaced = "" if entry.replaces is None else known.get(entry.replaces, "missing")
             if _hash(entry.content) != entry.content_sha256:
@@ -360,11 +392,14 @@ class ParkHistory:
         with self._connected(writing=True) as connection:
             replaced = _replaced(connection, entry)
             own = ITEMS.c.serial == entry.serial, ITEMS.c.axis == entry.axis
-            connection.execute(self._insert(ITEMS), {"serial": entry.serial, "axis": entry.axis})
-            item_id = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one()
+            known = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one_or_none()
+            if known is None:
+                named = {"serial": entry.serial, "axis": entry.axis}
+                connection.execute(self._insert(ITEMS), named)
+                known = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one()
             entry = replace(entry, sha256=entry.sha256 or entry.hashed(replaced))
-            row = {n: v for n, v in asdict(entry).items() if n not in ("id", *_OF_ITEM)}
-            row |= {"item_id": item_id, "content": zlib.compress(entry.content)}
+            row = {n: v for n, v in vars(entry).items() if n not in ("id", *_OF_ITEM)}
+            row |= {"item_id": known, "content": zlib.compress(entry.content)}
             asked = self._insert(ENTRIES).values(row).returning(ENTRIES.c.id)
             entry_id = connection.execute(asked).scalar_one_or_none()
             if entry_id is not None and result is not None:
@@ -389,7 +424,7 @@ class ParkHistory:
                 f"entry {entry.replaces} was corrected" if entry.replaces else f"{where} is there"
             )
             raise DataError(
-                f"{did} already, by entry {old.id} as {old.kind} of {old.serial}/{old.axis} "
+                f"{did} already, by entry {old.id} as {old.kind} of {old.title} "
                 f"({old.added_by}, {day_of(old.added_ns)}): correct that one"
             )
         return old
@@ -408,7 +443,7 @@ class ParkHistory:
                     yield connection
         except sa.exc.DBAPIError as error:
             raise BagError(
-                f"the history {_shown(self.database)} does not take or give this: "
+                f"the history {self.place} does not take or give this: "
                 f"{' '.join(str(error.orig).split())}; nothing was changed"
             ) from error
 

@@ -7,12 +7,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from rotcal_ros.bags.parquet import arrow
 from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory, day_of
@@ -30,20 +28,12 @@ _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 def export(history: ParkHistory, folder: Path) -> int:
     """Write both files into ``folder``, each whole or not at all; return the entries' number."""
     folder.mkdir(parents=True, exist_ok=True)
-    count = 0
-
-    def entries() -> Iterator[dict[str, Any]]:
-        nonlocal count
-        known: dict[int, str] = {}
-        for entry in history.entries(content=True):
-            count += 1
-            known[entry.id] = entry.sha256
-            replaced = "" if entry.replaces is None else known[entry.replaces]
-            yield asdict(entry) | {"replaces": replaced}
-
-    _write(folder / ENTRIES, _entry_schema(), entries())
-    _write(folder / DEVIATIONS, _deviation_schema(), _deviations(history))
-    return count
+    for name, schema, batches in (
+        (ENTRIES, _entry_schema(), _entries),
+        (DEVIATIONS, _deviation_schema(), _deviations),
+    ):
+        _write(folder / name, schema, batches(history, schema))
+    return int(arrow()[1].read_metadata(folder / ENTRIES).num_rows)
 
 
 def restore(history: ParkHistory, folder: Path) -> tuple[int, int]:
@@ -134,20 +124,30 @@ def _label(text: str) -> str:
     return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 
-def _write(path: Path, schema: Any, rows: Iterable[dict[str, Any]]) -> None:
-    pa, parquet = arrow()
+def _write(path: Path, schema: Any, batches: Iterable[Any]) -> None:
+    _, parquet = arrow()
 
     def write(temporary: Path) -> None:
         with parquet.ParquetWriter(temporary, schema, **_OPTIONS) as writer:
-            waiting: list[dict[str, Any]] = []
-            for row in rows:
-                waiting.append(row)
-                if len(waiting) >= _GROUP:
-                    writer.write_table(pa.Table.from_pylist(waiting, schema))
-                    waiting = []
-            writer.write_table(pa.Table.from_pylist(waiting, schema))
+            for batch in batches:
+                writer.write_batch(batch)
 
     replace_atomically(path, write)
+
+
+def _entries(history: ParkHistory, schema: Any) -> Iterator[Any]:
+    """Yield the entries in batches, in the order in which they were added."""
+    pa, _ = arrow()
+    known: dict[int, str] = {}
+    rows = []
+    for entry in history.entries(content=True):
+        known[entry.id] = entry.sha256
+        replaced = "" if entry.replaces is None else known[entry.replaces]
+        rows.append(asdict(entry) | {"replaces": replaced})
+        if len(rows) >= _GROUP:
+            yield pa.RecordBatch.from_pylist(rows, schema)
+            rows = []
+    yield pa.RecordBatch.from_pylist(rows, schema)
 
 
 def _entry_schema() -> Any:
@@ -161,23 +161,35 @@ def _entry_schema() -> Any:
 
 def _deviation_schema() -> Any:
     pa, _ = arrow()
-    texts = ("serial", "axis", "verdict", "verdict_line", "component")
+    texts = ("serial", "axis", "method", "why", "verdict", "verdict_line", "component")
     numbers = ("temperature_c", "angle_rad", "deviation", "std")
-    kinds = {"entry": pa.int64(), "measured": pa.timestamp("ns", tz="UTC")}
+    kinds = {"entry": pa.int64(), "measured": pa.timestamp("ns", tz="UTC"), "covered": pa.bool_()}
     kinds |= dict.fromkeys(texts, pa.string()) | dict.fromkeys(numbers, pa.float64())
     return pa.schema(list(kinds.items()))
 
 
-def _deviations(history: ParkHistory) -> Iterator[dict[str, Any]]:
+def _deviations(history: ParkHistory, schema: Any) -> Iterator[Any]:
+    """Yield the deviations of each axis as a batch of columns, a row for each angle."""
+    pa, _ = arrow()
     for item in history.items():
+        why = {entry.id: entry.why for entry in history.of_item(item)}
+        parts = []
         for campaign in history.campaigns(item):
-            common = {
-                "serial": item.serial, "axis": item.axis, "entry": campaign.entry_id,
-                "measured": campaign.measured_ns, "verdict": campaign.verdict,
-                "verdict_line": campaign.verdict_line, "temperature_c": campaign.temperature_c,
-            }  # fmt: skip
+            facts = asdict(replace(campaign, curves={}, instruments={}))
+            facts |= {"serial": item.serial, "axis": item.axis, "entry": campaign.entry_id}
+            facts |= {"measured": campaign.measured_ns, "why": why[campaign.entry_id]}
             for component, curve in campaign.curves.items():
-                table = np.column_stack([curve.angles, curve.deviation, std_of(curve.covariance)])
-                for angle, deviation, std in table.tolist():
-                    values = {"angle_rad": angle, "deviation": deviation, "std": std}
-                    yield {**common, "component": component, **values}
+                columns = {
+                    "angle_rad": curve.angles,
+                    "deviation": curve.deviation,
+                    "std": std_of(curve.covariance),
+                }
+                facts["component"] = component
+                arrays = [
+                    pa.array(columns[field.name])
+                    if field.name in columns
+                    else pa.repeat(pa.scalar(facts[field.name], field.type), len(curve.angles))
+                    for field in schema
+                ]
+                parts.append(pa.RecordBatch.from_arrays(arrays, schema=schema))
+        yield from pa.Table.from_batches(parts, schema).combine_chunks().to_batches()

@@ -21,18 +21,20 @@ from rotcal_ros.extensions.history.series import DeviationSeries, series_of, usa
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.extensions.history.trend import DRAWS, YEAR_NS, Trend, fit
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.units import DEGREE
 
-VERSION: Final = 1
+VERSION: Final = 2
 """A forecast of another version is made again."""
 DAY_NS: Final = 86_400_000_000_000
 ENOUGH: Final = 3
 """Fewest campaigns since the last step for a forecast."""
-_DATES, _LEVELS = 16, 3
-"""A due date is looked for among so many dates, then between two of them, and so on."""
+_DATES: Final = 16
+"""A due date is looked for among so many dates, and then between two of them."""
+_EXACT_NS: Final = DAY_NS / 2
 _SIGNIFICANT: Final = 3.0
 """Standard uncertainties of a change that is called one."""
 _CLOSE: Final = 0.8
@@ -89,7 +91,8 @@ class DeviationOutlook:
             return "—"
         unit, label = unit_of(self.component)
         text = f"{self.rate / unit:+.2g} ± {COVERAGE_FACTOR * self.rate_std / unit:.2g}"
-        return f"{self.component} {text} {label}/year at {self.angle / DEGREE:.4g}°"
+        where = f"{self.angle / DEGREE:.4g}"
+        return phrase("{0} {1} {2}/year at {3}°", self.component, text, label, where)
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ class Outlook:
         known = [d for d in self.deviations if d.rate is not None]
         shown = [d for d in known if d.moved]
         if not shown:
-            return "no change seen" if known else "—"
+            return phrase("no change seen") if known else "—"
         return max(shown, key=lambda d: abs(d.rate or 0.0) / (d.tolerance or d.rate_std)).trend
 
     @property
@@ -151,10 +154,10 @@ def outlook(
     each = tuple(_of_deviation(curves, settings) for curves in found.values())
     findings = [f for view in each for f in _findings(view)]
     if newest.verdict != "ok":
-        words = f"the newest result is {newest.verdict_line}: measure again"
+        words = phrase("the newest result is {0}: measure again", newest.verdict_line)
         findings.insert(0, TableFinding("verdict", newest.measured_ns, words))
     for event in (e for e in entries if e.kind == EVENT and e.measured_ns > newest.measured_ns):
-        words = f"{event.what} on {event.day}, after the newest result: measure again"
+        words = phrase("{0} on {1}, after the newest result: measure again", event.what, event.day)
         findings.insert(0, TableFinding("event", event.measured_ns, words))
     due_ns, reason = _due(newest, each, findings, settings)
     reason = "; ".join([reason, *(found.words for found in findings if found.kind == "wear")])
@@ -187,38 +190,43 @@ def _due(
     forecast = [d for d in each if d.due_ns is not None]
     if not forecast:
         agreed = newest.measured_ns + round(settings.interval_days * DAY_NS)
-        why = "fewer than 3 results" if any(d.tolerance for d in each) else "no tolerance agreed"
-        return min(agreed, latest), f"{settings.interval_days:g} days, as agreed ({why})"
+        few, none = phrase("fewer than 3 results"), phrase("no tolerance agreed")
+        why = few if any(d.tolerance for d in each) else none
+        words = phrase("{0} days, as agreed ({1})", f"{settings.interval_days:g}", why)
+        return min(agreed, latest), words
     first = min(forecast, key=lambda d: d.due_ns or 0)
     if (first.due_ns or 0) >= latest:
-        return latest, f"{settings.longest_days:g} days, the longest interval"
+        return latest, phrase("{0} days, the longest interval", f"{settings.longest_days:g}")
     chance = f"{100.0 * settings.promise:g} %"
-    return first.due_ns or 0, f"{first.component} is within its tolerance with {chance} until then"
+    words = phrase("{0} is within its tolerance with {1} until then", first.component, chance)
+    return first.due_ns or 0, words
 
 
 def _findings(view: DeviationOutlook) -> list[TableFinding]:
     found = []
     if view.alarm is not None:
         time_ns = view.times_ns[view.alarm]
-        words = (
-            f"{view.component} jumped before {day_of(time_ns)}: look at the table, then note what "
-            "happened as an event"
+        words = phrase(
+            "{0} jumped before {1}: look at the table, then note what happened as an event",
+            view.component,
+            day_of(time_ns),
         )
         found.append(TableFinding("jump", time_ns, words))
     if view.decision == "beyond":
-        words = f"{view.component} is beyond its tolerance"
+        words = phrase("{0} is beyond its tolerance", view.component)
         found.append(TableFinding("beyond", view.times_ns[-1], words))
     if view.alarm is None and view.wearing:
-        words = f"{view.component} does not drift evenly: something wears, such as a bearing"
+        words = phrase(
+            "{0} does not drift evenly: something wears, such as a bearing", view.component
+        )
         found.append(TableFinding("wear", view.times_ns[-1], words))
     if view.moved:
-        found.append(TableFinding("drift", view.times_ns[-1], f"drift: {view.trend}"))
+        found.append(TableFinding("drift", view.times_ns[-1], phrase("drift: {0}", view.trend)))
     return found
 
 
 def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> DeviationOutlook:
-    name, newest = curves.component, curves.campaigns[-1]
-    tolerance = newest.tolerance_m if name in TRANSLATIONS else newest.tolerance_rad
+    name, tolerance = curves.component, curves.tolerance
     times = tuple(c.measured_ns for c in curves.campaigns)
     largest = tuple(float(np.max(np.abs(c.curves[name].deviation))) for c in curves.campaigns)
     curve = curves.newest
@@ -253,9 +261,9 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
         return found
     due_ns, probability = due_date(curves, trend, tolerance, settings)
     days = (
-        ("model", (due_ns - times[-1]) / DAY_NS),
-        ("staircase", _staircase(largest, tolerance, settings)),
-        ("control chart", _control_chart(times, largest, tolerance, settings)),
+        (phrase("model"), (due_ns - times[-1]) / DAY_NS),
+        (phrase("staircase"), _staircase(largest, tolerance, settings)),
+        (phrase("control chart"), _control_chart(times, largest, tolerance, settings)),
     )
     return replace(found, due_ns=due_ns, probability=probability, intervals_days=days)
 
@@ -275,19 +283,24 @@ def due_date(
         drawn = curves.curves_of(trend.forecast(times_ns), rest)
         return np.asarray(np.mean(np.max(np.abs(drawn), axis=2) <= tolerance, axis=0))
 
-    low, high = begun, begun + round(settings.longest_days * DAY_NS)
-    today = 1.0
-    for level in range(_LEVELS):
-        times = np.linspace(low, high, _DATES + 1).astype(np.int64)
-        held = conforming(times)
-        today = float(held[0]) if level == 0 else today
-        broken = np.flatnonzero(held < settings.promise)
-        if not len(broken):
-            return int(times[-1]), today
-        if broken[0] == 0:
-            return int(times[0]), today
-        low, high = int(times[broken[0] - 1]), int(times[broken[0]])
-    return low, today
+    times = np.linspace(begun, begun + round(settings.longest_days * DAY_NS), _DATES + 1)
+    held = conforming(times.astype(np.int64))
+    broken = np.flatnonzero(held < settings.promise)
+    if not len(broken) or broken[0] == 0:
+        return int(times[0] if len(broken) else times[-1]), float(held[0])
+    low, high = times[broken[0] - 1], times[broken[0]]
+    while high - low > _EXACT_NS:
+        middle = (low + high) / 2.0
+        good = conforming(np.array([middle], dtype=np.int64))[0] >= settings.promise
+        low, high = (middle, high) if good else (low, middle)
+    return int(low), float(held[0])
+
+
+def expected_curve(curves: DeviationSeries, trend: Trend, time_ns: int) -> tuple[Floats, Floats]:
+    """Return the curve (n,) that is expected at a time, and its covariance (n, n)."""
+    modes = trend.forecast(np.array([time_ns], dtype=np.int64))
+    drawn = curves.curves_of(modes, curves.drawn_rest(DRAWS))[:, 0]
+    return drawn.mean(axis=0), np.atleast_2d(np.cov(drawn.T))
 
 
 def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, int, bool]:

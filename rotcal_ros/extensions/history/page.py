@@ -25,6 +25,7 @@ from rotcal_ros.extensions.history.database import (
 from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook, urgent
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.report import template
 
 PAGE: Final = "park.html"
@@ -63,18 +64,18 @@ def write_park(
 
 def _row(view: Outlook, link: str, today: str) -> dict[str, Any]:
     """Return what the page knows of a table."""
-    due = day_of(view.due_ns)
+    due, spoken = day_of(view.due_ns), SPOKEN.get()
     state = "look" if urgent(view) else "due" if due <= today else "well"
     shown = max(view.deviations, key=lambda d: d.component == "ECC", default=None)
     return {
         "table": view.title,
         "link": link,
         "last": day_of(view.last_ns),
-        "verdict": view.verdict_line,
+        "verdict": spoken(view.verdict_line),
         "standing": "partly" if view.verdict == "ok" and not view.covered else view.verdict,
-        "trend": view.trend,
+        "trend": spoken(view.trend),
         "due": due,
-        "reason": view.reason,
+        "reason": spoken(view.reason),
         "state": state,
         "spark": "" if shown is None else sparkline(shown),
     }
@@ -105,6 +106,7 @@ def _write_table(history: ParkHistory, view: Outlook, folder: Path, name: str) -
         figures=[(d.component, over_time(d, entries)) for d in view.deviations],
         rows=[_entry_row(history, entry, folder) for entry in reversed(entries)],
         replaced=replaced,
+        verdicts=history.verdicts(item),
         forecast=[d for d in view.deviations if d.intervals_days],
         home=f"../{PAGE}",
     )
@@ -133,7 +135,7 @@ def over_time(view: DeviationOutlook, entries: Sequence[HistoryEntry]) -> str:
         "over_time",
         size=(WIDE, HIGH),
         edges=(LEFT, WIDE - RIGHT, TOP, HIGH - BOTTOM),
-        label=f"largest |{view.component}| / {label}",
+        label=phrase("largest |{0}| / {1}", view.component, label),
         points=[(x(t), y(v)) for t, v in zip(view.times_ns, view.largest, strict=True)],
         ticks=[(y(share * top), f"{share * top / unit:.3g}") for share in (0.0, 0.5, 1.0)],
         dates=[(x(t), day_of(t)) for t in dict.fromkeys([view.times_ns[0], last])],

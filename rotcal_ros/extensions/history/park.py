@@ -20,8 +20,10 @@ from rotcal_ros.extensions.history.outlook import (
     outlook,
     with_finding,
 )
+from rotcal_ros.extensions.history.series import DeviationSeries, series_of, usable
 from rotcal_ros.extensions.history.settings import HistorySettings
-from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.language import phrase
 
 KEPT_AFTER: Final = 100
 """New outlooks that are kept at once."""
@@ -67,6 +69,21 @@ def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> O
     return outlook(item.serial, item.axis, history.campaigns(item), entries, settings)
 
 
+def deviation_series(
+    history: ParkHistory, item: Item, component: str, settings: HistorySettings
+) -> DeviationSeries:
+    """Return the series of one deviation of an axis; DataError with fewer than two results."""
+    campaigns, entries = history.campaigns(item), history.of_item(item)
+    known = series_of(usable(campaigns, entries), entries, settings.common_share)
+    curves = known.get(component)
+    if curves is None or len(curves.campaigns) < 2:
+        raise DataError(
+            f"{item.title} has fewer than two results of {component} that can be compared: add "
+            "more, or choose another component"
+        )
+    return curves
+
+
 def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
     """Name the tables whose jump shows the curve of another one: a swapped serial number."""
     named = list(outlooks)
@@ -80,9 +97,10 @@ def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
         if best < sum(_compared(mine, mine)[1] for mine in jumped) + _CLEARLY:
             continue
         time_ns = max(d.times_ns[d.alarm or 0] for d in jumped)
-        words = (
-            f"the result of {day_of(time_ns)} has the curve of {other.title}: were the serial "
-            "numbers swapped?"
+        words = phrase(
+            "the result of {0} has the curve of {1}: were the serial numbers swapped?",
+            day_of(time_ns),
+            other.title,
         )
         named[number] = with_finding(view, TableFinding("swapped", time_ns, words))
     return named

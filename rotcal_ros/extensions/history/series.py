@@ -12,7 +12,7 @@ import numpy as np
 from rotcal_ros.extensions.history.database import CUTTING, EVENT, Campaign, HistoryEntry
 from rotcal_ros.extensions.history.trend import CampaignSeries
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS
 from rotcal_ros.foundation.curves.interpolation import harmonic_basis, harmonic_estimator
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
@@ -46,6 +46,12 @@ class DeviationSeries:
     def newest(self) -> MeasuredCurve:
         """The newest curve."""
         return self.campaigns[-1].curves[self.component]
+
+    @property
+    def tolerance(self) -> float:
+        """The tolerance (rad or m) that the newest result states; 0: none."""
+        newest = self.campaigns[-1]
+        return newest.tolerance_m if self.component in TRANSLATIONS else newest.tolerance_rad
 
     def curves_of(self, coefficients: Floats, rest: Floats) -> Floats:
         """Return curves (..., n) of coefficients (..., p), with their zero where it belongs."""

@@ -211,7 +211,8 @@ def fit(series: CampaignSeries) -> Trend:
     """Fit the model to a series of two campaigns or more; its uncertainties are above zero."""
     sizes, priors = _grid(series)
     count = int(series.orders.max())
-    rows = [_fit_mode(series, sizes, number) for number in range(1, count + 1)]
+    moving = np.stack([_moving(series.years, series.years, each) for each in sizes])
+    rows = [_fit_mode(series, moving, number) for number in range(1, count + 1)]
     # (s, g, m): the evidence of the first campaigns, however many of them.
     evidence = [np.cumsum(_densities(f, w), axis=-1) + priors[:, None] for _, f, w in rows]
     together = _SCALE_PRIORS[:, None] + sum(logsumexp(found, axis=1) for found in evidence)
@@ -260,8 +261,11 @@ def _moving(a: Floats, b: Floats, sizes: Floats) -> Floats:
     return np.asarray(moved + season**2 * np.cos(2.0 * np.pi * (a - b)), dtype=np.float64)
 
 
-def _fit_mode(series: CampaignSeries, sizes: Floats, mode: int) -> tuple[float, Floats, Floats]:
-    """Return the unit, the Cholesky factors and the whitened values of one mode."""
+def _fit_mode(series: CampaignSeries, moving: Floats, mode: int) -> tuple[float, Floats, Floats]:
+    """Return the unit, the Cholesky factors and the whitened values of one mode.
+
+    ``moving`` (g, m, m) are the covariances of a table that moves by each of the sizes.
+    """
     columns = series.orders == mode
     std = np.sqrt(np.mean(series.std[:, columns] ** 2, axis=1))
     unit = float(np.median(std))
@@ -269,13 +273,11 @@ def _fit_mode(series: CampaignSeries, sizes: Floats, mode: int) -> tuple[float, 
     level = WIDE**2 * (series.steps[:, None] == series.steps)
     if (kelvin := series.kelvin) is not None:
         level = level + WIDE**2 * np.outer(kelvin, kelvin)
-    years = series.years
-    moving = np.stack([_moving(years, years, each) for each in sizes])
     scaled = np.square(SCALES)[:, None, None, None] * noise
     # The values stand below the covariance: their rows of its factor are the whitened values.
     values = series.values[:, columns] / unit
     m, c = values.shape
-    whole = np.zeros((len(SCALES), len(sizes), m + c, m + c))
+    whole = np.zeros((len(SCALES), len(moving), m + c, m + c))
     whole[:, :, :m, :m] = scaled + level + moving
     whole[:, :, m:, :m] = values.T
     whole[:, :, range(m, m + c), range(m, m + c)] = 1e30

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from functools import partial, wraps
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
-from rotcal_ros.cli.options import shown_option
+from rotcal_ros.cli.options import language_option, shown_option
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
@@ -117,17 +117,17 @@ def add(
     check, a report, a table in force. Of several the others are added where one is refused; the
     exit code is then 1.
     """
-    from rotcal_ros.extensions.history.adding import in_words
+    from rotcal_ros.extensions.history.adding import add_source, in_words
     from rotcal_ros.extensions.history.database import ParkHistory, time_of
 
     measured_ns = time_of(measured) if measured else 0
     done, refused, settings = [], list[str](), asked.pop("settings")
-    add_source = _add_result if kind is None else partial(_add_document, kind)
+    add_one = add_source if kind is None else partial(_add_document, kind)
     with ParkHistory(settings.database) as history, progress("adding") as shown:
         for number, source in enumerate(sources, 1):
             shown(number, len(sources))
             try:
-                added = add_source(history, source, {**asked, "measured_ns": measured_ns})
+                added = add_one(history, source, {**asked, "measured_ns": measured_ns})
             except DataError as error:
                 if len(sources) == 1:
                     raise
@@ -145,27 +145,12 @@ def add(
 
 
 def _add_document(
-    kind: str, history: ParkHistory, source: Path, given: dict[str, Any]
+    kind: str, history: ParkHistory, source: Path, given: Mapping[str, Any]
 ) -> list[Any]:
     item = history.item(given["serial"], given["axis"])
     day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
     facts = (item.serial, item.axis, kind, source.name, day)
     return [history.add_document(*facts, source.read_bytes())]
-
-
-def _add_result(history: ParkHistory, source: Path, given: dict[str, Any]) -> list[Any]:
-    from rotcal_ros.foundation.session_folder import SessionFolder
-    from rotcal_ros.recordings.result_sources import read_source
-
-    found = read_source(source)
-    given = {**given, "axis": given["axis"] or (found.axis or "")}
-    added = [history.add_result(found.result, **given, where=str(source))]
-    report = SessionFolder(source).report
-    if source.is_dir() and report.is_file():
-        entry = added[0].entry
-        facts = (entry.serial, entry.axis, "report", report.name, entry.measured_ns)
-        added.append(history.add_document(*facts, report.read_bytes()))
-    return added
 
 
 @command.command()
@@ -231,15 +216,16 @@ def show(
         if number is not None and output is not None:
             _write_content(history.entry(number), output)
             return 0
-        entries = history.of_item(item, valid=False)
+        entries, verdicts = history.of_item(item, valid=False), history.verdicts(item)
         known = next((o for o in park(history, settings) if o.title == item.title), None)
     if as_json:
         outlook = None if known is None else _plain(known)
-        print_json({"entries": [_facts(e) for e in entries], "outlook": outlook})
+        facts = [_facts(e) | {"verdict_line": verdicts.get(e.id, "")} for e in entries]
+        print_json({"entries": facts, "outlook": outlook})
         return 0
-    _print_entries(entries)
+    _print_entries(entries, verdicts)
     if known is not None:
-        _print_outlook(known)
+        _print_outlook(known, settings.database)
     return 0
 
 
@@ -263,24 +249,14 @@ def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> 
     """Draw one deviation of the table SERIAL over time, its forecast, and a control chart."""
     from rotcal_ros.extensions.history.figures import chart_and_forecast
     from rotcal_ros.extensions.history.outlook import DAY_NS
-    from rotcal_ros.extensions.history.series import series_of, usable
+    from rotcal_ros.extensions.history.park import deviation_series
     from rotcal_ros.extensions.history.trend import fit
 
     settings: HistorySettings = asked["settings"]
     with _open(settings) as history:
-        item = history.item(serial, axis)
-        campaigns, entries = history.campaigns(item), history.of_item(item)
-    known = series_of(usable(campaigns, entries), entries, settings.common_share)
-    curves = known.get(component)
-    if curves is None or len(curves.campaigns) < 2:
-        raise DataError(
-            f"{item.title} has fewer than two results of {component} that can be compared: add "
-            "more, or choose another component"
-        )
-    newest = campaigns[-1]
-    tolerance = newest.tolerance_m if component in COMPONENTS[:3] else newest.tolerance_rad
-    until = newest.measured_ns + round(2 * settings.interval_days * DAY_NS)
-    drawn = (until, asked["chart"], asked["basis"], tolerance)
+        curves = deviation_series(history, history.item(serial, axis), component, settings)
+    until = curves.campaigns[-1].measured_ns + round(2 * settings.interval_days * DAY_NS)
+    drawn = (until, asked["chart"], asked["basis"], curves.tolerance)
     write_atomically(output, chart_and_forecast(curves, fit(curves.series), *drawn))
     say(f"drawn: {output.absolute()}")
     return 0
@@ -362,14 +338,16 @@ def import_verb(folder: Path, settings: HistorySettings) -> int:
 
 @command.command()
 @shown_option("-o", "--output", type=path_type, default=Path("out/park"), help="Folder for it.")
+@language_option
 @asked
-def page(output: Path, settings: HistorySettings) -> int:
+def page(output: Path, language: str, settings: HistorySettings) -> int:
     """Write the page of the park: a row for each table, and a page behind it."""
     from rotcal_ros.extensions.history.page import write_park
+    from rotcal_ros.foundation.language import speaking
 
     outlooks = _park(settings)
     today = datetime.now(timezone.utc).date().isoformat()
-    with _open(settings) as history:
+    with _open(settings) as history, speaking(language):
         say(f"page: {write_park(history, outlooks, output, today).absolute()}")
     return 0
 
@@ -421,12 +399,15 @@ def _print_park(outlooks: Sequence[Outlook]) -> None:
     print_words(f"{tables}, {sum(bool(urgent(view)) for view in rows)} to look at")
 
 
-def _print_entries(entries: Sequence[HistoryEntry]) -> None:
+def _print_entries(entries: Sequence[HistoryEntry], verdicts: Mapping[int, str]) -> None:
     replaced = {entry.replaces for entry in entries}
     facts = [
-        (e.id, e.day, e.kind, e.what, e.added_by, e.why, "replaced" if e.id in replaced else "")
+        (
+            e.id, e.day, e.kind, e.what, e.added_by, e.why,
+            "replaced" if e.id in replaced else verdicts.get(e.id, ""),
+        )
         for e in entries
-    ]
+    ]  # fmt: skip
     _print_rows(("Entry", "Date", "Kind", "What", "By", "Why", "State"), facts)
 
 
@@ -435,13 +416,20 @@ def _print_rows(headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     print_table([Column(*pair) for pair in zip(headings, columns, strict=True)])
 
 
-def _print_outlook(known: Outlook) -> None:
+def _print_outlook(known: Outlook, database: str) -> None:
     from rotcal_ros.extensions.history.database import day_of
 
     print_words(f"due {day_of(known.due_ns)}: {known.reason}")
     print_words(*(found.words for found in known.findings))
     for view in known.deviations:
         print_words(*_lines(view), *view.notes)
+    if any(d.component == "ECC" and d.tolerance and d.rate is not None for d in known.deviations):
+        day = max(day_of(known.due_ns), datetime.now(timezone.utc).date().isoformat())
+        where = f"--from-history {database} --at {day}"
+        print_words(
+            f"fewest lengths for the next time: rotcal plan check {known.serial} {where} "
+            "--setup SETUP -o FOLDER"
+        )
 
 
 def _lines(view: Any) -> Iterator[str]:
@@ -458,12 +446,6 @@ def _lines(view: Any) -> Iterator[str]:
     if view.per_kelvin is not None:
         value, std = (number / unit for number in view.per_kelvin)
         yield f"{view.component}: {value:+.2g} ± {COVERAGE_FACTOR * std:.2g} {label}/K"
-    if view.rate is not None and view.tolerance:
-        monthly = abs(view.rate) / 12.0 / unit
-        yield (
-            f"next time: rotcal plan check RESULT --within {view.tolerance / unit:g} "
-            f"--ageing {max(monthly, view.rate_std / 12.0 / unit):.2g} plans the fewest lengths"
-        )
 
 
 def _write_content(entry: HistoryEntry, output: Path) -> None:

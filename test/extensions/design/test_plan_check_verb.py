@@ -1,6 +1,7 @@
 """``rotcal plan check``: from an earlier result to the plan that checks it, and to the verdict."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import on_table
@@ -103,6 +106,65 @@ def test_what_the_plan_measures_decides(planned, tmp_path, size, verdict, code):
     np.testing.assert_allclose(check["std"], data["predicted_std"], rtol=0.01)
     np.testing.assert_allclose(check["acceptance"], data["acceptance"], rtol=0.01)
     assert check["assurance"] == pytest.approx(data["assurance"], abs=0.01)
+
+
+@pytest.fixture(scope="module")
+def park(tmp_path_factory):
+    """A history of five yearly results of a table that drifts by 0.3 arcsec in a year."""
+    database = pytest.importorskip("rotcal_ros.extensions.history.database")
+    place = tmp_path_factory.mktemp("park") / "history.db"
+    plate = Result.from_dict(json.loads(PLATE.read_text()))
+    covariance = {"ECC": np.eye(len(plate.angles)) * (0.1 * ARCSEC) ** 2}
+    rng = np.random.default_rng(3)
+    with database.ParkHistory(str(place)) as history:
+        for year in range(5):
+            known = {"serial": "T1", "tolerance_arcsec": 12.0, "measured": f"{2021 + year}-01-01"}
+            noise = 0.1 * ARCSEC * rng.standard_normal(len(plate.angles))
+            history.add_result(
+                replace(
+                    plate,
+                    deviations={"ECC": drifted(plate, year) + noise},
+                    std={"ECC": np.full(len(plate.angles), 0.1 * ARCSEC)},
+                    covariance=covariance,
+                    adjacent_deviations=None,
+                    adjacent_std=None,
+                    circumstances=Circumstances(axis="C", identity=Identity.from_dict(known)),
+                )
+            )
+    return place
+
+
+def drifted(plate, years):
+    return plate.deviations["ECC"] + 0.3 * years * ARCSEC * np.cos(plate.angles)
+
+
+@pytest.mark.slow
+def test_what_a_history_expects_is_checked_against_what_its_tolerance_leaves(park, tmp_path):
+    setup = ("--setup", ROOT / "config" / "tracer.yaml", *NOISE)
+    asked = ("plan", "check", "T1", "--from-history", park, "--at", "2026-01-01", *setup)
+    ran = run(*asked, "-o", tmp_path, "--json")
+    assert ran.exit_code == 0, ran.output
+    within = float(ran.stderr.rpartition("--within ")[2])
+    plate = Result.from_dict(json.loads(PLATE.read_text()))
+    left = 12.0 - np.max(np.abs(drifted(plate, 5.0))) / ARCSEC
+    assert within == pytest.approx(left, abs=0.3)
+    new = tmp_path / "new.json"
+    for truth, code in ((drifted(plate, 5.0), 0), (3.0 * drifted(plate, 5.0), 1)):
+        new.write_text(measured(tmp_path, truth, 5).to_json())
+        ran = run("check", tmp_path / "expected.json", new, "--within", within)
+        assert ran.exit_code == code, ran.output
+
+
+def test_a_table_that_is_expected_beyond_its_tolerance_is_calibrated(park):
+    setup = ("--setup", ROOT / "config" / "tracer.yaml")
+    ran = run("plan", "check", "T1", "--from-history", park, "--at", "2060-01-01", *setup)
+    assert (ran.exit_code, "no tolerance is left on 2060-01-01" in ran.stderr) == (2, True)
+
+
+def test_options_of_a_history_need_one():
+    ran = run(*PLAN, "--within", "3", "--at", "2026-01-01")
+    assert (ran.exit_code, "belong to --from-history" in ran.stderr) == (2, True)
+    assert "give --within" in run(*PLAN).stderr
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import socket
 import subprocess
 import sys
@@ -33,8 +32,9 @@ SEEDS = (5, 6, 7)
 _groups = yaml.safe_load(SAMPLE)["/**"]["ros__parameters"]
 _groups.pop("method")
 PLAN = {**_groups["plan"], "box_points": [2, 2, 2], "table_positions": 5}
+DATED = {"identity": {"measured": "2026-03-31"}}  # simulated clocks tell no date
 CONFIGURATION = dump_configuration(
-    "tracer_multistation", {**_groups, "plan": PLAN, "solver": {"variant": "station"}}
+    "tracer_multistation", {**_groups, **DATED, "plan": PLAN, "solver": {"variant": "station"}}
 )
 
 
@@ -126,31 +126,31 @@ def test_a_remote_bag_is_fetched_through_fsspec(fleet, jobs, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_verb_writes_table_and_overview(fleet, tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
+def test_the_verb_adds_every_result_to_a_history_and_names_what_has_none(fleet, tmp_path):
+    pytest.importorskip("sqlalchemy")
+    from rotcal_ros.extensions.history.database import ParkHistory, result_of
+
     arguments = [
         "reprocess", str(fleet), "--setup", str(fleet / "setup.yaml"), "-o", str(tmp_path / "out"),
-        "--workers", "2",
+        "--workers", "2", "--serial", "{folder}", "--json",
     ]  # fmt: skip
     answer = CliRunner().invoke(rotcal, arguments)
     assert answer.exit_code == 1, answer.output
-    assert "4 bags: 3 solved (0 of them before), 1 without a result" in answer.output
-    table = parquet.read_table(tmp_path / "out" / "results.parquet")
-    assert table.num_rows == 3 * 5 + 1
-    result = read_recording(
-        fleet / "run_6" / "bag", configuration=parse_configuration(CONFIGURATION)
-    ).solve()
-    rows = [row for row in table.to_pylist() if "run_6" in row["source"]]
-    assert [row["deviation"] for row in rows] == result.deviations["ECC"].tolist()
-    assert [row["std"] for row in rows] == result.std["ECC"].tolist()
-    assert {row["verdict_line"] for row in rows} == {result.verdict_line}
-    page = (tmp_path / "out" / "overview.html").read_text()
-    assert "is not an MCAP file" in page
-    assert not re.search(r'(src|href)="(?!overview/)[^#]', page)
-    pages = [path.read_text() for path in (tmp_path / "out" / "overview").glob("table-*.html")]
-    assert any(f">{result.verdict_line}</td>" in text for text in pages)
+    assert "4 bags: 3 solved (0 of them before), 1 without a result" in answer.stderr
+    bags = json.loads(answer.stdout)["bags"]
+    first = str(fleet / "run_5" / "bag")  # all were simulated at the same moment: one session
+    assert [bag["twin_of"] for bag in bags] == ["", first, first, ""]
+    assert (bags[0]["source"], bags[0]["table"]) == (first, "run_5/C")
+    assert "is not an MCAP file" in bags[-1]["error"]
+    configuration = parse_configuration(CONFIGURATION)
+    alone = read_recording(Path(first), configuration=configuration).solve()
+    with ParkHistory(str(tmp_path / "out" / "history.db")) as history:
+        kept = history.entry(bags[0]["entry"])
+        assert result_of(kept).to_dict() == alone.to_dict()
+        assert (kept.why, bags[0]["verdict_line"]) == (first, alone.verdict_line)
     again = CliRunner().invoke(rotcal, arguments)
-    assert "3 solved (3 of them before)" in again.output
+    assert "3 solved (3 of them before)" in again.stderr
+    assert json.loads(again.stdout)["bags"] == bags
 
 
 def test_a_cluster_that_does_not_answer_is_one_sentence(jobs, monkeypatch):

@@ -1,13 +1,16 @@
 """What runs and reports ask of the history."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from simulated_park import BEGIN_NS, YEAR_NS, result
 
-from rotcal_ros.extensions.history.adding import keep, since_last_time
+from rotcal_ros.extensions.history.adding import keep_measurement, keep_session, since_last_time
 from rotcal_ros.extensions.history.database import ParkHistory
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import speaking
+from rotcal_ros.foundation.session_folder import SessionFolder
 
 CURVE = np.sin(np.arange(24.0))
 
@@ -17,11 +20,19 @@ def some(year, change=0.0, serial="4711"):
     return result(serial, BEGIN_NS + round(year * YEAR_NS), deviation, 0.3)
 
 
+def session(folder, result):
+    """Return the folder of a session with a result."""
+    folder.mkdir()
+    (folder / "result.json").write_text(result.to_json())
+    return SessionFolder(folder)
+
+
 @pytest.fixture
 def database(tmp_path):
     """Return a history of one result."""
     place = str(tmp_path / "history.db")
-    assert keep(some(0.0), place) == "entry 1: result of 4711/C, 2021-01-01, added"
+    said = keep_session(session(tmp_path / "first", some(0.0)), place, "C")
+    assert said == "entry 1: result of 4711/C, 2021-01-01, added"
     return place
 
 
@@ -41,13 +52,27 @@ def test_the_first_result_of_a_table_has_nothing_before_it(database, new):
 
 
 def test_a_report_is_kept_beside_its_result(database, tmp_path):
-    page = tmp_path / "report.html"
-    page.write_bytes(b"<html>")
-    assert keep(some(0.0), database, report=page).endswith("there already")
+    again = session(tmp_path / "again", some(0.0))
+    again.report.write_bytes(b"<html>")
+    assert keep_session(again, database, "C").endswith("there already")
     with ParkHistory(database) as history:
         assert [entry.kind for entry in history.entries()] == ["result", "report"]
 
 
-def test_what_does_not_say_whose_it_is_is_not_kept(database):
+def test_a_measurement_that_is_solved_again_counts_once(database):
+    with ParkHistory(database) as history:
+        for change in (0.1, 0.2, 0.2):
+            keep_measurement(history, some(0.0, change), "", "bags/one")
+        (valid,) = history.of_item(history.item("4711"))
+        assert (valid.replaces, valid.why) == (2, "bags/one, solved again")
+        fewer = replace(some(0.0, 0.3), n_observations=20)
+        assert keep_measurement(history, fewer, "", "bags/half").entry == history.entry(valid.id)
+        history.correct(valid.id, "wrong nests")
+        with pytest.raises(DataError, match="same measurement was taken from this table"):
+            keep_measurement(history, some(0.0, 0.4), "", "bags/one")
+        assert history.items() == []
+
+
+def test_what_does_not_say_whose_it_is_is_not_kept(database, tmp_path):
     with pytest.raises(DataError, match="no serial number"):
-        keep(some(2.0, serial=""), database)
+        keep_session(session(tmp_path / "no", some(2.0, serial="")), database, "C")

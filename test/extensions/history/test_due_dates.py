@@ -66,9 +66,9 @@ def promises(count, seed=1, campaigns=8, *, straight=False):
 
     ``straight``: all modes drift, and nothing else moves.
     """
-    rng = np.random.default_rng(seed)
     given = kept = 0
-    for _ in range(count):
+    for number in range(count):
+        rng = np.random.default_rng((seed, number))  # so that no table changes the next one
         table, years = Mover(rng, straight=straight), np.linspace(0.0, 5.0, campaigns)
         curves = series_of(table, years, rng)
         due_ns, _ = due_date(curves, fit(curves.series), table.tolerance, SETTINGS)
@@ -89,7 +89,7 @@ def test_the_promise_of_95_percent_is_kept_by_93_to_97_percent_of_1000_parks():
 @pytest.mark.slow
 def test_tables_that_only_drift_keep_it_at_least_as_often():
     given, kept = promises(600, seed=2, straight=True)
-    assert kept / given >= 0.93, (given, kept)
+    assert kept / given >= share(0.95, given)[0], (given, kept)
 
 
 def test_few_tables_keep_the_promise_as_chance_allows():

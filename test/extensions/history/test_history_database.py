@@ -44,6 +44,19 @@ def tamper(history, statement):
         connection.exec_driver_sql(statement)
 
 
+def test_results_of_a_time_are_found_and_those_that_were_replaced(database):
+    with ParkHistory(database) as history:
+        first = history.add_result(some()).entry
+        second = history.add_result(some(u=0.4), corrects=first.id).entry
+        history.add_result(some(year=1.0))
+        about = ("4711", "C", "tracer_multistation", BEGIN_NS - 1, BEGIN_NS + 1)
+        found = history.measured_between(*about)
+        assert [[entry.id for entry in each] for each in found] == [[second.id], [first.id]]
+        verdicts = history.verdicts(history.item("4711"))
+        assert list(verdicts) == [1, 2, 3]
+        assert {line[:2] for line in verdicts.values()} == {"ok"}
+
+
 def test_a_result_is_kept_once_and_comes_back_to_the_last_bit(database):
     real = [read_source(DATA / f"result_{name}.json").result for name in ("tracer", "ball_plate")]
     day = time_of("2026-03-31")

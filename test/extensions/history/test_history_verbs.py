@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import get_args
 
@@ -143,6 +144,22 @@ def test_export_and_import(history, results, tmp_path, warm):
     assert "3 entries added, 0 were there already" in again.stderr
 
 
+def test_duckdb_finds_every_deviation_in_an_export(history, results, tmp_path):
+    duckdb = pytest.importorskip("duckdb")
+    history("add", *results[:3], "--why", "yearly")
+    assert history("export", "out").returncode == 0
+    asked = duckdb.sql(
+        "SELECT max(deviation) - min(deviation), count(*), any_value(why), any_value(serial), "
+        "epoch_ns(any_value(measured)), any_value(covered) "
+        f"FROM '{tmp_path}/out/deviations.parquet' GROUP BY entry ORDER BY entry"
+    ).fetchall()
+    read = [json.loads(path.read_text()) for path in results[:3]]
+    for row, data in zip(asked, read, strict=True):
+        ecc = data["deviations"]["ECC"]
+        begun = data["circumstances"]["begun_ns"]
+        assert row == (max(ecc) - min(ecc), len(ecc), "yearly", "DRIFTS", begun, False)
+
+
 @pytest.mark.parametrize("chart", ["shewhart", "cusum", "ewma", "t2"])
 def test_charts_are_drawn(history, results, tmp_path, chart):
     history("add", *results[:11])
@@ -157,3 +174,12 @@ def test_a_suspect_result_is_due_at_once(history, tmp_path):
     history("add", "bad.json")
     listed = json.loads(history("due", "--json").stdout)["tables"]
     assert "measure again" in listed[0]["reason"]
+    assert "suspect" in history("show", "BAD").stdout
+
+
+def test_the_next_check_is_proposed_for_the_day_on_which_the_table_is_due(history, results):
+    history("add", *results[:11])
+    due = json.loads(history("--json").stdout)["tables"][0]["due_ns"]
+    shown = history("show", "DRIFTS").stderr
+    asked = f"rotcal plan check DRIFTS --from-history .*history.db --at {database.day_of(due)} "
+    assert re.search(asked, " ".join(shown.split())), shown

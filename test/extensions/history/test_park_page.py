@@ -1,5 +1,6 @@
 """The page of the park in Chromium: with 3 and with 3,000 tables, and behind a row its entries."""
 
+import re
 import time
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from rotcal_ros.extensions.history.database import ParkHistory
 from rotcal_ros.extensions.history.page import write_park
 from rotcal_ros.extensions.history.park import park
 from rotcal_ros.extensions.history.settings import HistorySettings
+from rotcal_ros.foundation.language import speaking
 
 sync_api = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.slow
@@ -77,6 +79,24 @@ def test_three_tables_with_their_reasons_and_reports(small, browser):
     page.click("text=all tables")
     assert len(rows(page)) == 3
     assert errors == []
+
+
+def test_a_german_reader_finds_no_english(small, browser, tmp_path):
+    folder, outlooks = small
+    with ParkHistory(str(folder / "history.db")) as history, speaking("de"):
+        write_park(history, outlooks, tmp_path, "2026-03-31")
+    page = browser.new_page()
+    page.goto((tmp_path / "park.html").as_uri())
+    assert page.locator("html").get_attribute("lang") == "de"
+    assert page.locator("#count").inner_text() == "3 von 3 Tischen"
+    assert "den Tisch ansehen" in rows(page)[0]
+    texts = [page.inner_text("main")]
+    for name in ("<HIT>/C", "DRIFTS/C", "STAYS/C"):
+        page.click(f"text={name}")
+        texts.append(page.inner_text("main"))
+        page.go_back()
+    english = {"table", "tables", "the", "is", "result", "of", "days", "year", "due", "within"}
+    assert not english & set(re.findall(r"[a-z]+", " ".join(texts).lower()))
 
 
 def test_three_thousand_tables_are_as_quick_to_look_at(small, browser, tmp_path, monkeypatch):

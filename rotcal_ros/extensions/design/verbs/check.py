@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 import numpy as np
@@ -12,21 +13,36 @@ from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import rule_of, rule_options, set_option
 from rotcal_ros.extensions.design.goal import goal_settings
 from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
     from rotcal_ros.extensions.design.check_plan import CheckPlan
+    from rotcal_ros.foundation.results import Result
+
+EXPECTED: Final = "expected.json"
+"""The curve of a history that is checked, beside the plan."""
 
 
 @click.command("check")
-@click.argument("earlier", type=path_type)
+@click.argument("earlier", type=path_type, metavar="EARLIER|SERIAL")
 @click.option(
     "--setup", type=path_type, required=True, help="Configuration of the laser tracer (.yaml)."
 )
 @rule_options
+@click.option(
+    "--from-history",
+    "database",
+    metavar="FILE|URL",
+    help="Check what this history expects of the table SERIAL, in the place of a result.",
+)
+@click.option("--axis", default="", help="Axis of a table --from-history, such as C.")
+@click.option("--at", "day", metavar="DAY", help="Day of the check --from-history, 2026-03-31.")
 @click.option(
     "--every",
     type=click.IntRange(min=1),
@@ -64,14 +80,39 @@ if TYPE_CHECKING:
 @set_option
 @click.option("-o", "--output", type=path_type, help="Folder for configuration and its tables.")
 @json_option
-def check(earlier: Path, output: Path | None, as_json: bool, **asked: Any) -> int:
+def check(
+    earlier: Path,
+    output: Path | None,
+    as_json: bool,
+    database: str | None,
+    axis: str,
+    day: str | None,
+    **asked: Any,
+) -> int:
     """Plan the fewest lengths of a laser tracer that check the EARLIER result (ECC).
 
     A table that has only aged as stated will be found still valid with a probability of 1 less
     the risk of a false alarm. The folder of -o is ready for 'rotcal run FOLDER/check.yaml', and
     what it measures for 'rotcal check EARLIER NEW' with the same options.
+
+    With --from-history it is the curve that the results so far let expect on a day, with its
+    covariance: what ages needs no --ageing. It is written beside the plan, as expected.json.
+    Without --within the plan decides whether the table is still within its tolerance.
     """
-    plan = _check_plan(earlier, **asked)
+    expected = None
+    if database is not None:
+        keeper = plugins.extension(plugins.HISTORIES, "history", "a plan from a history")
+        day = day or datetime.now(timezone.utc).date().isoformat()
+        expected, room = keeper.expected(database, str(earlier), axis, day)
+        if asked["within"] is None and room <= 0.0:
+            raise PlanError(
+                f"no tolerance is left on {day} of what the history expects of {earlier}: "
+                "calibrate it, or give --within"
+            )
+        asked["within"] = asked["within"] or room / ARCSEC
+    elif axis or day:
+        raise click.UsageError("--axis and --at belong to --from-history")
+    plan = _check_plan(earlier, expected, **asked)
     if as_json:
         print_json(plan.to_dict())
     else:
@@ -79,11 +120,16 @@ def check(earlier: Path, output: Path | None, as_json: bool, **asked: Any) -> in
         _print_checks(plan, asked["every"], asked["least_redundancy"])
     if output is not None:
         say(f"written: {plan.write(output).absolute()}")
+        if expected is not None:
+            write_atomically(output / EXPECTED, expected.to_json())
+            within = f"--within {asked['within']:.6g}"
+            say(f"then: rotcal check {output / EXPECTED} NEW {within}")
     return 0
 
 
 def _check_plan(
     earlier: Path,
+    expected: Result | None,
     *,
     setup: Path,
     candidates: Path | None,
@@ -96,6 +142,7 @@ def _check_plan(
 ) -> CheckPlan:
     """Return the plan that the options ask for; ``rule`` are those of :func:`rule_options`."""
     from rotcal_ros.extensions.design.check_plan import plan_check
+    from rotcal_ros.foundation.curves.measured import measured_curve
     from rotcal_ros.methods import changed, read_configuration
     from rotcal_ros.methods.tracer.table import read_targets
     from rotcal_ros.recordings.result_sources import read_curve
@@ -105,7 +152,7 @@ def _check_plan(
     with progress("targets") as shown:
         return plan_check(
             configuration,
-            read_curve(earlier, "ECC"),
+            measured_curve(expected) if expected is not None else read_curve(earlier, "ECC"),
             rule_of(ARCSEC, **rule),
             every=every,
             offered=() if candidates is None else read_targets(candidates),
