@@ -80,5 +80,5 @@ def test_a_calibration_ends_with_the_reason(cell):
     client.wait_for_step(3)
     (live.bag / "bag_0.mcap").unlink()
     outcome = client.result()
-    assert outcome["error_code"] == RECORDER_FAILED
+    assert outcome["error_code"] == RECORDER_FAILED, outcome["error_msg"]
     assert "bag_0.mcap is no longer there: somebody deleted or moved it" in outcome["error_msg"]

@@ -141,6 +141,6 @@ def test_a_stop_before_the_start_is_refused_with_its_reason(stopped):
     live.processes.tell("safety", "true")
     live.wait_for_log("planner", "emergency stop: /safety/estop is true")
     outcome = live.client().result()
-    assert outcome["error_code"] == STOPPED
+    assert outcome["error_code"] == STOPPED, outcome["error_msg"]
     assert "/safety/estop is true: nothing is ordered; release it" in outcome["error_msg"]
     assert not live.session.exists()

@@ -87,7 +87,7 @@ def test_the_truth_is_found_and_found_again(foreign, mode):
 def test_a_type_and_a_unit_that_cannot_be_are_named(foreign):
     live = foreign("type", configured({}, {}, preflight_timeout_s=2.0))
     failed = live.client().result()
-    assert failed["error_code"] == TOPIC_MISSING
+    assert failed["error_code"] == TOPIC_MISSING, failed["error_msg"]
     said = failed["error_msg"]
     assert "std_msgs/msg/String cannot be used" in said
     assert "std_msgs/msg/Float64" in said

@@ -73,7 +73,7 @@ def test_kill_9_of_the_recorder(cell):
     died_ns = time.time_ns()
     live.kill("recorder")
     outcome = client.result()
-    assert outcome["error_code"] in (NODE_LOST, RECORDER_FAILED)
+    assert outcome["error_code"] in (NODE_LOST, RECORDER_FAILED), outcome["error_msg"]
     check(live, max(accepted, outcome["n_used"]), file, before, died_ns)
 
 
@@ -108,6 +108,6 @@ def test_a_full_disk_ends_the_calibration_with_the_reason(cell):
         live.processes.children["recorder"].pid, resource.RLIMIT_FSIZE, (limit, limit)
     )
     outcome = client.result()
-    assert outcome["error_code"] == RECORDER_FAILED
+    assert outcome["error_code"] == RECORDER_FAILED, outcome["error_msg"]
     assert "cannot write the bag" in outcome["error_msg"]
     check(live, max(accepted, outcome["n_used"]), file, before)

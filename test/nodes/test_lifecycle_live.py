@@ -42,7 +42,7 @@ def test_a_cell_goes_through_all_states_and_a_dumped_planner_measures_the_same(c
     first.wait_for_step(3)
     assert states.change("capture", "deactivate") == [True]
     outcome = first.result()
-    assert outcome["error_code"] == NODE_LOST
+    assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
     assert "node capture is inactive: ros2 lifecycle set /cell/capture" in outcome["error_msg"]
     assert states.change("capture", "activate") == [True]
     for node in NODES:

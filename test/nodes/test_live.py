@@ -117,7 +117,7 @@ def test_cancel_leaves_a_valid_bag_and_the_plan_can_be_continued(cell):
     client.cancel()
     outcome = client.result()
     assert outcome["canceled"]
-    assert outcome["error_code"] == CANCELED
+    assert outcome["error_code"] == CANCELED, outcome["error_msg"]
     assert "continue with start_index" in outcome["error_msg"]
     assert [v.state for v in verdicts(live)] == ["complete"]
     recording = read_recording(live.bag)
@@ -138,12 +138,12 @@ def test_without_a_cell_the_reason_is_named_a_wrong_configuration_or_what_is_mis
     text = live.file.read_text()
     wrong.write_text(text.replace("table_positions: 5", "table_positions: -5"))
     outcome = live.client("first", configuration=wrong).result()
-    assert outcome["error_code"] == BAD_CONFIGURATION
+    assert outcome["error_code"] == BAD_CONFIGURATION, outcome["error_msg"]
     assert "table_positions" in outcome["error_msg"]
     assert "-5" in outcome["error_msg"]
 
     outcome = live.client("second").result()
-    assert outcome["error_code"] == TOPIC_MISSING
+    assert outcome["error_code"] == TOPIC_MISSING, outcome["error_msg"]
     for topic in ("tracer_length", "probe_point", "joint_states"):
         assert f"nobody publishes /cell/{topic}" in outcome["error_msg"]
     assert not live.session.exists()
@@ -166,7 +166,7 @@ def test_a_missing_node_is_named(cell):
     live = cell("planner.preflight_timeout_s=1.5")
     live.start("planner", "capture", "recorder", "simulated_cell")
     outcome = live.client().result()
-    assert outcome["error_code"] == NODE_LOST
+    assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
     assert "node solver does not beat" in outcome["error_msg"]
 
 
@@ -181,7 +181,7 @@ def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
     if outcome["error_code"] == 0:
         # Found only during that goal, as happens on a busy machine: the next one is not begun.
         outcome = live.client().result()
-    assert outcome["error_code"] == TOPIC_MISSING
+    assert outcome["error_code"] == TOPIC_MISSING, outcome["error_msg"]
     assert (
         "2 publishers on /cell/tracer_length (nodes other_cell, simulated_cell)"
         in (outcome["error_msg"])
@@ -203,7 +203,7 @@ def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, vic
     client.wait_for_step(40)
     live.kill(victim)
     outcome = client.result()
-    assert outcome["error_code"] == NODE_LOST
+    assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
     assert f"node {victim}" in outcome["error_msg"]
     for name in {*SUITE, "simulated_cell"} - {victim}:
         live.wait_for_log(name, f"node {victim} is lost: its process")
@@ -221,7 +221,7 @@ def test_a_recorder_ended_by_sigterm_closes_the_bag(cell):
     client.wait_for_step(2)
     live.processes.signal("recorder", signal.SIGTERM)
     outcome = client.result()
-    assert outcome["error_code"] == NODE_LOST
+    assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
     assert "node recorder was ended" in outcome["error_msg"]
     wait_until(lambda: "recorder" in live.processes.ended(), "the recorder ends")
     assert live.processes.ended()["recorder"] == 0

@@ -111,7 +111,7 @@ def test_a_shifted_plate_is_told_and_given_up_after_three_balls(plate_cell):
         ),
     )
     outcome = client.result()
-    assert outcome["error_code"] == 605  # too few observations
+    assert outcome["error_code"] == 605, outcome["error_msg"]  # too few observations
     assert "3 steps running failed" in outcome["error_msg"]
     assert "plate mounted shifted" in outcome["error_msg"]
     assert outcome["n_used"] == 0

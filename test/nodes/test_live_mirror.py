@@ -147,7 +147,7 @@ def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     assert paused(client).startswith("put the tracker at place 2")
     client.cancel()
     outcome = client.result()
-    assert outcome["error_code"] == CANCELED
+    assert outcome["error_code"] == CANCELED, outcome["error_msg"]
     assert "continue with start_index 18" in outcome["error_msg"]  # where it paused
     assert [v.state for v in read_recording(live.bag).verdicts] == ["complete"]
 

@@ -67,7 +67,7 @@ def test_a_disk_that_fills_up_costs_nothing_that_was_accepted(cell, mounted):
     live = cell("recorder.writer.min_free_bytes=0")
     live.recordings = mounted("size=160k")
     outcome = live.calibrate()
-    assert outcome["error_code"] == RECORDER_FAILED
+    assert outcome["error_code"] == RECORDER_FAILED, outcome["error_msg"]
     assert "the disk is full" in outcome["error_msg"]
     verdict = accepted_before_the_end(live, outcome)
     assert verdict.state == "truncated"
@@ -79,7 +79,7 @@ def test_recording_stops_in_good_order_before_the_disk_is_full(cell, mounted):
     live = cell("recorder.writer.min_free_bytes=100000")
     live.recordings = mounted("size=400k")
     outcome = live.calibrate()
-    assert outcome["error_code"] == RECORDER_FAILED
+    assert outcome["error_code"] == RECORDER_FAILED, outcome["error_msg"]
     assert "MB that recording keeps free; recording stopped" in outcome["error_msg"]
     assert accepted_before_the_end(live, outcome).state == "complete"
 
@@ -88,7 +88,7 @@ def test_a_read_only_folder_is_refused_before_the_first_step(cell, mounted):
     live = cell()
     live.recordings = mounted("ro")
     outcome = live.calibrate()
-    assert outcome["error_code"] == RECORDER_FAILED
+    assert outcome["error_code"] == RECORDER_FAILED, outcome["error_msg"]
     assert "the file system is read-only" in outcome["error_msg"]
     assert outcome["n_used"] == 0
 

@@ -76,7 +76,7 @@ def test_start_index_joins_what_was_measured_before_an_instrument_was_started_an
     client.wait_for_step(24)
     killed(live, "simulated_cell")
     outcome = client.result()
-    assert outcome["error_code"] == NODE_LOST
+    assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
     start = int(re.search(r"continue with start_index (\d+)$", outcome["error_msg"])[1])
     restarted(live, "planner", "recorder")  # nor do these have to be the same
     live.start("simulated_cell")
@@ -110,7 +110,7 @@ def test_other_methods_go_on_too(tmp_path, monkeypatch, file, changes):
         followed(client, live, "client", accepted=30)
         killed(live, "simulated_cell", "capture")
         outcome = followed(client, live, "client")
-        assert outcome["error_code"] == NODE_LOST
+        assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
         start = int(re.search(r"continue with start_index (\d+)$", outcome["error_msg"])[1])
         live.start("simulated_cell", "capture")
         outcome = followed(live.client("rest", start_index=start), live, "rest")

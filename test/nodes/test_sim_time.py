@@ -89,7 +89,7 @@ def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
     change = ["planner.preflight_timeout_s=2.5"]
     hurried.write_text(changed(read_configuration(live.file), change).text)
     failed = live.client("early", configuration=hurried).result()
-    assert failed["error_code"] == 602
+    assert failed["error_code"] == 602, failed["error_msg"]
     assert "no time came on /clock" in failed["error_msg"]
 
     source = [sys.executable, str(Path(__file__).with_name("clock_source.py")), "0.5"]

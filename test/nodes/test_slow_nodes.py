@@ -54,7 +54,7 @@ def test_a_killed_node_is_lost_at_once_though_a_slow_one_may_take_its_time(cell)
     client.wait_for_step(8)
     live.kill("capture")
     outcome = client.result()
-    assert outcome["error_code"] == NODE_LOST
+    assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
     assert re.search(
         r"node capture is lost at step .*its process \d+ is gone", outcome["error_msg"]
     )
@@ -68,7 +68,7 @@ def test_a_node_that_stands_still_for_longer_than_settled_ends_the_session(cell)
     live.processes.signal("capture", signal.SIGSTOP)
     outcome = client.result()
     live.processes.signal("capture", signal.SIGCONT)
-    assert outcome["error_code"] == NODE_LOST
+    assert outcome["error_code"] == NODE_LOST, outcome["error_msg"]
     assert "node capture is lost at step" in outcome["error_msg"]
     assert "no sign of it for 3 s" in outcome["error_msg"]
     wait_until(lambda: read_recording(live.bag).verdicts[0].state == "complete", "the bag closes")
