@@ -128,7 +128,7 @@ build_messages() {
     quietly env PATH="$path" AMENT_PREFIX_PATH="$VENV" cmake -S msg_defs -B "$BUILD/rotcal_msgs" \
         -G Ninja -DCMAKE_PREFIX_PATH="$VENV" -DCMAKE_INSTALL_PREFIX="$VENV" \
         -DPython3_EXECUTABLE="$VENV/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
-        -DPYTHON_ONLY=ON
+        -DWITHOUT_CPP=ON
     quietly env PATH="$path" AMENT_PREFIX_PATH="$VENV" ninja -C "$BUILD/rotcal_msgs" install
     cp "$BUILD/rotcal_msgs/install_manifest.txt" "$VENV/.installed_messages"
     quietly "$VENV/bin/python" -c 'import rotcal_msgs.msg, rotcal_msgs.srv, rotcal_msgs.action'
