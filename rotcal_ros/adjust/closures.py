@@ -10,10 +10,9 @@ import numpy as np
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.units import TURN
 
-TURN: Final = 2.0 * np.pi
-"""One turn of the table, rad."""
-SAME_ANGLE: Final = 1e-7
+MISSED: Final = 1e-7
 """Rad by which typed steps, and their sums, may miss a whole turn; 20 milliarcsec."""
 
 
@@ -51,7 +50,7 @@ def closures(
     found = []
     for last in range(1, len(angles)):
         apart = angles[last] - angles[:last]
-        meets = np.abs(apart - TURN * np.round(apart / TURN)) < SAME_ANGLE
+        meets = np.abs(apart - TURN * np.round(apart / TURN)) < MISSED
         if upward is not None:
             meets &= upward[:last] == upward[last]
         for first in np.flatnonzero(meets)[:1].tolist():

@@ -16,9 +16,9 @@ from typing import ClassVar, Final, Protocol
 from rotcal_ros.compensation.axis_location import AxisLine, Located
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import TURN
 
 EVERY_TURN: Final = (-TURN, 2.0 * TURN)
 """Travel (rad) over which a control that wraps by itself is verified."""

@@ -15,10 +15,10 @@ import numpy as np
 
 from rotcal_ros.compensation.table import CompensationTable, averaged
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 
 def columns_deg(table: CompensationTable) -> tuple[Floats, Floats, Floats]:

@@ -39,11 +39,11 @@ from rotcal_ros.compensation.writing import (
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import in_words, known_hash
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND, TURN
 
 CONFIRMATION: Final = "confirmation_sha256"
 CONTENTS: Final = "contents_sha256"

@@ -23,13 +23,12 @@ from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, of_the_controlle
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.directional import directional_curve
-from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.in_force import NONE
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 from rotcal_ros.foundation.untrusted import load_json
 
 

@@ -44,11 +44,10 @@ from rotcal_ros.compensation.linuxcnc_machine import (
 )
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE, NANOSECOND
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE, NANOSECOND, TURN
 from rotcal_ros.foundation.untrusted import read_bytes
 
 MAX_ROWS: Final = 256

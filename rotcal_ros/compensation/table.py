@@ -19,7 +19,6 @@ from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.curves.directional import DirectionalCurve, directional_curve
 from rotcal_ros.foundation.curves.interpolation import (
     SAME_ANGLE,
-    TURN,
     curve_through,
     harmonic_basis,
     harmonic_estimator,
@@ -33,7 +32,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed, check_in_force, contradiction
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result, Verdict
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 COLUMNS: Final = ("angles", "correction_forward", "correction_reverse", "std", "std_reverse")
 DIRECTIONS: Final = (Approach.POSITIVE, Approach.NEGATIVE)

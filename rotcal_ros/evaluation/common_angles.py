@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.raw_data import Influence
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 
 
 @dataclass(frozen=True, eq=False)

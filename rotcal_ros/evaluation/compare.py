@@ -22,7 +22,6 @@ from rotcal_ros.evaluation.common_angles import PairedCurves, floor, of_observat
 from rotcal_ros.foundation.arrays import Bools, Floats, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import (
-    TURN,
     harmonic_basis,
     interpolation_matrix,
     regular_root,
@@ -31,7 +30,7 @@ from rotcal_ros.foundation.curves.interpolation import (
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.results import plain_fields
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 SURE: Final = 0.01
 """Two curves disagree if chance alone makes such differences less often than this."""

@@ -24,10 +24,10 @@ from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.evaluation.common_angles import floor, of_observations_alone, shared_covariance
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, covers_circle
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 
 Curves = Mapping[str, MeasuredCurve]
 """Curves of one input by component."""

@@ -15,14 +15,14 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, wrapped
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.sheets.layout import TableColumn
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
 from rotcal_ros.foundation.sheets.words import answer
 from rotcal_ros.foundation.tables import Header, Table, csv_rows
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
 _EXPANDED: Final = "expanded_rad"

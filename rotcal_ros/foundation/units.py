@@ -3,6 +3,7 @@
 from math import pi
 from typing import Final
 
+TURN: Final = 2.0 * pi
 DEGREE: Final = pi / 180.0
 ARCSEC: Final = DEGREE / 3600.0
 MICRORADIAN: Final = 1e-6

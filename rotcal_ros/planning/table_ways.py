@@ -10,15 +10,14 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from math import ceil, floor, inf, isfinite, pi, sqrt
+from math import ceil, floor, inf, isfinite, sqrt
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 from rotcal_ros.planning.settings import TableAdapterSettings
 from rotcal_ros.planning.table_motion import TOWARDS, approached
 
-TURN = 2 * pi
 SHORTEST_S = 0.1
 """Even a step to the joint's present position takes this long: controllers refuse less."""
 

@@ -14,10 +14,9 @@ import numpy as np
 from mirror_cell import measure, ring_cell, table_pose
 
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC, TURN
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror

@@ -15,7 +15,7 @@ from rotcal_ros.methods.ball_plate.settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
-from rotcal_ros.methods.ball_plate.simulated_probe import MachineError, plate_balls, upper_half
+from rotcal_ros.methods.ball_plate.simulation import MachineError, plate_balls, upper_half
 from rotcal_ros.methods.ball_plate.touched_ball import fitted_centre
 from rotcal_ros.methods.simulation.settings import LinearHarmonics, TableSettings
 from rotcal_ros.planning.plan import Step

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping
-from math import isfinite, pi
+from math import isfinite
 from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
-from rotcal_ros.foundation.units import NANOSECOND
+from rotcal_ros.foundation.units import NANOSECOND, TURN
 from rotcal_ros.planning.plan import Plan
 
-_FULL_TURN: Final = 2.0 * pi
 _NEAR_M: Final = 1.0
 """A smaller plan counts as this large: before a calibration the probe may be parked."""
 _THOUSAND: Final = 1e3
@@ -62,11 +61,11 @@ def implausible_length(value: float, largest: float, settings: TopicSettings) ->
 
 def implausible_angle(value: float, settings: TopicSettings) -> str | None:
     """Return a text if the table's angle (rad) is more than a turn away from zero."""
-    if not isfinite(value) or abs(value) <= _FULL_TURN:
+    if not isfinite(value) or abs(value) <= TURN:
         return None
-    unit = likely_unit(value, _FULL_TURN, settings.angle_unit, ANGLE_UNITS)
+    unit = likely_unit(value, TURN, settings.angle_unit, ANGLE_UNITS)
     return (
-        f"says {value:.6g} rad, {abs(value) / _FULL_TURN:.1f} turns from zero"
+        f"says {value:.6g} rad, {abs(value) / TURN:.1f} turns from zero"
         f"{_instead('topics.angle_unit', unit)}"
     )
 

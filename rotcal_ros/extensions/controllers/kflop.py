@@ -28,11 +28,10 @@ from rotcal_ros.compensation.controller_files import (
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 
 DECIMALS: Final = 9
 PLACES: Final = 6

@@ -30,11 +30,10 @@ from rotcal_ros.compensation.controller_files import (
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 BEND_DEG: Final = 0.01
 """Half the stretch around a row in which the multiplier changes."""

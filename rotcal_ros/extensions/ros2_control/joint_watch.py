@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from math import isfinite, isnan, nan
 
 from rotcal_ros.foundation.observations import TableSample
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.planning.settings import TableAdapterSettings
 from rotcal_ros.planning.table_motion import TableSpeed, in_degrees
-from rotcal_ros.planning.table_ways import TURN, Way
+from rotcal_ros.planning.table_ways import Way
 
 _LATE = 1.5
 """A way that takes this multiple of its duration is called late."""

@@ -14,12 +14,11 @@ from numpy.typing import ArrayLike
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-TURN: Final = 2.0 * pi
 SAME_ANGLE: Final = 1e-9
 """rad; angles closer than this are the same table position."""
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import unit_of
-from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, wrapped
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 
 CLOSURE_LIMIT: Final = 4.0
 """Two measurements of one position may differ by this many standard uncertainties."""

@@ -10,13 +10,12 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import isclose, pi, remainder
-from typing import Final, TypeAlias
+from math import isclose, remainder
+from typing import TypeAlias
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, TURN
 
-TURN: Final = 2.0 * pi
 Pass: TypeAlias = "tuple[int, bool]"
 """Number of the run, from 0, and whether it goes down."""
 

@@ -34,7 +34,7 @@ from rotcal_ros.adjust.model import (
 )
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonPlanSettings,
     ComparisonSolverSettings,
@@ -42,7 +42,6 @@ from rotcal_ros.methods.angle_comparison.settings import (
 from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
 
-TURN: Final = 2.0 * np.pi
 INSTRUMENT, MOVED = "the instrument", "reference or instrument"
 """What effects are called after."""
 WORDS: Final = Words(

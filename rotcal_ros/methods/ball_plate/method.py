@@ -25,7 +25,6 @@ from rotcal_ros.foundation.tables import Header, Row, Table, hashes
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.ball_plate import solver as ball_plate
-from rotcal_ros.methods.ball_plate.disturbances import DISTURBANCES
 from rotcal_ros.methods.ball_plate.figures import figures, tables
 from rotcal_ros.methods.ball_plate.plan import check_plan, plan
 from rotcal_ros.methods.ball_plate.settings import (
@@ -35,6 +34,11 @@ from rotcal_ros.methods.ball_plate.settings import (
     BallPlatePlanSettings,
     BallPlateSolverSettings,
     PlateSimulationSettings,
+)
+from rotcal_ros.methods.ball_plate.simulation import (
+    DISTURBANCES,
+    SimulatedTouchProbe,
+    plate_balls,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
@@ -245,8 +249,6 @@ def simulated_instrument(
     start_ns: int,
 ) -> instrument.SimulatedInstrument:
     """Return the machine that touches the plate on ``table``."""
-    from rotcal_ros.methods.ball_plate.simulated_probe import SimulatedTouchProbe, plate_balls
-
     balls = plate_balls(settings.plate, settings.seed)
     diameter_m = settings.plate.ball_diameter_m
     return SimulatedTouchProbe(settings, settings.touch_probe, balls, diameter_m, table, start_ns)

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.protection import Effect, Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Table
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.by_model import ByModel, Statement
@@ -66,7 +66,6 @@ from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
 
 NAME: Final = "table_balls"
-TURN: Final = 2.0 * np.pi
 KINDS: Final = {
     SURFACE: PointKind.SURFACE,
     CENTRE: PointKind.CENTRE,

@@ -13,7 +13,7 @@ from rotcal_ros.foundation.observations import (
     TracerSample,
 )
 from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
-from rotcal_ros.methods.ball_plate.simulated_probe import SimulatedTouchProbe
+from rotcal_ros.methods.ball_plate.simulation import SimulatedTouchProbe
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
 from rotcal_ros.methods.simulation.cell import Ticks
 from rotcal_ros.methods.simulation.instrument import Table
