@@ -67,6 +67,8 @@ class CaptureWarnings:
             self._logger.warning(line)
         alarm, text = self._rejections.alarming, self._rejections.in_words()
         show(self._health, REJECTED, text, alarm=alarm)
+        if text:
+            self._health.beat()  # at once: the goal may end with this rejection
 
     def complain(self, text: str | None) -> None:
         """Report what is wrong with the present order; None: nothing."""

@@ -32,6 +32,7 @@ from rotcal_ros.nodes.client.calibrator import (
 )
 from rotcal_ros.nodes.runtime.beat_values import warnings_told
 from rotcal_ros.nodes.runtime.clocks import jumps_in_words
+from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S, HEAR_PERIOD_S
 from rotcal_ros.nodes.runtime.liveness import OtherSessionError, require_own_session
 from rotcal_ros.nodes.runtime.running import EndRequest, run_and_exit, say
 
@@ -39,6 +40,8 @@ PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
 LISTEN_S: Final = 0.6
 """A client listens at least this long for nodes of another session: three beats."""
+LAST_BEATS_S: Final = BEAT_PERIOD_S + 2 * HEAR_PERIOD_S
+"""After the end of a goal every node has told its last warnings by then."""
 RESUME: Final = b"resume"
 STDIN: Final = 0
 
@@ -101,6 +104,8 @@ class Client:
             self._listen()
             self._warn()
             self._live()
+        self._calibrator.listen(LAST_BEATS_S)  # a goal may end before the beat that says why
+        self._warn()
         return self._calibrator.result()
 
     def _live(self) -> None:
