@@ -1,15 +1,20 @@
-"""How a result stands to the injected truth: E_n of every angle and component."""
+"""How a result stands to the injected truth."""
 
 import numpy as np
+from chances import ODDS_BY_CLOCK, chance
 
 from rotcal_ros.methods.simulation.table import true_deviations
 
 
-def normalized_errors(calibration, result):
-    """Return E_n with k = 2 where it is defined; the injected truth has no uncertainty."""
+def require_injected_truth(calibration, result):
+    """Assert that a live result is true; the truth that was injected has no uncertainty."""
     injected = true_deviations(calibration.configuration.simulation.table, result.angles)
-    truth = calibration.method.gauge(result.angles, injected)
-    found = np.concatenate(
-        [(result.deviations[n] - truth[n]) / (2.0 * result.std[n]) for n in result.components]
-    )
-    return found[np.isfinite(found)]
+    require_truth(result, calibration.method.gauge(result.angles, injected))
+
+
+def require_truth(result, truth):
+    """Assert that a live result is as far from the ``truth`` as its covariance says, or nearer."""
+    for name in result.components:
+        error = result.deviations[name] - truth[name]
+        assert np.abs(error).max() <= 5.5 * result.std[name].max(), (name, error)
+        assert chance(error, result.covariance[name]) > ODDS_BY_CLOCK, (name, error)

@@ -38,5 +38,5 @@ def test_the_axis_is_found_live_and_the_bag_repeats_it_bit_for_bit(tmp_path, mon
     (x, y, _), (a, b) = table.axis_offset_m, np.array(table.axis_tilt_arcsec) * ARCSEC
     height = configuration.plan.axis_m[2]
     away = np.array(axis["value"]) - [x + height * b, y - height * a, a, b]
-    assert np.abs(away / axis["std"]).max() < 3.5
+    assert np.abs(away / axis["std"]).max() < 5.5
     assert read_recording(live.bag).solve().to_json() == text

@@ -11,6 +11,7 @@ from threading import Lock
 import numpy as np
 import pytest
 from dme_plates import settings, simulated_cell, small
+from known_truth import require_truth
 
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
 from rotcal_ros.extensions.ipp_dme.driver import OrderRunner
@@ -89,7 +90,5 @@ def test_reflector_positions_through_tcp_find_the_truth(own):
     assert {point.kind for _, point in found} == {PointKind.REFLECTOR}
     result = calibration.solve(tuple(o for o, _ in found))
     truth = np.array([own["error_rad"](angle) for angle in result.angles])
-    errors = (result.deviations["ECC"] - truth + truth[0])[1:] / (2.0 * result.std["ECC"][1:])
     assert np.ptp(truth) > 4e-5
-    assert np.mean(np.abs(errors) <= 1.0) >= 0.6  # 95 % expected, of five values
-    assert np.abs(errors).max() < 2.2
+    require_truth(result, {"ECC": truth - truth[0]})
