@@ -170,7 +170,6 @@ class ByModel:
         where nothing is wrong.
         """
         usual: dict[str, Any] = {
-            "topics": ("probe_point", "joint_states"),
             "capture": CaptureRules({PointKind.READING: points(mean_point)}),
             "nominal": self.nominal,
             "tables": tables_of_also,

@@ -162,6 +162,18 @@ class SimulatedBallsSettings:
     placing_mm: float = expert(
         0.3, doc="mm, standard deviation with which a person places them", minimum=0.0
     )
+    tilts_deg: tuple[float, ...] = setting(
+        (),
+        doc="deg, as plan.tilts_deg, as the axis really stands, counter-clockwise; none: no axis "
+        "tilts the table",
+    )
+    tilting_axis: str = expert("A", doc="which axis tilts it", choices=("A", "B"))
+    tilting_axis_m: tuple[float, float, float] = expert(
+        (0.0, 0.0, 0.0), doc="m, a point of that axis"
+    )
+    tilting_lean_arcsec: tuple[float, float, float] = expert(
+        (0.0, 0.0, 0.0), doc="arcsec, by which that axis is turned about x, y and z"
+    )
     bar_error_um: float = expert(3.0, doc="um, by which a ball bar is longer than it says")
     bar_rate_hz: float = expert(10.0, doc="lengths of a ball bar per second", minimum=1e-3)
 
