@@ -88,6 +88,14 @@ class BallsPlanSettings(TableAngleSettings):
         maximum=FARTHEST_M,
     )
     points_per_ball: int = points_setting(5)
+    turning_deg_s: tuple[float, ...] = setting(
+        (),
+        doc="deg/s, speed at which the table turns in each run while displacements are read, "
+        "negative for back; none: it stops at every angle. Such readings come as a table",
+    )
+    passing_deg: float = expert(
+        1.0, doc="deg, readings up to so far from a table angle count for it", minimum=1e-3
+    )
 
 
 def below_the_table(chain: str) -> str:
@@ -141,6 +149,20 @@ class BallsSolverSettings:
     bar_std_m: float = expert(
         5e-6,
         doc="m, standard uncertainty (k = 1) of the ball bar's own length in each set-up",
+        minimum=1e-9,
+        maximum=1.0,
+    )
+    tip_std_m: float = setting(
+        0.0,
+        doc="m, standard uncertainty (k = 1) of where the probe's tip, or a ball in the spindle, "
+        "is in x, y and z; 0: not stated, and not in the uncertainty of the axis",
+        minimum=0.0,
+        maximum=1e-3,
+    )
+    lag_std_s: float = expert(
+        1e-3,
+        doc="s, standard uncertainty (k = 1) of how late displacements are beside the angle of a "
+        "table that turns",
         minimum=1e-9,
         maximum=1.0,
     )

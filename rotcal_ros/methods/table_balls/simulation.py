@@ -32,7 +32,7 @@ def placed_balls(settings: BallsSimulationSettings) -> Floats:
 
 
 def tilts(settings: SimulatedBallsSettings) -> Floats:
-    """Return what each tilt of the axis below the table does to all that stands on it (t, 3, 3)."""
+    """Return how each tilt of the axis below turns all that stands on it (t, 3, 3)."""
     along = np.eye(3)["AB".index(settings.tilting_axis)]
     lean = rotation_from_vector(np.array(settings.tilting_lean_arcsec) * ARCSEC)
     turns = np.array(settings.tilts_deg or (0.0,)) * DEGREE
