@@ -53,7 +53,7 @@ class BallsPlanSettings(TableAngleSettings):
         (),
         doc="deg, where the tilting axis stops; 0 need not be among them",
     )
-    tilt_limits_deg: tuple[float, float] = setting(
+    tilt_limits_deg: tuple[float, float] = expert(
         (-120.0, 120.0), doc="deg, between which the tilting axis may stand"
     )
     tilting_axis_m: tuple[float, float, float] = setting(
@@ -88,7 +88,7 @@ class BallsPlanSettings(TableAngleSettings):
         maximum=FARTHEST_M,
     )
     points_per_ball: int = points_setting(5)
-    turning_deg_s: tuple[float, ...] = setting(
+    turning_deg_s: tuple[float, ...] = expert(
         (),
         doc="deg/s, speed at which the table turns in each run while displacements are read, "
         "negative for back; none: it stops at every angle. Such readings come as a table",
@@ -184,7 +184,7 @@ class SimulatedBallsSettings:
     placing_mm: float = expert(
         0.3, doc="mm, standard deviation with which a person places them", minimum=0.0
     )
-    tilts_deg: tuple[float, ...] = setting(
+    tilts_deg: tuple[float, ...] = expert(
         (),
         doc="deg, as plan.tilts_deg, as the axis really stands, counter-clockwise; none: no axis "
         "tilts the table",

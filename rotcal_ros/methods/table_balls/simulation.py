@@ -99,7 +99,8 @@ class TouchedBalls(SimulatedTouchProbe):
 
     def _standing_balls(self, stamp_ns: int) -> Floats:
         """Return the true ball centres (k, 3) in the machine frame, m."""
-        return self._standing(np.array([stamp_ns]))[0]
+        (balls,) = self._standing(np.array([stamp_ns]))
+        return np.asarray(balls)
 
     def _standing(self, stamps: Stamps) -> Floats:
         """Return the same at each of ``stamps`` (n,): (n, k, 3)."""

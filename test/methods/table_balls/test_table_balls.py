@@ -524,6 +524,18 @@ def test_displacements_from_a_nest_that_follows_the_ball_tell_the_same(tmp_path)
     assert result.details["axis"]["value"] == pytest.approx(found.value[12:], abs=1e-12)
 
 
+def test_displacements_that_are_spoiled_on_purpose_are_displacements():
+    demo = changed(
+        read_configuration(CONFIG / "table_balls_demo.yaml"), ("plan.measure=displacement",)
+    )
+    calibration = prepare_to_measure(demo)
+    good = calibration.measured({}, seed=3)
+    assert np.abs([o.mean for o in good.observations]).max() < 1e-3
+    result = calibration.solve(good.observations)
+    assert result.verdict == "ok", result.warnings
+    assert np.abs((result.deviations["ECC"] - good.truth["ECC"]) / result.std["ECC"]).max() < 4.0
+
+
 def test_a_simulated_nest_finds_the_axis():
     configuration = changed(
         read_configuration(CONFIG / "table_balls_demo.yaml"), ("plan.measure=displacement",)
