@@ -31,6 +31,8 @@ Particular = Literal[
     "numbering",
     "sign of z",
     "sign of readings",
+    "probe tip",
+    "lag",
 ]
 Effect = Literal[Common, Particular]
 PARTICULAR: Final[tuple[Effect, ...]] = get_args(Particular)
@@ -38,7 +40,8 @@ PARTICULAR: Final[tuple[Effect, ...]] = get_args(Particular)
 grows while it is measured; counted fringes; an instrument on the table, which its mount or cable
 may shift along its circle; one that drifts between two measurements of its nests; an error that
 gathers in one place among many; table positions that are all numbered wrong; a z axis that points
-down, and readings of the other sign, where no measurement would show it."""
+down, and readings of the other sign, where no measurement would show it; the offset of a probe's
+tip; readings that are late beside the angle of a table that turns."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = get_args(Common)

@@ -155,8 +155,11 @@ class ByModel:
         )
         unknowns = unknowns + self._wandering(model, sizes, random)
         found = spoiled(model.at(unknowns), plan, sizes, seed, count)
-        values = np.array([o.mean for o in nothing])  # what is known comes after them
-        values[:, :count] = found[: len(values) * count].reshape(-1, count)
+        values = np.array([o.mean for o in nothing])
+        first = slice(len(values) * count)  # what is known comes after them
+        # of displacements a model has the places, which they are from where a nest was sent
+        sent = model.observed[first].reshape(-1, count) - values[:, :count]
+        values[:, :count] = found[first].reshape(-1, count) - sent
         seen = zip(plan.steps, map(tuple, values.tolist()), strict=True)
         read = tuple(step.observed(point) for step, point in seen)
         further = self.further(configuration)
@@ -170,7 +173,6 @@ class ByModel:
         where nothing is wrong.
         """
         usual: dict[str, Any] = {
-            "topics": ("probe_point", "joint_states"),
             "capture": CaptureRules({PointKind.READING: points(mean_point)}),
             "nominal": self.nominal,
             "tables": tables_of_also,

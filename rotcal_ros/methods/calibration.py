@@ -10,8 +10,9 @@ from typing import Final
 
 from threadpoolctl import threadpool_limits
 
-from rotcal_ros.bags.names import TRACER_LENGTH
+from rotcal_ros.bags.names import JOINT_STATES, PROBE_POINT, TRACER_LENGTH
 from rotcal_ros.capture import Capture
+from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
@@ -53,6 +54,13 @@ class Calibration:
     def method(self) -> Method:
         """What the method of the configuration brings."""
         return self.configuration.method
+
+    @cached_property
+    def topics(self) -> tuple[str, ...]:
+        """The instrument topics that must have delivered before the first motion."""
+        decide = self.method.capture.decide
+        of_lengths = any(decide[step.kind] is decide_length for step in self.plan.steps)
+        return (TRACER_LENGTH,) * of_lengths + (PROBE_POINT, JOINT_STATES)
 
     @property
     def of_distances(self) -> Calibration:
@@ -124,8 +132,8 @@ class Calibration:
     @property
     def refraction(self) -> Refraction:
         """What is done about the index of refraction of the air."""
-        lengths = TRACER_LENGTH in self.method.topics
-        return Refraction(self.configuration.air, self.configuration.source, lengths=lengths)
+        air, source = self.configuration.air, self.configuration.source
+        return Refraction(air, source, lengths=self.method.by_light)
 
     def arrival_std(self) -> float:
         """Return what clocks that may differ make uncertain of every arrival, rad.
@@ -133,7 +141,7 @@ class Calibration:
         Raises ConfigurationError where lengths may be of a motion then.
         """
         bound_s, capture = self.configuration.topics.clock_bound_s, self.configuration.capture
-        if TRACER_LENGTH in self.method.topics:
+        if TRACER_LENGTH in self.topics:
             require_settled(bound_s, capture)
         return arrival_std(bound_s, capture)
 

@@ -130,7 +130,7 @@ class Method:
     ``name`` is that of configurations and results, ``title`` is for people, ``page`` the name of
     its page in the documentation. ``plan_settings``, ``solver_settings`` and
     ``simulation_settings`` are its own groups ``plan``, ``solver`` and ``simulation``.
-    ``topics`` are the instrument topics that must have delivered before the first motion.
+    ``by_light``: its lengths are measured by light, which the air bends and slows.
 
     ``plan`` builds the plan from a configuration and refuses settings that cannot work;
     ``capture`` says how the streams become observations of its steps; ``solve`` turns a
@@ -164,7 +164,6 @@ class Method:
     name: str
     title: str
     page: str
-    topics: tuple[str, ...]
     plan_settings: type[Any]
     solver_settings: type[Any]
     plan: Callable[[Configuration], Plan]
@@ -172,6 +171,7 @@ class Method:
     solve: Callable[[Configuration, Plan, Observed], Result]
     simulation_settings: type[SimulationSettings]
     simulated_instrument: MakeInstrument
+    by_light: bool = False
     nominal: Callable[[Configuration, Plan], See] | None = None
     stations: Callable[[Configuration], Stations] | None = None
     gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first

@@ -199,11 +199,12 @@ def expected_bytes(calibration: Calibration, steps: int | None = None) -> float:
     turns = sum(a != b for a, b in pairwise(angles))
     share = 1.0 if steps is None else steps / len(plan.steps)
     seconds = len(angles) * configuration.planner.step_s + turns * configuration.planner.turn_s
-    return share * seconds * _messages_per_second(configuration) * BYTES_PER_MESSAGE
+    return share * seconds * _messages_per_second(calibration) * BYTES_PER_MESSAGE
 
 
-def _messages_per_second(configuration: Configuration) -> float:
+def _messages_per_second(calibration: Calibration) -> float:
     """Return how many readings a second the cell is expected to publish."""
+    configuration = calibration.configuration
     if configuration.simulated:
         rates = [
             declared.name
@@ -211,7 +212,7 @@ def _messages_per_second(configuration: Configuration) -> float:
             if declared.name.endswith("rate_hz")
         ]
         return float(sum(attrgetter(name)(configuration.simulation) for name in rates))
-    traced = names.TRACER_LENGTH in configuration.method.topics
+    traced = names.TRACER_LENGTH in calibration.topics
     return TABLE_HZ + (TRACER_HZ if traced else 0.0)
 
 

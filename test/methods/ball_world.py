@@ -44,7 +44,9 @@ class World:
     """Truth: ``axis`` (4,) place and lean, ``motions`` (6, p), ``linear`` (3, 3), balls as found.
 
     The machine reads p + linear (p - foot), the axis and its motions refer to the foot; ``bars``
-    (k b,) is how much too long a ball bar is in each set-up. On a
+    (k b,) is how much too long a ball bar is in each set-up. The probe triggers later by
+    ``lobing`` times the cosine of three times the direction; ``play`` is the whole way that an
+    axis loses where it turns round. On a
     tilting axis (``plan.chain``) ``motions`` are (6, t p), tilt after tilt; ``line`` (4,) is the
     place and direction of that axis, ``tilting`` (6, t) its motions.
     """
@@ -58,6 +60,8 @@ class World:
     line: tuple = (6e-5, -4e-5, 3e-5, -2e-5)
     tilting: np.ndarray = None
     bars: np.ndarray = None
+    lobing: float = 0.0
+    play: float = 0.0
 
     def __post_init__(self):
         self.angles = np.radians(
@@ -182,10 +186,28 @@ class World:
             rows += [(0, target, run) for run in last for target in range(targets)]
         see = self.length if bar else self.centre
         points = np.array([see(p, target, run if tilts else 0) for p, target, run in rows])
+        points = points if bar else self.probed(points)
         if rng is not None:
             points = points + noise * rng.standard_normal(points.shape)
         columns = (*np.array(rows).T, points[:, 0], np.arange(len(rows)), points)
         return Readings(*(np.ascontiguousarray(column[keep]) for column in columns))
+
+    def probed(self, points):
+        """Return centres (n, 3) as touched one after the other, with lobes and play."""
+        ways = [np.ones(3)]
+        for moved in np.diff(points, axis=0):
+            ways.append(np.where(np.abs(moved) > 1e-5, np.sign(moved), ways[-1]))
+        return points + self.touched() - 0.5 * self.play * np.array(ways)
+
+    def touched(self):
+        """Return the centre (3,) of the sphere through touches of a ball from above and aside."""
+        sides = np.radians([0.0, 90.0, 180.0, 270.0])
+        flat = np.column_stack([np.cos(sides), np.sin(sides), np.ones(4)]) / np.sqrt(2.0)
+        away = np.vstack([[0.0, 0.0, 1.0], flat])
+        reach = 0.014 + self.lobing * np.append(0.0, np.cos(3.0 * sides))
+        seen = reach[:, None] * away
+        design = np.column_stack([2.0 * seen, np.ones(5)])
+        return np.linalg.lstsq(design, reach**2, rcond=None)[0][:3]
 
     def truth(self):
         """Return motions (6, p) about the axis average line, and that line (4,), by definition.

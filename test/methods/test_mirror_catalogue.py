@@ -10,7 +10,7 @@ from mirror_points import points_table
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods import changed, find_method, prepare
+from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
 from rotcal_ros.methods.measurements import read_measurements
@@ -66,7 +66,7 @@ def test_the_configurations_are_what_they_say():
     real = prepare(read_configuration(CONFIG / "plane_mirror.yaml"))
     assert not real.configuration.simulated
     assert len(real.plan.pauses) == 12
-    assert "tracer_length" not in find_method("plane_mirror").topics
+    assert "tracer_length" not in real.topics
 
 
 def test_the_demonstration_is_solved_to_the_truth():

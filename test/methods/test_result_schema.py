@@ -145,8 +145,15 @@ def of_several():
 
 
 def of_balls():
-    calibration = prepare(read_configuration(ROOT / "config" / "table_balls_demo.yaml"))
+    demo = read_configuration(ROOT / "config" / "table_balls_demo.yaml")
+    calibration = prepare(demo)
     yield calibration.solve(calibration.measured({"knock": 2e-5}, seed=3).observations)
+    three = [0.15, 0.0, 0.08, -0.07, 0.13, 0.04, -0.07, -0.13, 0.12]
+    tilted = ("plan.runs=1", "plan.tilts_deg=[-40.0, 50.0]", f"plan.balls_m={three}")
+    turning = ("plan.measure=displacement", "plan.closing=false", "plan.turning_deg_s=[9, -9]")
+    for more in ((*tilted, "plan.chain=AC"), (*tilted, "plan.chain=BC"), turning):
+        calibration = prepare(changed(demo, more))
+        yield calibration.solve(calibration.measured({}, seed=3).observations)
     yield off_together("table_balls", 1, (3, 5, 8), 1e-4)
 
 

@@ -1,4 +1,4 @@
-"""One ball on a table over DDS: where the axis stands; the bag is solved to the same last bit."""
+"""A ball on a tilted table over DDS: where both axes stand; the bag repeats it to the last bit."""
 
 import json
 import os
@@ -21,17 +21,25 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 DEMO = Path(__file__).parents[2] / "config" / "table_balls_demo.yaml"
 
 
-def test_the_axis_is_found_live_and_the_bag_repeats_it_bit_for_bit(tmp_path, monkeypatch):
+def test_both_axes_are_found_live_and_the_bag_repeats_them_bit_for_bit(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    configuration = changed(read_configuration(DEMO), ("planner.preflight_timeout_s=30.0",))
+    tilts = [-60.0, 0.0, 50.0]
+    configuration = changed(
+        read_configuration(DEMO),
+        (
+            "plan.chain=AC", f"plan.tilts_deg={tilts}", f"simulation.balls.tilts_deg={tilts}",
+            "plan.runs=1", "planner.preflight_timeout_s=30.0",
+        ),
+    )  # fmt: skip
     live = LiveCell(tmp_path, configuration)
     try:
-        outcome = live.calibrate()
+        outcome, asked = live.calibrate_with_a_person()
         text = (live.session / "result.json").read_text()
     finally:
         live.processes.end()
     assert outcome["error_code"] == 0, outcome["error_msg"]
-    assert (outcome["n_used"], outcome["skipped_steps"]) == (25, [])
+    assert (outcome["n_used"], outcome["skipped_steps"]) == (39, [])
+    assert asked == [f"turn A to {tilt:g} deg" for tilt in tilts]
     result = Result.from_dict(json.loads(text))
     assert result.verdict == "ok", result.warnings
     axis, table = result.details["axis"], configuration.simulation.table
@@ -39,4 +47,8 @@ def test_the_axis_is_found_live_and_the_bag_repeats_it_bit_for_bit(tmp_path, mon
     height = configuration.plan.axis_m[2]
     away = np.array(axis["value"]) - [x + height * b, y - height * a, a, b]
     assert np.abs(away / axis["std"]).max() < 5.5
+    tilting, true = result.details["tilting_axis"], configuration.simulation.balls
+    lean = np.array(true.tilting_lean_arcsec[1:]) * ARCSEC
+    away = np.array(tilting["value"]) - [*true.tilting_axis_m[1:], *lean]
+    assert np.abs(away / tilting["std"]).max() < 5.5
     assert read_recording(live.bag).solve().to_json() == text

@@ -258,7 +258,6 @@ METHOD: Final = Method(
     name=NAME,
     title="Ball plate, reduced three-rosette method",
     page="ball_plate",
-    topics=("probe_point", "joint_states"),
     plan_settings=BallPlatePlanSettings,
     solver_settings=BallPlateSolverSettings,
     simulation_settings=PlateSimulationSettings,

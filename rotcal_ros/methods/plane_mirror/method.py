@@ -362,7 +362,6 @@ METHOD: Final = Method(
     name=NAME,
     title="Laser tracker and plane mirror",
     page="plane_mirror",
-    topics=("probe_point", "joint_states"),
     plan_settings=MirrorPlanSettings,
     solver_settings=MirrorSolverSettings,
     simulation_settings=MirrorSimulationSettings,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.polynomial.polynomial import polyfit
 
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.model import Model, require_determined
@@ -21,14 +22,16 @@ from rotcal_ros.foundation.errors import (
     ObservabilityError,
     PlanError,
 )
-from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.protection import Effect, Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Table
+from rotcal_ros.foundation.tables import Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
+from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.by_model import ByModel, Statement
+from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     Disturbance,
@@ -41,7 +44,7 @@ from rotcal_ros.methods.disturbance import (
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.curves import polar
 from rotcal_ros.methods.figures.residuals import residual_figures
-from rotcal_ros.methods.measurements import planned_table
+from rotcal_ros.methods.measurements import PlannedMeasurements, planned_table
 from rotcal_ros.methods.method import Measurements, See, TableReader
 from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.methods.table_balls.model import (
@@ -84,6 +87,7 @@ AXIS_SHOWN: Final = (
     (ARCSEC, "arcsec"),
 )
 """Units in which people read :data:`AXIS`."""
+MILLISECOND: Final = 1e-3
 OF_AXES: Final[Mapping[str, Effect]] = {"scale": "scale", "squareness": "gauge"}
 """Blocks of what may be wrong with the linear axes, and the effect that it is."""
 AXES: Final = ("axis", "tilting_axis")
@@ -108,6 +112,7 @@ def plan(configuration: Configuration) -> Plan:
     """
     settings: BallsPlanSettings = configuration.plan
     _check_chain(settings, configuration.source)
+    _check_turning(settings, configuration.source)
     balls = balls_of(configuration)
     if not len(balls.places):
         raise ConfigurationError(f"{configuration.source}: plan.balls_m: state at least one ball")
@@ -165,6 +170,23 @@ def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
         before = here
 
 
+def _check_turning(settings: BallsPlanSettings, source: str) -> None:
+    """Raise ConfigurationError for a table that turns on where it has to stand."""
+    speeds = settings.turning_deg_s
+    if not speeds:
+        return
+    if settings.measure != DISPLACEMENT or settings.closing or below_the_table(settings.chain):
+        raise ConfigurationError(
+            f"{source}: plan.turning_deg_s: a table that turns on takes plan.measure: "
+            "displacement, plan.closing: false, and a chain of C alone"
+        )
+    if len(speeds) != settings.runs or not all(speeds):
+        raise ConfigurationError(
+            f"{source}: plan.turning_deg_s: {len(speeds)} speeds, expected {settings.runs} other "
+            "than 0, one for each of plan.runs"
+        )
+
+
 def _check_chain(settings: BallsPlanSettings, source: str) -> None:
     """Raise ConfigurationError for tilts without an axis, too few, or beyond its limits."""
     tilts, (lowest, highest) = settings.tilts_deg, settings.tilt_limits_deg
@@ -204,6 +226,11 @@ def _stops(settings: BallsPlanSettings) -> Iterator[tuple[int, int, float]]:
 def check_plan(configuration: Configuration, planned: Plan) -> None:
     """Raise PlanError for a plan whose balls tell neither the axis nor ECC, with the reason."""
     balls = balls_of(configuration)
+    if "lag" in balls.known:
+        raise PlanError(
+            "plan.turning_deg_s: a live calibration stops at every angle; displacements of a "
+            "table that turns come as a table of numbers"
+        )
     radius = np.hypot(*balls.places.T[:2])
     if radius.max() < NEAR_AXIS_M:
         raise PlanError(
@@ -308,12 +335,40 @@ def _protections(
             f"{stated / MICROMETRE:.3g} um/m, the balls leave {left / MICROMETRE:.3g} um/m of the "
             "worst",
         )
+    if tip := configuration.solver.tip_std_m:
+        yield Protection(
+            "probe tip",
+            "bounded",
+            f"the uncertainty of the axis holds {tip / MICROMETRE:.3g} um of the probe's tip",
+        )
+    else:
+        yield Protection(
+            "probe tip",
+            "not protected",
+            "an offset of the probe's tip is in the place of the axis",
+        )
+    if "lag" in balls.known:
+        yield _lag(configuration, found)
     if configuration.plan.runs == 1:
         yield Protection("repeatability", "not protected", "the table comes once to an angle")
         return
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
     yield Protection("repeatability", "tested", "every run comes to every angle", error)
+
+
+def _lag(configuration: Configuration, found: Adjusted) -> Protection:
+    """Return what becomes of late readings: they turn the balls, in each run by its own speed."""
+    if len(set(configuration.plan.turning_deg_s)) == 1:
+        return Protection(
+            "lag", "harmless", "at one speed a lag only moves the balls: nothing tells it"
+        )
+    left = found.also["lag"][1][0] / MILLISECOND
+    return Protection(
+        "lag",
+        "estimated",
+        f"runs of several speeds tell it to {left:.3g} ms: play of the table looks the same",
+    )
 
 
 def _details(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:
@@ -346,6 +401,8 @@ def tables(result: Result) -> list[ResultTable]:
     found = [_line_table(name, details[name]) for name in AXES if name in details]
     for name, rows in details["also"].items():
         si, suffix = MICROMETRE, "um" if "motion" in name else "um_per_m"
+        if name == "lag":
+            si, suffix = MILLISECOND, "ms"
         if name[:3].isupper():
             si, suffix = (MICROMETRE, "um") if set(name[:2]) & set("XYZ") else (ARCSEC, "arcsec")
         columns = {
@@ -456,6 +513,44 @@ READERS: Final = {
 }
 
 
+PASSING: Final = ("run", "ball", "passing_rad", "dx_m", "dy_m", "dz_m")
+"""Columns of displacements of a table that turns; ``passing_rad`` is its angle."""
+MOST_TURNS_RAD: Final = 1e4
+
+
+def read_passing(configuration: Configuration, table: Table) -> PlannedMeasurements:
+    """Return displacements at the table angles, of a table that turned.
+
+    Each is that of the straight line through the readings on both sides of the angle. Raises
+    DataError for an angle that is not passed.
+    """
+    if not configuration.plan.turning_deg_s:
+        raise DataError(
+            f"{table.path} was read while the table turned: state plan.turning_deg_s, the speed "
+            "of each run, in the set-up"
+        )
+    calibration = prepare(configuration)
+    rows = np.array([
+        [row.index("run"), row.index("ball"), row.radians("passing_rad", MOST_TURNS_RAD),
+         *(row.metres(name, LARGEST_DISPLACEMENT_M) for name in PASSING[3:])]
+        for row in table.rows()
+    ]).reshape(-1, len(PASSING))  # fmt: skip
+    seen, observations = rows[:, :2], list[Observation]()
+    for step in calibration.plan.steps:
+        away = wrap_angle(rows[:, 2] - step.table_angle)
+        near = np.abs(away) < configuration.plan.passing_deg * DEGREE
+        near &= (seen == (step.station, step.target)).all(axis=1)
+        if not (away[near].min(initial=0.0) < 0.0 < away[near].max(initial=0.0)):
+            raise DataError(
+                f"{table.path}: run {step.station} has no readings of ball {step.target} on both "
+                f"sides of {step.table_angle / DEGREE:g} deg within plan.passing_deg, "
+                f"{configuration.plan.passing_deg:g} deg"
+            )
+        x, y, z = polyfit(away[near], rows[near, 3:], 1)[0].tolist()
+        observations.append(step.observed((x, y, z)))
+    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+
+
 def read_rows(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
     """Return centres, displacements or lengths of a table, as its columns say."""
     tilted = "tilt" in table.header
@@ -465,6 +560,8 @@ def read_rows(configuration: Configuration, table: Table, targets: Table | None)
             f"{table.path} has {has} column of tilts, expected a plan.chain that {needs}: "
             f"plan.chain is {configuration.plan.chain}"
         )
+    if set(PASSING) <= set(table.header):
+        return read_passing(configuration, table)
     measure = next(each for each, (_, values) in READ.items() if set(values) <= set(table.header))
     configuration = replace(configuration, plan=replace(configuration.plan, measure=measure))
     return READERS[measure, ("tilt",) * tilted].read(configuration, table, targets)
@@ -503,7 +600,7 @@ METHOD: Final = BY_MODEL.method(
     gauge=gauge.without_axis_and_artefact,
     zero=gauge.in_words,
     table=TableReader(
-        tuple(header for reader in READERS.values() for header in reader.headers),
+        (*(header for reader in READERS.values() for header in reader.headers), PASSING),
         read_rows,
         KNOWN,
         runs="runs",

@@ -15,6 +15,9 @@ out.
 Where the table stands on an axis that tilts it, that is what p is with the tilt at 0, and c0 stays
 where it is: :mod:`.tilting`. The motions of the table are then its own at every tilt.
 
+Where the table turns on while it is read, what is read is late by a time tau: the ball has gone on
+by tau times its speed. The tip of the probe is off by a constant that joins p.
+
 A ball bar reads the length |p - s| + b from the ball to another one in the spindle, which the
 machine shows at s + S (s - c0); b is how much longer the bar is than it says.
 
@@ -24,7 +27,7 @@ at one angle that no ball tells, the statement of the settings takes the place o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -44,7 +47,7 @@ from rotcal_ros.adjust.model import (
 )
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
@@ -61,6 +64,8 @@ AXIS: Final = ("XOC", "YOC", "AOC", "BOC")
 """Position (m) and direction (rad) of the axis average line, named as in ISO 230-1."""
 MOTIONS: Final = ("radial motion", "tangential motion", "axial motion")
 """Of a ball, in the directions that turn with it."""
+ALSO: Final = ("scale", "squareness", "lag")
+"""What is found beside the table, of that which is stated."""
 ENTRIES: Final = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 """Rows and columns of S: the blocks ``scale`` and, behind it, ``squareness``."""
 LEFT_OVER: Final = 0.05
@@ -95,7 +100,9 @@ class BallsOnTable:
     balls from there, with the table at angle 0; ``bars`` (b, 3): the set-ups of a bar at each of
     them, outward, along its way and up, m; none: centres are seen, target is the ball.
     ``stated`` (6,): standard deviations of the motions, m and rad; ``sigma``: that of a coordinate
-    of a centre or of a length, m.
+    of a centre or of a length, m. ``speed``: rad/s at which the table turns, of each run or,
+    where something was read, at each reading (n,); none: it stands.
+    ``known``: blocks of what else is stated to be zero, with its standard deviation, SI.
     """
 
     angles: Floats
@@ -109,6 +116,8 @@ class BallsOnTable:
     sense: float
     tilting: Tilting | None
     tilt: Ints
+    speed: Floats
+    known: Mapping[str, float]
 
     @classmethod
     def of(
@@ -129,14 +138,24 @@ class BallsOnTable:
         bars = np.array(triples(plan.bars_m * (plan.measure == BAR), "bars_m")).reshape(-1, 3)
         targets = len(balls) * max(1, len(bars))
         tilt, position, target = np.indices((tilts, len(angles), targets)).reshape(3, -1)
+        turning = sense * np.array(plan.turning_deg_s) * DEGREE
         if read is not None:
             position, target = read.position, read.target
             tilt = np.zeros_like(position) if tilting is None else read.station
         shift, lean = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
         stated = np.array([shift, shift, shift, lean, lean, UNSTATED_RAD])
+        known = {
+            "scale": solver.scale_std_um_per_m * MICROMETRE,
+            "squareness": solver.squareness_std_um_per_m * MICROMETRE,
+            "lag": solver.lag_std_s * bool(len(turning)),
+            "tip": solver.tip_std_m,
+            "bar": solver.bar_std_m * bool(len(bars)),
+        }
         return cls(
             angles, origin, balls - origin, bars, position, target,
             stated, solver.sigma_centre_m, sense, tilting, tilt,
+            turning if read is None or not len(turning) else turning[read.station],
+            {name: std for name, std in known.items() if std},
         )  # fmt: skip
 
     @property
@@ -189,7 +208,8 @@ class BallsOnTable:
         found |= {"scale": 3, "squareness": 3}
         if (axis := self.tilting) is not None:
             found |= dict.fromkeys(axis.line, 1) | dict.fromkeys(axis.motions, self.tilts)
-        return found | ({"bar": len(self.arms)} if len(self.bars) else {})
+        last = {"lag": 1, "tip": 3, "bar": len(self.arms)}
+        return found | {name: count for name, count in last.items() if name in self.known}
 
     @cached_property
     def first(self) -> dict[str, int]:
@@ -268,6 +288,11 @@ class BallsOnTable:
         away, rows = self._on_table(own)
         if self.tilting is not None:
             away, rows = self._on_tilting(self.tilting, own, away, rows)
+        if "lag" in self.known:
+            gone = self.speed[:, None] * rows[:, :, OF_TABLE - 1]
+            away, rows = _moved(away, rows, own, gone[:, :, None])
+        if "tip" in self.known:
+            away, rows = _moved(away, rows, own, np.tile(np.eye(3), (len(own), 1, 1)))
         if not len(self.bars):
             read, rows = self.origin + away @ show.T, _shown(rows, show, away)
         else:
@@ -323,6 +348,13 @@ class BallsOnTable:
         return moved @ direction.T + np.append(own[0, :2], 0.0), rows
 
 
+def _moved(away: Floats, rows: Floats, own: Floats, by: Floats) -> tuple[Floats, Floats]:
+    """Return ``away`` (n, 3), and its ``rows`` (n, 3, f), moved ``by`` (n, 3, k) the next own."""
+    count = rows.shape[2] + OF_MACHINE - OF_TABLE
+    unknowns = own[:, count : count + by.shape[2]]
+    return away + np.einsum("nij,nj->ni", by, unknowns), np.concatenate([rows, by], axis=2)
+
+
 def _shown(rows: Floats, show: Floats, place: Floats) -> Floats:
     """Return what unknowns, and behind those of the table S, do to a ``place`` (n, 3) as shown."""
     linear = np.zeros((len(rows), 3, OF_MACHINE - OF_TABLE))
@@ -362,7 +394,7 @@ def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
         yield from ({x: c, y: s}, {x: -s, y: c})
 
 
-def stated(balls: BallsOnTable, places: Floats, solver: BallsSolverSettings) -> Floats:
+def stated(balls: BallsOnTable, places: Floats) -> Floats:
     """Return rows (k, u) of what is stated beforehand to be zero, per its standard deviation.
 
     Motions are stated as they are, and told by definition without their means and turning parts
@@ -379,14 +411,9 @@ def stated(balls: BallsOnTable, places: Floats, solver: BallsSolverSettings) -> 
         / np.repeat(balls.stated, balls.tilts * len(balls.angles))
     )
     first, end = balls.first["EXC"], balls.first["scale"]
-    known = {
-        "scale": solver.scale_std_um_per_m * MICROMETRE,
-        "squareness": solver.squareness_std_um_per_m * MICROMETRE,
-        **({"bar": solver.bar_std_m} if len(balls.bars) else {}),
-    }
     return np.concatenate([
         np.pad(rows, ((0, 0), (first, sum(balls.blocks.values()) - end))),
-        *(block_rows(balls.blocks, name) / std for name, std in known.items()),
+        *(block_rows(balls.blocks, name) / std for name, std in balls.known.items()),
     ])  # fmt: skip
 
 
@@ -485,7 +512,7 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     balls = BallsOnTable.of(plan, solver, read)
     start, count = balls.started(read.points), balls.coordinates
     design, places = balls(start)[1].toarray(), start[4 : balls.first["EXC"]].reshape(-1, 3)
-    known = stated(balls, places, solver)
+    known = stated(balls, places)
     known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
@@ -526,7 +553,7 @@ def _outputs(balls: BallsOnTable) -> Floats:
 
 def _also(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:
     found = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
-    found |= {name: block_rows(balls.blocks, name) for name in ("scale", "squareness")}
+    found |= {name: block_rows(balls.blocks, name) for name in balls.known if name in ALSO}
     return found if balls.tilting is None else found | _by_tilt(balls, balls.tilting)
 
 

@@ -53,7 +53,7 @@ class BallsPlanSettings(TableAngleSettings):
         (),
         doc="deg, where the tilting axis stops; 0 need not be among them",
     )
-    tilt_limits_deg: tuple[float, float] = setting(
+    tilt_limits_deg: tuple[float, float] = expert(
         (-120.0, 120.0), doc="deg, between which the tilting axis may stand"
     )
     tilting_axis_m: tuple[float, float, float] = setting(
@@ -88,6 +88,14 @@ class BallsPlanSettings(TableAngleSettings):
         maximum=FARTHEST_M,
     )
     points_per_ball: int = points_setting(5)
+    turning_deg_s: tuple[float, ...] = expert(
+        (),
+        doc="deg/s, speed at which the table turns in each run while displacements are read, "
+        "negative for back; none: it stops at every angle. Such readings come as a table",
+    )
+    passing_deg: float = expert(
+        1.0, doc="deg, readings up to so far from a table angle count for it", minimum=1e-3
+    )
 
 
 def below_the_table(chain: str) -> str:
@@ -144,6 +152,20 @@ class BallsSolverSettings:
         minimum=1e-9,
         maximum=1.0,
     )
+    tip_std_m: float = setting(
+        0.0,
+        doc="m, standard uncertainty (k = 1) of where the probe's tip, or a ball in the spindle, "
+        "is in x, y and z; 0: not stated, and not in the uncertainty of the axis",
+        minimum=0.0,
+        maximum=1e-3,
+    )
+    lag_std_s: float = expert(
+        1e-3,
+        doc="s, standard uncertainty (k = 1) of how late displacements are beside the angle of a "
+        "table that turns",
+        minimum=1e-9,
+        maximum=1.0,
+    )
     largest_shift_um: float = expert(
         100.0,
         doc="um, a drift or a knock of machine or table that nobody would overlook",
@@ -161,6 +183,18 @@ class SimulatedBallsSettings:
     ball_diameter_m: float = expert(0.025, doc="m, of the balls", minimum=1e-4)
     placing_mm: float = expert(
         0.3, doc="mm, standard deviation with which a person places them", minimum=0.0
+    )
+    tilts_deg: tuple[float, ...] = expert(
+        (),
+        doc="deg, as plan.tilts_deg, as the axis really stands, counter-clockwise; none: no axis "
+        "tilts the table",
+    )
+    tilting_axis: str = expert("A", doc="which axis tilts it", choices=("A", "B"))
+    tilting_axis_m: tuple[float, float, float] = expert(
+        (0.0, 0.0, 0.0), doc="m, a point of that axis"
+    )
+    tilting_lean_arcsec: tuple[float, float, float] = expert(
+        (0.0, 0.0, 0.0), doc="arcsec, by which that axis is turned about x, y and z"
     )
     bar_error_um: float = expert(3.0, doc="um, by which a ball bar is longer than it says")
     bar_rate_hz: float = expert(10.0, doc="lengths of a ball bar per second", minimum=1e-3)

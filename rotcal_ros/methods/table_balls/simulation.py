@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, Stamps
 from rotcal_ros.foundation.observations import (
     Command,
     LengthStatus,
@@ -12,13 +12,14 @@ from rotcal_ros.foundation.observations import (
     ProbeSample,
     TracerSample,
 )
-from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
+from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.ball_plate.simulation import SimulatedTouchProbe
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
 from rotcal_ros.methods.simulation.cell import Ticks
 from rotcal_ros.methods.simulation.instrument import Table
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
-from rotcal_ros.methods.table_balls.settings import BallsSimulationSettings
+from rotcal_ros.methods.table_balls.settings import BallsSimulationSettings, SimulatedBallsSettings
 from rotcal_ros.planning.points import triples
 
 
@@ -30,8 +31,18 @@ def placed_balls(settings: BallsSimulationSettings) -> Floats:
     return np.asarray(places + off)
 
 
+def tilts(settings: SimulatedBallsSettings) -> Floats:
+    """Return how each tilt of the axis below turns all that stands on it (t, 3, 3)."""
+    along = np.eye(3)["AB".index(settings.tilting_axis)]
+    lean = rotation_from_vector(np.array(settings.tilting_lean_arcsec) * ARCSEC)
+    turns = np.array(settings.tilts_deg or (0.0,)) * DEGREE
+    return rotation_from_vector(turns[:, None] * (lean @ along))
+
+
 class TouchedBalls(SimulatedTouchProbe):
     """Touches balls on the table, or holds a ball bar to the one that is next to its order.
+
+    Where an axis tilts the table, it stands as the station of the last order says.
 
     The bar sends lengths all the time; the ball in the spindle is where the machine shows it but
     for the machine's error.
@@ -55,11 +66,14 @@ class TouchedBalls(SimulatedTouchProbe):
         self._ticks = Ticks(start_ns, balls.bar_rate_hz)
         self._scatter = IndexedNoise(settings.noise_seed, NoiseSource.TRACER)
         self._order: Command | None = None
+        self._tilts, self._tilt = tilts(balls), np.eye(3)
+        self._foot = np.array(balls.tilting_axis_m)
 
     def order(self, now_ns: int, command: Command) -> None:
         """Go to the position of ``command``, with the bar at the ball that is next to it."""
         super().order(now_ns, command)
         self._order = command
+        self._tilt = self._tilts[command.station % len(self._tilts)]
 
     def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
         """Return a touch point or a centre; with a bar, where the machine shows the spindle."""
@@ -72,8 +86,7 @@ class TouchedBalls(SimulatedTouchProbe):
         first, stamps = self._ticks.until(now_ns)
         if not len(stamps) or self._order is None or self._order.kind != PointKind.REFLECTOR:
             return ()
-        rotation, translation = self._table.poses(stamps)
-        balls = self._balls @ np.swapaxes(rotation, 1, 2) + translation[:, None]
+        balls = self._standing(stamps)
         shown = self.positions(stamps)
         away = np.linalg.norm(balls - (shown - self._error(shown))[:, None], axis=2)
         std = self.settings.noise_um * MICROMETRE
@@ -83,3 +96,14 @@ class TouchedBalls(SimulatedTouchProbe):
             TracerSample(stamp, (first + k) % (1 << 32), length, std, LengthStatus.OK)
             for k, (stamp, length) in enumerate(zip(stamps.tolist(), lengths, strict=True))
         )
+
+    def _standing_balls(self, stamp_ns: int) -> Floats:
+        """Return the true ball centres (k, 3) in the machine frame, m."""
+        (balls,) = self._standing(np.array([stamp_ns]))
+        return np.asarray(balls)
+
+    def _standing(self, stamps: Stamps) -> Floats:
+        """Return the same at each of ``stamps`` (n,): (n, k, 3)."""
+        rotation, translation = self._table.poses(stamps)
+        balls = self._balls @ np.swapaxes(rotation, 1, 2) + translation[:, None]
+        return np.asarray(self._foot + (balls - self._foot) @ self._tilt.T)

@@ -164,7 +164,7 @@ class CaptureNode(CellNode):
         except Exception as error:
             self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
-        self._run, self._needed = run_name(message), calibration.method.topics
+        self._run, self._needed = run_name(message), calibration.topics
         self._instruments.not_silent()
         self._verdicts.clear()
         self._state = NodeState.of(State.WORKING, Why.CAPTURING, calibration.method.name)

@@ -161,7 +161,7 @@ class CellSnapshot:
     def topics(self) -> tuple[str, ...]:
         """The instrument topics that must be there."""
         always = (names.JOINT_STATES, names.PROBE_POINT)
-        return always if self.calibration is None else self.configuration.method.topics
+        return always if self.calibration is None else self.calibration.topics
 
     @property
     def started_by_us(self) -> bool:

@@ -154,7 +154,7 @@ class GoalRun:
     async def _accept_publishers(self) -> None:
         """Accept the present publishers, and tell all nodes at once in a beat."""
         links, watch = self.watch.links, self.watch
-        instruments = self._calibration.method.topics
+        instruments = self._calibration.topics
         await watch.have(lambda: links.unclear(instruments), Codes.TOPIC_MISSING)
         needed, wished = expected_air(self._calibration)
         watch.instruments = {*instruments, *needed, *wished}
@@ -352,11 +352,11 @@ async def _have_topics(
     """
     missing, links = partial(_missing, calibration, watch.links), watch.links
     if watch.preflight:  # a second publisher that is found only in the run would be a stranger
-        roles, publishers = calibration.method.topics, links.graph.publishers
+        roles, publishers = calibration.topics, links.graph.publishers
         await watch.stands_still(lambda: [publishers(links.instrument(r)) for r in roles])
     # What is missing may be there but undiscovered; what is not there is waited for below.
     if not await watch.is_found(lambda: [] if _halted(watch) else missing()):
-        links.warn(PREFLIGHT, links.elsewhere(calibration.method.topics))
+        links.warn(PREFLIGHT, links.elsewhere(calibration.topics))
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
         if not _halted(watch):
@@ -381,4 +381,4 @@ def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
     ]
     wrong = faults(links.health.values("capture"), configuration, calibration.plan)
     silent, stop = single_shots(configuration.topics), configuration.safety.emergency_stop
-    return links.missing_topics(calibration.method.topics, silent, stop) + air + wrong
+    return links.missing_topics(calibration.topics, silent, stop) + air + wrong

@@ -100,7 +100,7 @@ def air_doubts(values: Values, role: str) -> Iterator[str]:
 def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator[str]:
     """Yield a doubt if lengths or probe positions are far too small for the plan."""
     topics, name = calibration.configuration.topics, name_in(values, role)
-    if role == names.TRACER_LENGTH and role in calibration.method.topics:
+    if role == names.TRACER_LENGTH and role in calibration.topics:
         length = number_in(values.get(NOW + role, "")) or 0.0
         text = thousandth_of_plan(
             length, calibration.beams_m, topics.length_unit, "topics.length_unit"

@@ -157,6 +157,27 @@ def test_the_uncertainty_of_each_order_is_that_of_the_closed_form(steps):
     assert covariance.std == pytest.approx(np.sqrt(found.covariance.diagonal() / scale), rel=1e-9)
 
 
+@pytest.mark.parametrize("steps", [(0, 1, 5), (0, 2, 3, 7), tuple(range(12))])
+def test_a_complete_grid_is_solved_as_by_its_fourier_transform(steps):
+    """Order by order from the two normal equations of the module, with noise in the readings."""
+    n, k = 12, len(steps)
+    world = World(planned(30.0 * np.array(steps), turns=0))
+    value = world.noisy()
+    read = np.fft.fft(value.reshape(k, n), axis=1)
+    turned = np.exp(2j * np.pi * np.outer(steps, np.arange(n)) / n)  # what the reference sees
+    mean, seen = read.sum(axis=0), -(turned * read).sum(axis=0)
+    sums = turned.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        table = (k * mean + np.conj(sums) * seen) / (k**2 - np.abs(sums) ** 2)
+        reference = (k * seen + sums * mean) / (k**2 - np.abs(sums) ** 2)
+    table[0] = reference[0] = 0.0  # no reading tells a zero
+    curve, errors = np.fft.ifft(table).real, np.fft.ifft(reference).real
+    found = engine.adjust(world.model(value))
+    assert not found.why
+    assert found.value == pytest.approx(curve - curve[0], abs=1e-16)
+    assert found.also[REFERENCE][0] == pytest.approx(errors, abs=1e-16)
+
+
 def test_the_same_as_dense_least_squares_with_constraints():
     world = World(planned((0, 30, 150)))
     value, circles = world.noisy(), world.circles

@@ -190,6 +190,12 @@ def test_the_bar_is_brought_from_set_up_to_set_up():
     assert texts[3] == "turn A to 30 deg; bring the ball bar to ball 0, set-up 0 of plan.bars_m"
 
 
+def test_lengths_must_come_before_anything_moves_and_no_light_measures_them():
+    bar, centre = prepare(setup()), prepare(setup("plan.measure=centre"))
+    assert set(bar.topics) - set(centre.topics) == {"tracer_length"}
+    assert bar.refraction.in_words(()) == ""
+
+
 def test_set_ups_that_tell_too_little_are_refused():
     with pytest.raises(PlanError, match="no set-up of the ball bar tells ECC"):
         prepare_to_measure(setup("plan.bars_m=[[0.1, 0, 0], [0, 0, 0.1]]"))

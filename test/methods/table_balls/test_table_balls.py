@@ -278,6 +278,57 @@ def test_squareness_that_is_not_told_is_in_the_uncertainty_and_that_which_is_les
     assert three.std[-4] < one.std[-4]
 
 
+@pytest.mark.parametrize("name", ["ONE", "THREE"])
+def test_lobes_of_the_probe_move_the_axis_and_nothing_else_tells_of_them(name):
+    """The same touches of all balls at all angles are off by the same: only a statement helps."""
+    world = World.drawn(planned(name), np.random.default_rng(3))
+    lobed = replace(world, lobing=4e-6)
+    shift = lobed.touched()
+    assert np.hypot(*shift[:2]) > 1e-6
+    one, two = (solved(modelled(each)) for each in (world, lobed))
+    moved = two.value - one.value
+    count = len(one.model.outputs)
+    assert moved[count - 4 : count - 2] == pytest.approx(shift[:2], rel=1e-3)
+    assert moved[: count - 4] == pytest.approx(0.0, abs=1e-9)
+    assert moved[count - 2 : count] == pytest.approx(0.0, abs=1e-9)
+    told = replace(world, solver=BallsSolverSettings(tip_std_m=2e-6))
+    std, wider = (np.linalg.norm(f.response, axis=1) for f in (one, solved(modelled(told))))
+    more = np.where(np.isin(np.arange(count), [count - 4, count - 3]), 2e-6, 0.0)
+    assert wider[:count] == pytest.approx(np.hypot(std[:count], more), rel=1e-3)
+
+
+@pytest.mark.parametrize(("tip", "treatment"), [(0.0, "not protected"), (2e-6, "bounded")])
+def test_an_offset_of_the_tip_is_named_until_it_is_stated(tip, treatment):
+    demo = read_configuration(CONFIG / "table_balls.yaml")
+    calibration = prepare_to_measure(changed(demo, (f"solver.tip_std_m={tip}",)))
+    result = calibration.solve(calibration.nominal_observations())
+    assert [p.treatment for p in result.protections if p.effect == "probe tip"] == [treatment]
+    assert ("probe tip" in result.unprotected) == (tip == 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "passes", "sigma"), [("ONE", 2, SIGMA), ("THREE", 1, np.hypot(SIGMA, 0.5e-6))]
+)
+def test_intervals_hold_the_truth_beside_lobes_and_play_that_are_stated(name, passes, sigma):
+    """Play of 1 um: one ball takes it for motions of the table, three need it as noise."""
+    rng, inside, runs = np.random.default_rng(22), [], 300
+    solver = BallsSolverSettings(tip_std_m=2e-6, sigma_centre_m=sigma)
+    unit = np.abs(replace(World(planned(name)), lobing=1e-6).touched()[0]) / 1e-6
+    for _ in range(runs):
+        world = World.drawn(planned(name, runs=passes), rng, solver)
+        world.lobing = solver.tip_std_m / unit * rng.standard_normal()
+        world.play = 1e-6
+        fit = solved(modelled(world, world.readings(SIGMA, rng)))
+        std = np.linalg.norm(fit.response, axis=1)[: len(fit.model.outputs)]
+        motions, line = world.truth()
+        true = np.append([motions[NAMES.index(c)] for c in TOLD[name]], line)
+        inside.append(np.abs(fit.value[: len(std)] - true) < 1.96 * std)
+    found = np.mean(inside, axis=0)
+    assert 0.93 < found[:-4].mean() < 0.97
+    assert (found[-4:] > binom.ppf(1e-4, runs, 0.95) / runs).all(), found
+
+
 def test_a_ball_that_was_touched_wrongly_is_left_out():
     world = World.drawn(planned(), np.random.default_rng(4))
     read = world.readings(SIGMA, np.random.default_rng(2))
@@ -473,6 +524,18 @@ def test_displacements_from_a_nest_that_follows_the_ball_tell_the_same(tmp_path)
     assert result.details["axis"]["value"] == pytest.approx(found.value[12:], abs=1e-12)
 
 
+def test_displacements_that_are_spoiled_on_purpose_are_displacements():
+    demo = changed(
+        read_configuration(CONFIG / "table_balls_demo.yaml"), ("plan.measure=displacement",)
+    )
+    calibration = prepare_to_measure(demo)
+    good = calibration.measured({}, seed=3)
+    assert np.abs([o.mean for o in good.observations]).max() < 1e-3
+    result = calibration.solve(good.observations)
+    assert result.verdict == "ok", result.warnings
+    assert np.abs((result.deviations["ECC"] - good.truth["ECC"]) / result.std["ECC"]).max() < 4.0
+
+
 def test_a_simulated_nest_finds_the_axis():
     configuration = changed(
         read_configuration(CONFIG / "table_balls_demo.yaml"), ("plan.measure=displacement",)
@@ -484,3 +547,91 @@ def test_a_simulated_nest_finds_the_axis():
     axis = calibration.solve(seen).details["axis"]
     line = [4.2e-5 - 0.08 * 6.0 * ARCSEC, -2.8e-5 - 0.08 * 9.0 * ARCSEC, 9 * ARCSEC, -6 * ARCSEC]
     assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
+
+
+def turning(name="ONE", speeds=(20.0, -20.0), **more):
+    """Return settings of displacements that are read while the table turns."""
+    return planned(
+        name, measure="displacement", runs=len(speeds), closing=False, turning_deg_s=speeds, **more
+    )
+
+
+def passing_table(path, world, lag, rate_hz=50.0):
+    """Write what a nest reads that is ``lag`` late beside the angle; curves between the angles."""
+    rng, lines = np.random.default_rng(4), ["run,ball,passing [deg],dx_m,dy_m,dz_m"]
+    ideal = replace(world, axis=(0.0,) * 4, missed=0.0 * world.missed)
+    for run, speed in enumerate(world.plan.turning_deg_s):
+        for angle in np.arange(-2.0, 333.0, abs(speed) / rate_hz)[:: 1 if speed > 0 else -1]:
+            for ball in range(len(world.balls)):
+                seen, sent = (
+                    replace(
+                        each, plan=replace(each.plan, table_angles_deg=(at,)), motions=moves
+                    ).centre(0, ball)
+                    for each, at, moves in (
+                        (world, angle + speed * lag, smooth(np.radians(angle))),
+                        (ideal, angle, np.zeros((6, 1))),
+                    )
+                )
+                off = seen - sent + 1e-6 * rng.standard_normal(3)
+                lines.append(f"{run},{ball},{angle:.6f}," + ",".join(f"{x:.12f}" for x in off))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def smooth(angle):
+    """Return motions (6, 1) of a table that deviates by harmonics."""
+    waves = np.array([[2.0, 0.5], [3.0, 1.5], [2.0, -1.0], [4.0, 0.3], [3.0, 2.0], [5.0, 1.0]])
+    size = np.array([1e-6, 1e-6, 1e-6, 5e-6, 5e-6, 2e-5])
+    return (size * np.cos(waves[:, 0] * angle + waves[:, 1]))[:, None]
+
+
+@pytest.mark.parametrize(
+    ("speeds", "treatment"), [((20.0, -20.0), "estimated"), ((20.0, 20.0), "harmless")]
+)
+def test_a_nest_that_is_late_while_the_table_turns_is_found_out(tmp_path, speeds, treatment):
+    """By 2 ms, at 20 deg/s 144 arcsec: both directions tell it, one is not spoiled by it."""
+    world = World(turning(speeds=speeds), missed=np.array([[2e-4, -1e-4, 1e-4]]))
+    path = passing_table(tmp_path / "turning.csv", world, lag=2e-3)
+    configuration = changed(
+        read_configuration(CONFIG / "table_balls.yaml"),
+        (
+            f"plan.balls_m={[*ONE]}", "plan.axis_m=[0.0, 0.0, 0.06]", "plan.closing=false",
+            "plan.measure=displacement", f"plan.turning_deg_s={[*speeds]}",
+            f"solver.lag_std_s={5e-3}",
+        ),
+    )  # fmt: skip
+    result = read_measurements(path, configuration).solve()
+    assert result.verdict == "ok", result.warnings
+    assert [p.treatment for p in result.protections if p.effect == "lag"] == [treatment]
+    angles = np.array(result.angles)
+    true = np.array([smooth(angle)[5, 0] for angle in angles])
+    away = result.deviations["ECC"] - true + true.mean()
+    assert np.abs(away / result.std["ECC"]).max() < 3.5
+    axis = result.details["axis"]
+    assert np.abs((np.array(axis["value"]) - world.axis) / axis["std"]).max() < 3.5
+    lag = result.details["also"]["lag"]
+    if treatment == "estimated":
+        assert lag["std"][0] < 1e-4
+        assert lag["value"][0] == pytest.approx(2e-3, abs=3.5 * lag["std"][0])
+    else:
+        assert lag["std"][0] == pytest.approx(5e-3, rel=0.01)
+
+
+def test_tables_that_turn_are_refused_where_they_do_not_fit(tmp_path):
+    demo = changed(
+        read_configuration(CONFIG / "table_balls.yaml"),
+        ("plan.measure=displacement", "plan.closing=false"),
+    )
+    with pytest.raises(ConfigurationError, match="1 speeds, expected 2"):
+        prepare(changed(demo, ("plan.turning_deg_s=[5.0]",)))
+    with pytest.raises(ConfigurationError, match="takes plan"):
+        prepare(changed(demo, ("plan.turning_deg_s=[5.0, -5.0]", "plan.closing=true")))
+    turns = changed(demo, ("plan.turning_deg_s=[5.0, -5.0]",))
+    with pytest.raises(PlanError, match="stops at every angle"):
+        prepare_to_measure(turns)
+    path = tmp_path / "turning.csv"
+    path.write_text("run,ball,passing_rad,dx_m,dy_m,dz_m\n0,0,0.01,0.0,0.0,0.0\n")
+    with pytest.raises(DataError, match="run 0 has no readings of ball 0 on both sides of 0 deg"):
+        read_measurements(path, turns)
+    with pytest.raises(DataError, match="was read while the table turned: state"):
+        read_measurements(path, demo)

@@ -10,8 +10,10 @@ from scipy.stats import binom
 from rotcal_ros.adjust.model import fitted
 from rotcal_ros.compensation.axis_location import axis_lines
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
 from rotcal_ros.methods.measurements import read_measurements
+from rotcal_ros.methods.simulated_run import simulated_run
 from rotcal_ros.methods.table_balls.model import AXIS, model_of
 from rotcal_ros.methods.table_balls.settings import BallsPlanSettings
 
@@ -154,6 +156,30 @@ def test_a_table_with_tilts_gives_both_axes_for_people_and_controls(tmp_path):
     names = [each.name for each in setup().method.tables(result)]
     assert names[:2] == ["axis", "tilting_axis"]
     assert {"XOC_by_tilt", "ECC_by_tilt", "EXA", "EAA"} <= set(names)
+
+
+def test_the_simulated_axis_is_found_where_it_stands():
+    """Its line and that of the table, of the demonstration with three tilts."""
+    tilts = [-60.0, 0.0, 50.0]
+    configuration = changed(
+        read_configuration(CONFIG.with_name("table_balls_demo.yaml")),
+        (
+            "plan.chain=AC", f"plan.tilts_deg={tilts}", f"simulation.balls.tilts_deg={tilts}",
+            "plan.runs=1",
+        ),
+    )  # fmt: skip
+    calibration = prepare_to_measure(configuration)
+    seen = [o for event in simulated_run(calibration) for o in event.observed if o.accepted]
+    assert len(seen) == 39
+    result = calibration.solve(seen)
+    assert result.verdict == "ok", result.warnings
+    lean = np.array(configuration.simulation.balls.tilting_lean_arcsec[1:]) * ARCSEC
+    found = result.details["tilting_axis"]
+    away = np.array(found["value"]) - [6e-5, -4e-5, *lean]
+    assert np.abs(away / found["std"]).max() < 3.5
+    axis = result.details["axis"]
+    line = [4.2e-5 - 0.08 * 6.0 * ARCSEC, -2.8e-5 - 0.08 * 9.0 * ARCSEC, 9 * ARCSEC, -6 * ARCSEC]
+    assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
 
 
 def test_displacements_count_from_where_a_perfect_machine_has_the_ball(tmp_path):
