@@ -19,7 +19,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.configuration import Configuration, replaced
-from rotcal_ros.methods.tracer.plan import LEAST_ANGLES, block_of_targets
+from rotcal_ros.methods.tracer.plan import LEAST_ANGLES
 from rotcal_ros.methods.tracer.policy.exchange import Progress
 from rotcal_ros.methods.tracer.policy.scene import Scene, noisy_problem
 from rotcal_ros.methods.tracer.policy.sequence import (
@@ -176,7 +176,7 @@ def _offered(
 ) -> Floats:
     """Return the places (n, 3) of the reflector that are offered, m."""
     if room is None:
-        return np.array(listed or block_of_targets(configuration.plan))
+        return np.array(listed or configuration.plan.block)
     room = replace(
         room,
         table_angles_deg=tuple((angles / DEGREE).tolist()),
