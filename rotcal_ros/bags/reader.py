@@ -16,7 +16,7 @@ from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import FileVerdict, Item, Scan
 from rotcal_ros.bags.unread_data import note_verdict
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import why
+from rotcal_ros.foundation.untrusted import reading
 
 Content = TypeVar("Content")
 
@@ -35,15 +35,13 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
     Raises BagError when there is no bag at ``path``, or none that may be read.
     """
-    try:
+    with reading(path, BagError):
         if not path.exists():
             raise BagError(f"{path} does not exist; name a bag folder, or an .mcap or .db3 file")
         if path.is_file():
             scan_file(path)
             return (path,)
         inside = sorted(filter(is_storage_name, path.iterdir()))
-    except OSError as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error
     for suffix in SUFFIXES:
         found = [file for file in inside if _storage(file) == suffix]
         # Where a file was unpacked beside its compressed form, the plain one is read.

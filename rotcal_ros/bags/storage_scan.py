@@ -16,7 +16,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropouts import Dropout, DropoutReader
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import require_plain, why
+from rotcal_ros.foundation.untrusted import reading, require_plain
 
 _SHOWN: Final = 20
 State = Literal["complete", "index wrong", "truncated", "damaged"]
@@ -178,10 +178,8 @@ class Scan(StorageContents, ABC):
 
     def __init__(self, path: Path) -> None:
         """Read nothing yet; raises BagError if ``path`` is a pipe or a device: it may block."""
-        try:
+        with reading(path, BagError):
             require_plain(path)
-        except OSError as error:
-            raise BagError(f"cannot read {path}: {why(error)}") from error
         super().__init__(path)
         self.position = 0
         self.replaced: dict[str, Attachment] = {}

@@ -7,15 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.cli.console import (
-    VERDICT_EXIT_CODES,
-    NamedFile,
-    json_option,
-    path_type,
-    print_json,
-)
+from rotcal_ros.cli.console import json_option, path_type, result_option, show_result
 from rotcal_ros.cli.options import polygon_option, reference_option, references, sheet_option
-from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.component_groups import Enlargement
@@ -23,9 +16,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
-@click.option(
-    "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
-)
+@result_option
 @click.option(
     "--enlarge",
     # The names of ENLARGEMENTS, whose module takes a second to load; a test compares them.
@@ -56,22 +47,12 @@ def command(
     is 0 for the verdict ok and 1 for suspect.
     """
     from rotcal_ros.evaluation.combination import combine
-    from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.recordings.result_sources import read_measured
 
     how = references(sources, reference_std, changes, polygon)
     combined = combine([read_measured(source, how) for source in sources], enlarge)
-    result = combined.result
-    text = result.to_json()
-    if output is not None:
-        write_atomically(output, text + "\n")
-    if as_json:
-        print_json(text)
-    else:
-        from rotcal_ros.report.terminal.tables import print_result, say_groups
+    if not as_json:
+        from rotcal_ros.report.terminal.tables import say_groups
 
         say_groups(combined.groups)
-        print_result(result)
-    if output is not None:
-        say(f"result written to {output.absolute()}")
-    return VERDICT_EXIT_CODES[result.verdict]
+    return show_result(combined.result, output, as_json=as_json)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.terminal.console import say, tell
+
+if TYPE_CHECKING:
+    from rotcal_ros.foundation.results import Result
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -60,6 +63,29 @@ def json_option(function: Function) -> Function:
 def print_json(data: str | Mapping[str, Any]) -> None:
     """Print JSON text, or a mapping as JSON, on standard output."""
     click.echo(data if isinstance(data, str) else json.dumps(data, indent=1, allow_nan=False))
+
+
+result_option: Final = click.option(
+    "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
+)
+
+
+def show_result(result: Result, output: Path | None, *, as_json: bool) -> int:
+    """Print a result, and write it to ``output``; return the exit code of its verdict."""
+    text = result.to_json()
+    if output is not None:
+        write_atomically(output, text)
+    if as_json:
+        for warning in result.warnings:
+            say(f"warning: {warning}")
+        print_json(text)
+    else:
+        from rotcal_ros.report.terminal.tables import print_result
+
+        print_result(result)
+    if output is not None:
+        say(f"result written to {output.absolute()}")
+    return VERDICT_EXIT_CODES[result.verdict]
 
 
 def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:

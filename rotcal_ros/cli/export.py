@@ -125,21 +125,17 @@ def command(
 
     forward = read(source)
     if what == AXIS:
-        _refuse_what_only_tables_take(asked, reverse)
+        _refuse(_of_tables(asked, reverse), "--what axis, which writes no table")
         _write_location(forward, asked, as_json)
     elif asked.controller == VOLUMETRIC:
-        _refuse_what_only_controllers_take(asked, reverse)
+        unused = _of_tables(asked, reverse) | _of_controllers(asked)
+        _refuse(unused, "a volumetric table, which holds the deviations as measured")
         _show(_write_volumetric(forward, asked), as_json)
     else:
         backward = None if reverse is None else read(reverse)
         export, paths = write_export(forward, asked, backward)
         _show_written(export.files, paths, as_json, export.in_words())
     return 0
-
-
-def _given(options: dict[str, Any]) -> str:
-    """Return the names of the options that were given."""
-    return ", ".join(name for name, value in options.items() if value is not None)
 
 
 def _of_tables(asked: ExportRequest, reverse: Path | None) -> dict[str, Any]:
@@ -151,25 +147,18 @@ def _of_tables(asked: ExportRequest, reverse: Path | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _refuse_what_only_tables_take(asked: ExportRequest, reverse: Path | None) -> None:
-    """Raise ConfigurationError for options that the place of an axis does not use."""
-    if given := _given(_of_tables(asked, reverse)):
-        raise ConfigurationError(
-            f"{given}: no use for --what axis, which writes no table; leave it out"
-        )
-
-
-def _refuse_what_only_controllers_take(asked: ExportRequest, reverse: Path | None) -> None:
-    """Raise ConfigurationError for options that a volumetric table does not use."""
-    only_controllers = _of_tables(asked, reverse) | {
+def _of_controllers(asked: ExportRequest) -> dict[str, Any]:
+    """Return the options that only files of a controller use."""
+    return {
         "--machine-ini": asked.machine_ini, "--set": asked.settings or None,
         "--accept-unverified": asked.accept_unverified or None,
     }  # fmt: skip
-    if given := _given(only_controllers):
-        raise ConfigurationError(
-            f"{given}: no use for a volumetric table, which holds the deviations "
-            "as measured; leave it out"
-        )
+
+
+def _refuse(options: dict[str, Any], what: str) -> None:
+    """Raise ConfigurationError for ``options`` by name that were given and are of no use."""
+    if given := ", ".join(name for name, value in options.items() if value is not None):
+        raise ConfigurationError(f"{given}: no use for {what}; leave it out")
 
 
 def _letter(forward: ResultSource, asked: ExportRequest) -> str:

@@ -11,10 +11,11 @@ import click
 
 from rotcal_ros.cli.console import (
     VERDICT_EXIT_CODES,
-    NamedFile,
     json_option,
     path_type,
     print_json,
+    result_option,
+    show_result,
 )
 from rotcal_ros.cli.options import announcer, explain_option, set_option, setup_options
 from rotcal_ros.foundation.errors import DataError
@@ -22,7 +23,6 @@ from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.ways import Evaluation
-    from rotcal_ros.foundation.results import Result
     from rotcal_ros.methods.method import Measurements
     from rotcal_ros.recordings.replay import Recording
 
@@ -58,9 +58,7 @@ if TYPE_CHECKING:
     help="Ball plate: groups of table positions that no ball connects are solved separately, each "
     "with its own zero, or refused (together); default: as the set-up says.",
 )
-@click.option(
-    "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
-)
+@result_option
 @explain_option
 @json_option
 def command(
@@ -93,13 +91,13 @@ def command(
     if explain:
         return 0
     if not (balls or coarser or groups):
-        return _show(data.solve(), output, as_json)
+        return show_result(data.solve(), output, as_json=as_json)
     from rotcal_ros.evaluation.ways import ways
 
     separate = None if groups is None else groups == "separate"
     evaluations = _evaluated(data, source, ways(balls, coarser, separate=separate))
     if len(evaluations) == 1:
-        return _show(evaluations[0].result, output, as_json)
+        return show_result(evaluations[0].result, output, as_json=as_json)
     return _show_evaluations(evaluations, output, as_json)
 
 
@@ -122,26 +120,6 @@ def _evaluated(
     if isinstance(data, PlannedMeasurements):
         return evaluations
     return tuple(replace(e, result=data.with_warnings(e.result)) for e in evaluations)
-
-
-def _show(result: Result, output: Path | None, as_json: bool) -> int:
-    """Print or write one result; return the exit code of its verdict."""
-    text = result.to_json()
-    if output is not None:
-        from rotcal_ros.foundation.files import write_atomically
-
-        write_atomically(output, text)
-    if as_json:
-        for warning in result.warnings:
-            say(f"warning: {warning}")
-        print_json(text)
-    else:
-        from rotcal_ros.report.terminal.tables import print_result
-
-        print_result(result)
-    if output is not None:
-        say(f"result written to {output.absolute()}")
-    return VERDICT_EXIT_CODES[result.verdict]
 
 
 def _show_evaluations(

@@ -16,7 +16,7 @@ from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.in_force import in_words
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.untrusted import load_json, read_text, reading
 
 
 def to_be_in_force(
@@ -124,7 +124,5 @@ def _checked(path: Path, sha256: str) -> str:
 
 
 def _text(path: Path) -> str:
-    try:
+    with reading(path, BagError):
         return read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.untrusted import read_bytes, why
+from rotcal_ros.foundation.untrusted import read_bytes, reading
 
 AGENT: Final = (
     "/usr/bin/python3",
@@ -220,12 +220,8 @@ class Ini:
     @classmethod
     def read(cls, path: Path) -> Ini:
         """Read the file; ConfigurationError when there is none."""
-        try:
+        with reading(path, ConfigurationError, "the machine's ini file "):
             return cls(path, read_bytes(path).decode(ENCODING))
-        except OSError as error:
-            raise ConfigurationError(
-                f"cannot read the machine's ini file {path}: {why(error)}"
-            ) from error
 
     def value(self, section: str, key: str) -> str | None:
         """Return the value that LinuxCNC finds for ``key`` in ``section``; None: none."""

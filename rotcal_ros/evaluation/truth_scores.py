@@ -24,7 +24,7 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, ROTATI
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.results import Verdict
-from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.untrusted import load_json, read_text, reading
 from rotcal_ros.methods import find_method
 
 TRUTH: Final = "truth.json"
@@ -228,10 +228,10 @@ def _rows(path: Path, given: Floats, true: Floats) -> list[int]:
 
 
 def _document(path: Path) -> Mapping[str, Any]:
+    with reading(path, BagError):
+        text = read_text(path)
     try:
-        content = load_json(read_text(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error
+        content = load_json(text)
     except ValueError as error:
         raise BagError(f"{path} is not JSON: {error}; write it anew") from error
     if not isinstance(content, Mapping):

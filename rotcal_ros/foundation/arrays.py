@@ -23,6 +23,12 @@ def std_of(covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)), dtype=np.float64)
 
 
+def rms_about_mean(covariance: Floats) -> float:
+    """Return the rms standard deviation of values less their mean, of ``covariance`` (n, n)."""
+    about_mean = np.trace(covariance - covariance.mean(axis=0))
+    return float(np.sqrt(about_mean / len(covariance)))
+
+
 def steps_from(before: float, values: _Numbers) -> _Numbers:
     """Return the steps (n,) of ``values`` (n,), the first of them from ``before``.
 

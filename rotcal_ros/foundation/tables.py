@@ -24,6 +24,7 @@ from rotcal_ros.foundation.untrusted import (
     plain_file,
     read_bytes,
     read_text,
+    reading,
     why,
 )
 
@@ -160,12 +161,9 @@ def own_table(source: Path | Table, headers: Sequence[Header]) -> Table | None:
     """
     if isinstance(source, Table):
         return source if source.header in headers else None
-    try:
-        with open_plain(source) as file:
-            begin = file.read(_LOOK)
-        begins = begin.decode("utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise BagError(f"cannot read the table {source}: {why(error)}") from error
+    with reading(source, BagError, "the table "), open_plain(source) as file:
+        begin = file.read(_LOOK)
+    begins = begin.decode("utf-8-sig", errors="replace").splitlines()
     first = next((line for line in begins if line.strip() and line.lstrip()[0] != "#"), "")
     names = tuple(cell.strip() for cell in first.split(","))
     return read_table(source) if names in headers else None

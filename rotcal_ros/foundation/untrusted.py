@@ -14,13 +14,13 @@ import math
 import os
 import re
 import stat
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 
 LARGEST_FILE: Final = 1 << 28
 """Bytes of a file that is read whole; the result of 20 000 lengths has 10 million."""
@@ -104,6 +104,15 @@ _CURES: Final = {
     errno.EIO: "; check the disk",
     errno.ESTALE: "; mount its drive again",
 }
+
+
+@contextmanager
+def reading(path: Path | str, refused: type[RotcalError], what: str = "") -> Iterator[None]:
+    """Raise ``refused`` where ``path`` cannot be read meanwhile; ``what`` it is: "the list "."""
+    try:
+        yield
+    except (OSError, UnicodeDecodeError) as error:
+        raise refused(f"cannot read {what}{path}: {why(error)}") from error
 
 
 def why(error: Exception) -> str:

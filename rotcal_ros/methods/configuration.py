@@ -33,7 +33,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.sheets.reading import SheetSettings
-from rotcal_ros.foundation.untrusted import composed, line_of, load_yaml, read_text, why
+from rotcal_ros.foundation.untrusted import composed, line_of, load_yaml, read_text, reading
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
 from rotcal_ros.planning.choices import AS_LISTED
@@ -148,10 +148,8 @@ def configuration_text(path: Path) -> str:
 
     Raises ConfigurationError when one of them cannot be read.
     """
-    try:
+    with reading(path, ConfigurationError, "the configuration "):
         text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read the configuration {path}: {why(error)}") from error
     return _with_contents(text, str(path), path.parent)
 
 

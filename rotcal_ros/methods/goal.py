@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
 
-import numpy as np
-
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
@@ -66,19 +63,9 @@ def goal_standing(
     last = choices[-1]
     return GoalStanding(
         goal=goals[-1],
-        reached=expanded_about_mean(result.covariance["ECC"]),
+        reached=COVERAGE_FACTOR * rms_about_mean(result.covariance["ECC"]),
         measured=len(accepted),
         candidates=len(calibration.plan.steps),
         reason=last.reason if last.step is None else UNFINISHED,
         compared=compare(calibration.configuration, calibration.plan, steps, lost),
     )
-
-
-def expanded_about_mean(covariance: Floats) -> float:
-    """Return U (k = 2), rms over the angles, of values with ``covariance`` (m, m) less their mean.
-
-    The mean is no error of the table: no length tells where its zero is.
-    """
-    about = np.eye(len(covariance)) - 1.0 / len(covariance)
-    mean_variance = float(np.trace(about @ covariance @ about)) / len(covariance)
-    return COVERAGE_FACTOR * sqrt(mean_variance)

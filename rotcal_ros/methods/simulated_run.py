@@ -21,9 +21,9 @@ from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
 from rotcal_ros.methods.simulation.cell import SimulatedCell
 from rotcal_ros.methods.simulation.table import true_deviations
+from rotcal_ros.planning.plan import Step
 
-_SLICE_S = 0.2
-_MOST_SLICES = 18_000
+_LONGEST_S = 3600.0
 """After one hour at a step something is missing."""
 _BY_A_TRACKER = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
 
@@ -42,38 +42,48 @@ class Event(NamedTuple):
     observed: Observations = ()
 
 
-def simulated_run(calibration: Calibration, start_ns: int = 0) -> Iterator[Event]:
-    """Yield all orders and records of one attempt at every step, from ``start_ns`` on.
+def simulated_run(
+    calibration: Calibration, start_ns: int = 0, *, attempts: int = 1, slice_s: float = 0.2
+) -> Iterator[Event]:
+    """Yield all orders and records of a run from ``start_ns`` on; its time passes in slices.
 
+    A step whose observations are rejected is ordered again, up to ``attempts`` times in all.
     Raises ConfigurationError for a cell that cannot be simulated alone.
     """
     configuration = calibration.configuration
     cell = calibration.method.simulated_cell(configuration.simulation, start_ns)
     capture = calibration.capture()
-    for step in calibration.plan.steps:
-        command = step.command(0)
+
+    def attempt(step: Step, number: int) -> Iterator[Event]:
+        command = step.command(number)
         cell.order_table(command)
         cell.order_probe(command)
         yield Event(cell.now_ns, step.index, command)
-        observed: Observations = ()
-        for _ in range(_MOST_SLICES):
-            for record in _delivered(cell):
-                found = capture.feed(record)
-                observed += found
-                yield Event(record.stamp_ns, step.index, record, found)
-            if observed:
+        for _ in range(round(_LONGEST_S / slice_s)):
+            events = [
+                Event(record.stamp_ns, step.index, record, capture.feed(record))
+                for record in _delivered(cell, slice_s)
+            ]
+            yield from events
+            if any(event.observed for event in events):
+                return
+        raise ConfigurationError(
+            f"{configuration.source}: the simulated cell does not finish step {step.index} "
+            "within an hour; an external table or silent instruments cannot be simulated "
+            "alone: set simulation.table.external to false"
+        )
+
+    for step in calibration.plan.steps:
+        for number in range(attempts):
+            events = list(attempt(step, number))
+            yield from events
+            if any(o.accepted for event in events for o in event.observed):
                 break
-        else:
-            raise ConfigurationError(
-                f"{configuration.source}: the simulated cell does not finish step {step.index} "
-                "within an hour; an external table or silent instruments cannot be simulated "
-                "alone: set simulation.table.external to false"
-            )
 
 
-def _delivered(cell: SimulatedCell) -> tuple[Sample, ...]:
+def _delivered(cell: SimulatedCell, slice_s: float) -> tuple[Sample, ...]:
     """Let a little time pass and return the records that the instruments deliver meanwhile."""
-    out = cell.advance(_SLICE_S)
+    out = cell.advance(slice_s)
     return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)
 
 

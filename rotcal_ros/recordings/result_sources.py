@@ -29,7 +29,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings
 from rotcal_ros.foundation.tables import is_table, own_table
-from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
+from rotcal_ros.foundation.untrusted import load_json, read_bytes, reading, why
 from rotcal_ros.foundation.untrusted import read_text as text_of_file
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.method import Measurements
@@ -138,10 +138,8 @@ def read_repeated_runs(
 
 def read_text(path: Path) -> str:
     """Return the text of ``path`` without a byte order mark; raises BagError."""
-    try:
+    with reading(path, BagError):
         return text_of_file(path, "utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error
 
 
 @dataclass(frozen=True)

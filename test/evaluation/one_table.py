@@ -22,7 +22,6 @@ from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem
 from rotcal_ros.methods.tracer import solver as tracer
-from rotcal_ros.methods.tracer.plan import block_of_targets
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver import TracerProblem
 from rotcal_ros.methods.tracer_six import solver as tracer_six
@@ -88,7 +87,7 @@ def by_tracer(
     rows = np.arange(0, len(deviations), every)
     angles = angles_of(len(deviations))[rows]
     box = TracerPlanSettings(box_size_m=(0.9, 0.9, 0.4), box_points=(4, 4, 3))
-    targets = np.array(block_of_targets(box))
+    targets = np.array(box.block)
     places = targets + rng.normal(0.0, own.target, targets.shape)
     stations = _carried(MOUNT[None], angles, deviations[rows])[:, 0]
     length = np.linalg.norm(stations[:, None] - places, axis=2)

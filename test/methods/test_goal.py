@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
+from rotcal_ros.foundation.arrays import rms_about_mean
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
-from rotcal_ros.methods.goal import expanded_about_mean, goal_standing
+from rotcal_ros.methods.goal import goal_standing
 from rotcal_ros.methods.tracer.method import problem
 from rotcal_ros.methods.tracer.paper import compare, papers_plan
 from rotcal_ros.methods.tracer.solver.trials import predicted
@@ -165,6 +166,6 @@ def test_the_standing_counts_and_tells_why_it_stopped(demo):
 
 
 def test_equal_and_independent_values_about_their_mean():
-    assert expanded_about_mean(9.0 * np.eye(4)) == pytest.approx(2.0 * 3.0 * sqrt(3.0 / 4.0))
+    assert rms_about_mean(9.0 * np.eye(4)) == pytest.approx(3.0 * sqrt(3.0 / 4.0))
     # a common error of all is none
-    assert expanded_about_mean(np.full((5, 5), 7.0)) == pytest.approx(0.0, abs=1e-7)
+    assert rms_about_mean(np.full((5, 5), 7.0)) == pytest.approx(0.0, abs=1e-7)

@@ -19,7 +19,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.configuration import Configuration, replaced
-from rotcal_ros.methods.tracer.plan import LEAST_ANGLES, block_of_targets
+from rotcal_ros.methods.tracer.plan import LEAST_ANGLES
 from rotcal_ros.methods.tracer.policy.exchange import Progress
 from rotcal_ros.methods.tracer.policy.scene import Scene, noisy_problem
 from rotcal_ros.methods.tracer.policy.sequence import (
@@ -29,14 +29,12 @@ from rotcal_ros.methods.tracer.policy.sequence import (
     measuring_orders,
 )
 from rotcal_ros.methods.tracer.solver.solve import METHOD
-from rotcal_ros.methods.tracer.table import write_pairs, write_targets
+from rotcal_ros.methods.tracer.table import write_plan_files
 from rotcal_ros.methods.tracer.timing import cell_time
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
 
 CONFIGURATION_FILE: Final = "check.yaml"
-TARGETS_FILE: Final = "targets.csv"
-PAIRS_FILE: Final = "pairs.csv"
 SEED: Final = 0
 """Of the noise with which orders are judged."""
 
@@ -87,14 +85,7 @@ class CheckPlan:
 
         Raises BagError where that is not possible.
         """
-        folder.mkdir(parents=True, exist_ok=True)
-        write_targets(folder / TARGETS_FILE, [_point(target) for target in self.targets])
-        write_pairs(folder / PAIRS_FILE, [(int(j), int(i)) for j, i in self.pairs])
-        plan = {
-            "table_angles_deg": (self.angles / DEGREE).tolist(),
-            "targets_file": TARGETS_FILE,
-            "pairs_file": PAIRS_FILE,
-        }
+        plan = write_plan_files(folder, self.angles, self.targets, self.pairs)
         path = folder / CONFIGURATION_FILE
         write_atomically(path, replaced(self.configuration, "plan", plan))
         return path
@@ -176,7 +167,7 @@ def _offered(
 ) -> Floats:
     """Return the places (n, 3) of the reflector that are offered, m."""
     if room is None:
-        return np.array(listed or block_of_targets(configuration.plan))
+        return np.array(listed or configuration.plan.block)
     room = replace(
         room,
         table_angles_deg=tuple((angles / DEGREE).tolist()),
@@ -226,8 +217,3 @@ def _require_fitting(configuration: Configuration) -> None:
             f"{source}: solver.error_motion_std_m is absent, so the few stations of a quick check "
             "would have to tell it: state what the full calibration has found"
         )
-
-
-def _point(target: Floats) -> Point:
-    x, y, z = target.tolist()
-    return x, y, z

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rotcal_ros.extensions.design.settings import PER_STATION, SHARED, TracerDesignSettings
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.foundation.untrusted import load_yaml, read_text, why
+from rotcal_ros.foundation.untrusted import load_yaml, read_text, reading
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.configuration import Configuration
@@ -35,10 +35,8 @@ def goal_settings(
 
 def _of_file(goal: Path) -> dict[str, Any]:
     """Return the settings by name that the file of a goal holds."""
-    try:
+    with reading(goal, ConfigurationError, "the goal "):
         values = load_yaml(read_text(goal), str(goal))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read the goal {goal}: {why(error)}") from error
     if not isinstance(values, dict | None):
         raise ConfigurationError(f"{goal}: expected lines of NAME: VALUE, found {values!r:.60}")
     if values and "/**" in values:

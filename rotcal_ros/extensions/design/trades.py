@@ -16,13 +16,13 @@ from typing import Final, TypeVar
 import numpy as np
 
 from rotcal_ros.adjust.engine import predicted
+from rotcal_ros.foundation.arrays import rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.calibration import Calibration, prepare, prepare_to_measure
 from rotcal_ros.methods.configuration import Configuration, changed
-from rotcal_ros.methods.goal import expanded_about_mean
 from rotcal_ros.methods.table_balls.method import model, nominal
 from rotcal_ros.methods.table_balls.settings import below_the_table
 from rotcal_ros.planning.readings import Readings
@@ -141,7 +141,7 @@ def _with_mirror(
         pairs=pairs,
         nests=nests,
         seconds=stations * move_s + pairs * pair_s + nests * nest_s,
-        expanded=expanded_about_mean(covariance),
+        expanded=COVERAGE_FACTOR * rms_about_mean(covariance),
     )
 
 

@@ -18,7 +18,7 @@ from typing import Any
 from rotcal_ros.bags.reader import bag_files, is_storage_name
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.untrusted import read_text, why
+from rotcal_ros.foundation.untrusted import read_text, reading
 
 Inodes = frozenset[tuple[int, int]]
 
@@ -103,10 +103,8 @@ class _FolderSearch:
     def _listed(self, path: Path) -> Iterator[str]:
         if not self._enter(path):
             return
-        try:
+        with reading(path, BagError, "the list "):
             lines = read_text(path, "utf-8-sig").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise BagError(f"cannot read the list {path}: {why(error)}") from error
         for line in map(str.strip, lines):
             if line and not line.startswith("#"):
                 yield from self._entry(line if is_remote(line) else str(path.parent / line))

@@ -138,7 +138,7 @@ def _predicted(stations: Floats, centre: Floats, *, shared: bool = False) -> flo
     zero = np.zeros_like(position) if shared else position
     scene = Scene(stations, angles, targets, np.array(TARGET_STD), LENGTH_STD)
     known = Information(scene, Lengths.of(position, target, zero), 1 if shared else m)
-    return COVERAGE_FACTOR * float(np.sqrt(known.variances().mean()))
+    return COVERAGE_FACTOR * known.rms_std
 
 
 def _block(centre: Floats) -> Floats:

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeAlias
 
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.language import noted, phrase
-from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, why
+from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, reading
 
 Cell: TypeAlias = "str | float"
 """A text as it stands there, or what a workbook holds as a number."""
@@ -52,10 +52,8 @@ def sheets(path: Path) -> list[Sheet]:
 
     Raises BagError for a file that cannot be read.
     """
-    try:
+    with reading(path, BagError, "the table "):
         data = read_bytes(path)
-    except OSError as error:
-        raise BagError(f"cannot read the table {path}: {why(error)}") from error
     if data.startswith(WORKBOOKS):
         return _sheets(path, data)
     found = [sheet for encoding, text in _texts(data) for sheet in _ways(text, encoding)]

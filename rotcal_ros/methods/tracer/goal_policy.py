@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError, RotcalError
 from rotcal_ros.foundation.observations import Observation
@@ -15,12 +15,7 @@ from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.methods.tracer.policy.experiment import (
-    Costs,
-    LengthExperiment,
-    Stated,
-    rms_about_mean,
-)
+from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
 from rotcal_ros.methods.tracer.policy.scene import Scene
 from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings

@@ -74,7 +74,7 @@ def _figures(
     simulated = configuration.simulated
     return PlanFigures(
         lengths=len(pairs),
-        uncertainty=COVERAGE_FACTOR * float(np.sqrt(known.variances().mean())),
+        uncertainty=COVERAGE_FACTOR * known.rms_std,
         seconds=plan_seconds(stated_time(planner.turn_s, planner.step_s), steps),
         cell_seconds=plan_seconds(cell_time(configuration), steps) if simulated else None,
     )

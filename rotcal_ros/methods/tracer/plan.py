@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import compress, product
-from typing import Protocol
 
 import numpy as np
 
@@ -20,40 +19,24 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
-from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION, TracerPlanSettings
+from rotcal_ros.methods.tracer.settings import (
+    TARGETS_PER_STATION,
+    BlockSettings,
+    TracerPlanSettings,
+)
 from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.observability import what_is_missing
 from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan, Point, Step, numbered_steps
-from rotcal_ros.planning.points import block, in_a_line, in_a_plane, triples
+from rotcal_ros.planning.points import in_a_line, in_a_plane, triples
 from rotcal_ros.planning.table_angles import table_angles, visits
 
 LEAST_BEAMS = 4
 """Targets with a free beam that a station has to see."""
 LEAST_ANGLES = 3
 """Different table angles below which the stations show no axis, however often they return."""
-
-
-class TargetSettings(Protocol):
-    """What settings of a plan say of its targets, in metres."""
-
-    @property
-    def targets_m(self) -> tuple[float, ...]:
-        """The x, y, z of explicit targets, one after the other."""
-
-    @property
-    def box_centre_m(self) -> tuple[float, float, float]:
-        """The centre of the block, which explicit targets replace."""
-
-    @property
-    def box_size_m(self) -> tuple[float, float, float]:
-        """The size of the block."""
-
-    @property
-    def box_points(self) -> tuple[int, int, int]:
-        """The number of targets along x, y and z."""
 
 
 def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
@@ -228,13 +211,6 @@ def _plan(
     return Plan(METHOD, table_angles, targets, steps)
 
 
-def targets_of(settings: TargetSettings) -> tuple[Point, ...]:
+def targets_of(settings: BlockSettings) -> tuple[Point, ...]:
     """Return the explicit targets (m), or those of the block."""
-    if settings.targets_m:
-        return triples(settings.targets_m, "targets_m")
-    return block_of_targets(settings)
-
-
-def block_of_targets(settings: TargetSettings) -> tuple[Point, ...]:
-    """Return the targets (m), layer by layer in a serpentine: neighbours are close together."""
-    return block(settings.box_centre_m, settings.box_size_m, settings.box_points)
+    return triples(settings.targets_m, "targets_m") if settings.targets_m else settings.block

@@ -10,6 +10,8 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
+from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.points import block
 from rotcal_ros.planning.table_angles import TableAngleSettings
 
 TRACER: Final = "tracer"
@@ -133,7 +135,7 @@ class TracerSimulationSettings(LengthsSimulationSettings):
 
 
 @dataclass(frozen=True)
-class TracerPlanSettings(TableAngleSettings):
+class BlockSettings(TableAngleSettings):
     """Where the table turns and where the reflector goes."""
 
     box_centre_m: tuple[float, float, float] = setting(
@@ -149,6 +151,20 @@ class TracerPlanSettings(TableAngleSettings):
         first=True,
         doc="number of targets along x, y and z in the block",
     )
+    targets_m: tuple[float, ...] = setting(
+        (), doc="m, explicit targets: x, y, z of target 0, of target 1, ...; replaces the block"
+    )
+
+    @property
+    def block(self) -> tuple[Point, ...]:
+        """The targets (m) of the block."""
+        return block(self.box_centre_m, self.box_size_m, self.box_points)
+
+
+@dataclass(frozen=True)
+class TracerPlanSettings(BlockSettings):
+    """Where the table turns and where the reflector goes."""
+
     order: str = setting(
         STATIONS_PER_TARGET,
         doc="what changes fastest: the table (the paper's order) or the target",
@@ -162,9 +178,6 @@ class TracerPlanSettings(TableAngleSettings):
     )
     bidirectional: bool = setting(
         False, doc="measure every run on the way up and, from the other side, on the way down"
-    )
-    targets_m: tuple[float, ...] = setting(
-        (), doc="m, explicit targets: x, y, z of target 0, of target 1, ...; replaces the block"
     )
     targets_file: str = setting(
         "",

@@ -87,6 +87,14 @@ class LengthNoiseSettings(TracerLimits):
         first=True,
         doc="m, standard deviation of each coordinate of a target, from the errors of the machine",
     )
+    slip_m: float = expert(
+        0.3164e-6,
+        minimum=0.0,
+        maximum=1e-5,
+        doc="m, a fringe by which the counter may slip unnoticed where lengths share zeros; what "
+        "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
+        "slip",
+    )
 
 
 @dataclass(frozen=True)
@@ -127,14 +135,6 @@ class TracerSolverSettings(LengthNoiseSettings):
         maximum=1e-2,
         doc="m, standard deviation of the stations from one circle about the table's axis, "
         "radially and along it; none: no circle is assumed, and every station is found by itself",
-    )
-    slip_m: float = expert(
-        0.3164e-6,
-        minimum=0.0,
-        maximum=1e-5,
-        doc="m, with a zero per_segment: a fringe by which the counter may slip unnoticed; what "
-        "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
-        "slip",
     )
     error_motion_std_m: float | None = setting(
         None,

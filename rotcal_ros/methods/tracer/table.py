@@ -11,15 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import measurements
 from rotcal_ros.methods.calibration import Calibration, prepare, stated_circumstances
 from rotcal_ros.methods.configuration import Configuration
@@ -47,6 +49,8 @@ TARGETS: Final = ("target", "x_m", "y_m", "z_m")
 PLACES: Final = ("targets_m", "box_centre_m", "box_size_m", "box_points")
 """Settings of a plan that say where the targets are."""
 PAIRS: Final = ("step", "table_position", "target")
+TARGETS_FILE: Final = "targets.csv"
+PAIRS_FILE: Final = "pairs.csv"
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,14 +222,31 @@ def read_pairs(path: Path) -> tuple[int, ...]:
     return tuple(index for number in range(len(steps)) for index in steps[number])
 
 
-def write_targets(path: Path, targets: Sequence[Point]) -> None:
+def write_targets(path: Path, targets: Sequence[Point] | Floats) -> None:
     """Write ``targets`` (m) so that they are read as the same bits."""
     _write(path, TARGETS, [(number, *map(float, point)) for number, point in enumerate(targets)])
 
 
-def write_pairs(path: Path, pairs: Sequence[tuple[int, int]]) -> None:
+def write_pairs(path: Path, pairs: Sequence[tuple[int, int]] | Ints) -> None:
     """Write the pairs (table position, target) of a plan in their order."""
-    _write(path, PAIRS, [(number, *pair) for number, pair in enumerate(pairs)])
+    _write(path, PAIRS, [(number, *map(int, pair)) for number, pair in enumerate(pairs)])
+
+
+def write_plan_files(
+    folder: Path, table_angles: Floats, targets: Floats, pairs: Ints
+) -> dict[str, Any]:
+    """Write ``targets`` (n, 3), m, and ``pairs`` (k, 2) into ``folder``, which may be new.
+
+    Returns the settings of the group ``plan`` that measures them at ``table_angles``, rad.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_targets(folder / TARGETS_FILE, targets)
+    write_pairs(folder / PAIRS_FILE, pairs)
+    return {
+        "table_angles_deg": [round(angle / DEGREE, 12) for angle in table_angles.tolist()],
+        "targets_file": TARGETS_FILE,
+        "pairs_file": PAIRS_FILE,
+    }
 
 
 def _write(path: Path, header: Sequence[str], rows: Sequence[tuple[float, ...]]) -> None:

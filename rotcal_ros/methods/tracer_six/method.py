@@ -58,7 +58,7 @@ from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
 from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of
-from rotcal_ros.planning.plan import Plan, Point
+from rotcal_ros.planning.plan import Plan
 
 COLUMNS: Final = {"place": "station", "position": "table_position", "target": "target"}
 HEADERS: Final[tuple[Header, ...]] = (
@@ -222,8 +222,8 @@ def check(
         return ()
     return (
         f"place {number + 1}: the tracer stands {away / MILLIMETRE:.1f} mm from its place, "
-        f"allowed {allowed / MILLIMETRE:g}: its centre is {described(_point(found))}, planned "
-        f"{described(_point(planned))}",
+        f"allowed {allowed / MILLIMETRE:g}: its centre is {described(found)}, planned "
+        f"{described(planned)}",
     )
 
 
@@ -238,11 +238,6 @@ def _located(plan: Plan, observations: Sequence[Observation], planned: Floats) -
         targets, length, np.ones_like(length), np.array([[*start.tolist(), float(zero)]])
     )
     return np.asarray(turn.T @ state[0, :3], dtype=np.float64)
-
-
-def _point(values: Floats) -> Point:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def read(configuration: Configuration, table: Table, targets: Table | None) -> PlannedMeasurements:

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
@@ -194,7 +195,7 @@ def _require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None
     )
 
 
-def described(place: Point) -> str:
+def described(place: Point | Floats) -> str:
     """Return a place in words a person can work with."""
     x, y, z = place
     azimuth = np.arctan2(y, x) / DEGREE % 360.0

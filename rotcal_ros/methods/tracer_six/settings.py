@@ -10,11 +10,11 @@ from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.tracer.settings import (
     STATIONS_PER_TARGET,
     TARGETS_PER_STATION,
+    BlockSettings,
     LengthsSimulationSettings,
     SimulatedReadingsSettings,
 )
 from rotcal_ros.methods.tracer.solver_settings import Datum, LengthNoiseSettings
-from rotcal_ros.planning.table_angles import TableAngleSettings
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class SixSimulationSettings(LengthsSimulationSettings):
 
 
 @dataclass(frozen=True)
-class SixPlanSettings(TableAngleSettings):
+class SixPlanSettings(BlockSettings):
     """Where the tracer stands on the table, where the table turns, where the reflector goes.
 
     Several tracers at once are not planned for: one goes from place to place.
@@ -155,14 +155,6 @@ class TracerSixSolverSettings(LengthNoiseSettings):
         "beam that never broke), those of an angle and place (per_station), or those of one "
         "unbroken beam (per_segment); auto: per segment where the measurement tells the "
         "segments, else per run",
-    )
-    slip_m: float = expert(
-        0.3164e-6,
-        minimum=0.0,
-        maximum=1e-5,
-        doc="m, a fringe by which the counter may slip unnoticed where lengths share zeros; what "
-        "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
-        "slip",
     )
     scatter_translation_std_m: float | None = expert(
         None,

@@ -18,7 +18,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import PlansHeard, Whose
 from rotcal_ros.capture.messages import stamp_ns
 from rotcal_ros.foundation.errors import DataError, PlanError, RotcalError
-from rotcal_ros.foundation.untrusted import read_text, why
+from rotcal_ros.foundation.untrusted import read_text, reading
 from rotcal_ros.methods import Calibration, prepare
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.continuation import Continuation
@@ -70,10 +70,8 @@ def read_continuation(node: CellNode) -> Continuation | None:
     )
     if not path:
         return None
-    try:
+    with reading(path, DataError, "the continuation "):
         return Continuation.from_json(read_text(Path(path)))
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read the continuation {path}: {why(error)}") from error
 
 
 class PlanSubscription:

@@ -7,8 +7,8 @@ from chances import LONG
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
-from rotcal_ros.methods.tracer.solver.circle import bearing_jacobian, table_motion
-from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_covariance, error_motion_of
+from rotcal_ros.methods.tracer.solver.circle import bearing_slopes, table_motion
+from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_of, error_motion_spread
 
 ARCSEC = np.pi / 648000
 RADIUS, HEIGHT = 0.1, 0.25
@@ -98,8 +98,8 @@ def measured(rng, m, motion_std, runs):
         stations[:, :2] += motion_std * rng.standard_normal((m, 2))
         found = table_motion(stations, angles)
         estimate = error_motion_of(found, known, 1.0, None, contradicted=False)
-        total = known.lengths.dense() + error_motion_covariance(found, estimate.used)
-        yield found, bearing_jacobian(stations, found), total
+        total = known.lengths.dense() + error_motion_spread(found, estimate.used).dense()
+        yield found, bearing_slopes(stations, found).dense(), total
 
 
 @pytest.mark.parametrize("m", [5, 12])

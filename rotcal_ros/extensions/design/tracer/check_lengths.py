@@ -75,7 +75,7 @@ def fewest_lengths(
         lengths=known.lengths,
         std=std,
         assurance=rule.assurance(std, expected_std),
-        least_redundancy=float(_redundancy(known).min()),
+        least_redundancy=float(known.redundancy.min()),
     )
 
 
@@ -127,7 +127,7 @@ class _LengthSearch:
 
     def require_checkable(self, known: Information) -> None:
         """Raise PlanError when too few lengths would be checked even if all were measured."""
-        redundancy = _redundancy(known)
+        redundancy = known.redundancy
         checked = known.lengths.position[redundancy >= self.least_redundancy]
         count = np.bincount(checked, minlength=len(self.scene.stations))
         if count.min() < STATION_MINIMUM:
@@ -145,7 +145,7 @@ class _LengthSearch:
         """
         known = self.known(self.all_to(targets))
         mean = float((known.variances() ** SHARPNESS).mean() ** (1.0 / SHARPNESS))
-        unchecked = max(self.least_redundancy - float(_redundancy(known).min()), 0.0)
+        unchecked = max(self.least_redundancy - float(known.redundancy.min()), 0.0)
         flat = max(LEAST_DEPTH - _least_depth(self.scene, known.lengths), 0.0)
         return mean * (1.0 + UNCHECKED * (unchecked + flat))
 
@@ -157,7 +157,7 @@ class _LengthSearch:
         std = np.sqrt(known.variances())
         if self.rule.assurance(std, self.expected_std) < 1.0 - self.rule.false_alarm:
             return False
-        return bool(_redundancy(known).min() >= self.least_redundancy)
+        return bool(known.redundancy.min() >= self.least_redundancy)
 
     def target_sets(self, progress: Progress | None) -> list[list[int]]:
         """Return sets of targets whose lengths from all stations suffice, the smallest last."""
@@ -232,9 +232,3 @@ class _LengthSearch:
 def _least_depth(scene: Scene, lengths: Lengths) -> float:
     """Return the smallest depth of the targets of any station."""
     return float(Spread.of(scene, lengths).depth.min())
-
-
-def _redundancy(known: Information) -> Floats:
-    """Return the redundancy (k,) of each length."""
-    beams = known.beams(known.lengths)
-    return np.asarray(1.0 - beams.spread / beams.variance, dtype=np.float64)

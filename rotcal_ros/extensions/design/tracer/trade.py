@@ -84,11 +84,11 @@ def _traded(settings: TracerDesignSettings, time: TimeModel) -> Trade:
     if every.mean_variance <= goal:
         plan = _enough(scene, pairs, segments, goal, settings)
     if plan is None:
-        return Trade(radius, scene.length_std, _expanded(every))
+        return Trade(radius, scene.length_std, COVERAGE_FACTOR * every.rms_std)
     return Trade(
         radius=radius,
         sigma=scene.length_std,
-        expanded=_expanded(plan),
+        expanded=COVERAGE_FACTOR * plan.rms_std,
         lengths=len(plan.lengths),
         targets=len(np.unique(plan.lengths.target)),
         bound=ideal_plan(scene, pairs, segments, goal).bound,
@@ -155,7 +155,3 @@ def _checked(plan: Information, settings: TracerDesignSettings) -> bool:
     hidden = settings.max_undetected * settings.need_arcsec * ARCSEC
     enough = found.redundancy.min() >= settings.min_redundancy
     return bool(enough and np.abs(found.effect).max() <= hidden)
-
-
-def _expanded(plan: Information) -> float:
-    return COVERAGE_FACTOR * float(np.sqrt(plan.variances().mean()))

@@ -10,38 +10,26 @@ import click
 import numpy as np
 
 from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
-from rotcal_ros.cli.options import configurations
+from rotcal_ros.cli.options import configurations, set_option
 from rotcal_ros.cli.plan import NOISE_SEED
-from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
-    from rotcal_ros.capture import Capture
-    from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.methods import Calibration
-    from rotcal_ros.methods.simulation.cell import SimulatedCell
     from rotcal_ros.methods.tracer.policy.sequence import MeasuringOrder
-    from rotcal_ros.planning.plan import Step
     from rotcal_ros.planning.sequence_time import TimeModel
 
 ATTEMPTS: Final = 3
 """At each step, before it is left."""
-LONGEST: Final = 3600.0
-"""Machine time (s) after which a length is given up."""
 
 
 @click.command("sequence")
 @click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
-@click.option(
-    "--set",
-    "changes",
-    multiple=True,
-    metavar="GROUP.NAME=VALUE",
-    help="Change a setting of CONFIG.",
-)
+@set_option
 @click.option(
     "--cell",
     is_flag=True,
@@ -152,35 +140,13 @@ def cell_seconds(calibration: Calibration, tick_s: float = 0.01) -> float:
     """Return the cell's time (s) from the end of the first step to that of the last.
 
     Every step is ordered as soon as the one before is decided, up to ATTEMPTS times; the cell's
-    time is cut into ticks. Raises DataError for a length that never comes.
+    time is cut into ticks.
     """
-    cell = calibration.method.simulated_cell(calibration.configuration.simulation)
-    capture = calibration.capture()
-    ends = []
-    for step in calibration.plan.steps:
-        for attempt in range(ATTEMPTS):
-            if _observed(cell, capture, step, attempt, tick_s).accepted:
-                break
-        ends.append(cell.now_ns)
-    return (ends[-1] - ends[0]) * NANOSECOND
+    from rotcal_ros.methods.simulated_run import simulated_run
 
-
-def _observed(
-    cell: SimulatedCell, capture: Capture, step: Step, attempt: int, tick_s: float
-) -> Observation:
-    """Order a step and let the cell's time pass until it is decided."""
-    command, begin_ns = step.command(attempt), cell.now_ns
-    cell.order_table(command)
-    cell.order_probe(command)
-    while (cell.now_ns - begin_ns) * NANOSECOND < LONGEST:
-        out = cell.advance(tick_s)
-        found: tuple[Observation, ...] = ()
-        for samples in (out.table, out.probe, out.temperature, out.air, out.tracer):
-            for sample in samples:
-                found += capture.feed(sample)
-        if found:
-            return found[0]
-    raise DataError(f"step {step.index} is not decided after {LONGEST:g} s")
+    run = simulated_run(calibration, attempts=ATTEMPTS, slice_s=tick_s)
+    ends = {event.step: event.time_ns for event in run if event.observed}
+    return (max(ends.values()) - min(ends.values())) * NANOSECOND
 
 
 def _order_to_dict(way: MeasuringOrder) -> dict[str, Any]:

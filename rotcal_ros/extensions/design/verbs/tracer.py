@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.extensions.design.goal import goal_settings
 from rotcal_ros.extensions.design.settings import SHARED
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
-from rotcal_ros.foundation.units import DEGREE, MICROMETRE
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from rotcal_ros.extensions.design.tracer.ordering import OrderedDesign
     from rotcal_ros.methods.configuration import Configuration
 
-TARGETS_FILE = "targets.csv"
-PAIRS_FILE = "pairs.csv"
 PLAN_FILE = "plan.yaml"
 
 
@@ -116,13 +115,9 @@ def _write_plan(folder: Path, found: OrderedDesign, pattern: Configuration | Non
     """Write targets, pairs in their order, and a configuration that measures them."""
     from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.methods.configuration import dump_configuration, raw_groups
-    from rotcal_ros.methods.tracer.table import write_pairs, write_targets
+    from rotcal_ros.methods.tracer.table import write_plan_files
 
     settings, scene, lengths = found.design.settings, found.design.scene, found.lengths
-    folder.mkdir(parents=True, exist_ok=True)
-    write_targets(folder / TARGETS_FILE, [tuple(p) for p in scene.targets.tolist()])
-    pairs = zip(lengths.position.tolist(), lengths.target.tolist(), strict=True)
-    write_pairs(folder / PAIRS_FILE, [*pairs])
     groups: dict[str, Any] = {}
     if pattern is not None:
         _, groups = raw_groups(pattern.text, pattern.source)
@@ -130,13 +125,12 @@ def _write_plan(folder: Path, found: OrderedDesign, pattern: Configuration | Non
     for name in ("circle_std_m", "error_motion_std_m"):  # of the plan alone
         solver.pop(name, None)
     groups["solver"] = {**solver, **_counted_on(settings, pattern)}
-    groups["plan"] = {
-        "table_angles_deg": [round(a / DEGREE, 12) for a in scene.table_angles.tolist()],
-        "targets_file": TARGETS_FILE,
-        "pairs_file": PAIRS_FILE,
-    }
+    pairs = np.column_stack([lengths.position, lengths.target])
+    groups["plan"] = plan = write_plan_files(folder, scene.table_angles, scene.targets, pairs)
     write_atomically(folder / PLAN_FILE, dump_configuration("tracer_multistation", groups))
-    say(f"written: {(folder / PLAN_FILE).absolute()}, {TARGETS_FILE}, {PAIRS_FILE}")
+    say(
+        f"written: {(folder / PLAN_FILE).absolute()}, {plan['targets_file']}, {plan['pairs_file']}"
+    )
 
 
 def _counted_on(settings: TracerDesignSettings, pattern: Configuration | None) -> dict[str, Any]:

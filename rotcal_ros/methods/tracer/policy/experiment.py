@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints, rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.observations import Observation
@@ -256,7 +256,7 @@ class LengthExperiment:
         known = self.information(measured, noise, further)
         if self.lacking(known.lengths).any():
             return np.inf
-        return coverage_factor * rms(known)
+        return coverage_factor * known.rms_std
 
     def uncertainty(
         self,
@@ -366,17 +366,6 @@ class LengthExperiment:
             for name in ("motion", "bearing", "turning", "error_motion_angles"):
                 found.__dict__[name] = getattr(self.scene, name)  # the noise has no part in them
         return found
-
-
-def rms_about_mean(covariance: Floats) -> float:
-    """Return the rms standard deviation of angles (m,) less their mean, from ``covariance``."""
-    about_mean = np.trace(covariance - covariance.mean(axis=0))
-    return float(np.sqrt(about_mean / len(covariance)))
-
-
-def rms(known: Information) -> float:
-    """Return the root mean square of the standard deviations of the angles, rad."""
-    return float(np.sqrt(known.variances().mean()))
 
 
 def contrasts(

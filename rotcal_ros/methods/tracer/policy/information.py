@@ -117,6 +117,17 @@ class Information:
         motion = self.scene.error_motion_angles
         return np.asarray(np.diagonal(self.angle_covariance + motion), dtype=np.float64)
 
+    @property
+    def rms_std(self) -> float:
+        """Root mean square of the standard deviations of the angles less their mean, rad."""
+        return float(np.sqrt(self.variances().mean()))
+
+    @property
+    def redundancy(self) -> Floats:
+        """Share (k,) of an error of each length that shows in the residuals."""
+        beams = self.beams(self.lengths)
+        return np.asarray(1.0 - beams.spread / beams.variance, dtype=np.float64)
+
     @cached_property
     def _responses(self) -> tuple[Floats, Floats, Floats, Floats]:
         """G K (m, d); for each touched target K W (d, 3), G K W (m, 3) and its block (3, 3)."""

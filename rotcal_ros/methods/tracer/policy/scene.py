@@ -21,12 +21,12 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.tracer.solver.circle import (
     TableMotion,
-    bearing_jacobian,
+    bearing_slopes,
     circle_contrasts,
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_covariance
+from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
@@ -88,7 +88,7 @@ class Scene:
     @cached_property
     def bearing(self) -> Floats:
         """Jacobian (m, 3 m) of the table's angles by the stations, up to a common turn, rad/m."""
-        return bearing_jacobian(self.stations, self.motion)
+        return bearing_slopes(self.stations, self.motion).dense()
 
     @cached_property
     def turning(self) -> Floats:
@@ -98,7 +98,7 @@ class Scene:
     @cached_property
     def error_motion_angles(self) -> Floats:
         """What the error motion adds to the covariance (m, m) of the zero-mean angles, rad^2."""
-        motion = error_motion_covariance(self.motion, self.error_motion_std or 0.0)
+        motion = error_motion_spread(self.motion, self.error_motion_std or 0.0).dense()
         return np.asarray(self.turning @ motion @ self.turning.T, dtype=np.float64)
 
     def beams(self, position: Ints, target: Ints) -> tuple[Floats, Floats]:

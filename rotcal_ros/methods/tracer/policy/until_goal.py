@@ -45,7 +45,6 @@ from rotcal_ros.methods.tracer.policy.experiment import (
     LengthExperiment,
     MeasuredLengths,
     Stated,
-    rms,
 )
 from rotcal_ros.methods.tracer.policy.information import Information
 from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
@@ -632,7 +631,7 @@ class Wish:
 
     def excess(self, known: Information) -> float:
         """Return by which share the mean variance is too large."""
-        return float((self.coverage_factor * rms(known) / self.uncertainty) ** 2 - 1.0)
+        return float((self.coverage_factor * known.rms_std / self.uncertainty) ** 2 - 1.0)
 
 
 def pick(

@@ -121,11 +121,6 @@ def bearing_slopes(stations: Floats, motion: TableMotion) -> Slopes:
     return Slopes(tangent @ basis, common, np.vstack([d_normal, d_centre]))
 
 
-def bearing_jacobian(stations: Floats, motion: TableMotion) -> Floats:
-    """Return :func:`bearing_slopes` as a whole matrix (m, 3 m)."""
-    return bearing_slopes(stations, motion).dense()
-
-
 def axis_tilt(normal: Floats) -> float:
     """Return the angle alpha (rad) between a plane ``normal`` (3,) and the z axis (Eq. 35).
 

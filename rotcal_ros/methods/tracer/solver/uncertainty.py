@@ -205,11 +205,6 @@ def error_motion_spread(motion: TableMotion, std: float) -> LowRank:
     return LowRank.of_blocks(np.tile(in_plane, (len(motion.in_plane), 1, 1)))
 
 
-def error_motion_covariance(motion: TableMotion, std: float) -> Floats:
-    """Return :func:`error_motion_spread` as a whole matrix (3 m, 3 m)."""
-    return error_motion_spread(motion, std).dense()
-
-
 def _radial(motion: TableMotion) -> tuple[Floats, Floats]:
     """Return the stations' directions (m, 2) from the centre, and what a circle absorbs (m, 3)."""
     direction = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]

@@ -192,6 +192,11 @@ class StationLayout:
         place = self.place_ids[self.place[station]]
         return f"place {place}, position {self.position_ids[self.position[station]]}"
 
+    def named(self, text: str) -> str:
+        """Return a text of the tracer's with its stations called by their names."""
+        ids = self.grid.position_ids.tolist()
+        return renamed(text, {s: self.station_name(j) for j, s in enumerate(ids)})
+
 
 def _one_hot(index: Ints, size: int) -> Floats:
     return np.asarray(index == np.arange(size)[:, None], dtype=np.float64)

@@ -79,7 +79,6 @@ from rotcal_ros.methods.tracer_six.solver.problem import (
     StationLayout,
     lay_out,
     lost_direction,
-    renamed,
     timing,
 )
 from rotcal_ros.methods.tracer_six.solver.scatter import (
@@ -472,8 +471,7 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     fit = screened.fit
     assert isinstance(fit, RigidAdjustment)
     layout = fit.posterior.network.layout
-    names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
-    why = {row: renamed(text, names) for row, text in (why | screened.why).items()}
+    why = {row: layout.named(text) for row, text in (why | screened.why).items()}
     table = curve_posterior(fit.posterior.network, fit.posterior.covariance)
     lengths = GlobalTest.of(fit.chi2, fit.dof)
     scale = lengths.enlargement(limits.test_significance)

@@ -64,7 +64,7 @@ from rotcal_ros.methods.tracer.solver.solve import residual_table
 from rotcal_ros.methods.tracer.solver.verdict import doubt_jump, judged
 from rotcal_ros.methods.tracer.solver.zeros import largest_share, step_between
 from rotcal_ros.methods.tracer_six.solver.network import pattern_gradient
-from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, renamed, timing
+from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, timing
 from rotcal_ros.methods.tracer_six.solver.scatter import Kind
 from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust
 
@@ -304,10 +304,9 @@ class Upward:
 
 def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:
     """Return the verdict and its warnings by the rules in this module's docstring."""
-    layout, settings = solution.layout, solution.problem.settings
-    names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
+    settings = solution.problem.settings
     verdict, warnings = judged(solution.evidence, settings, _doubt_motion(solution))
-    return verdict, tuple(renamed(text, names) for text in warnings)
+    return verdict, tuple(map(solution.layout.named, warnings))
 
 
 def _doubt_motion(solution: SixSolution) -> list[str]:
@@ -361,13 +360,14 @@ def _doubt_moves(solution: SixSolution) -> list[str]:
 def protections(solution: SixSolution) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
     when = timing(solution.problem, solution.grid)
-    distance = _distance(solution)
-    standing, targets = _standing(solution), solution.network.state.targets
+    state = solution.network.state
+    standing = state.stations(solution.layout)  # without scatter
+    distance = np.linalg.norm(standing[:, None] - state.targets, axis=2)
     significance = solution.problem.settings.test_significance
     drift = _worst(solution, _drifts(solution, when), LARGEST_MOVE)
     knock = _worst(solution, _knocks(solution, when), LARGEST_MOVE)
     scale = _worst(solution, distance[None], LARGEST_RATIO)
-    air = _worst(solution, refracted(distance, standing, targets), LARGEST_RATIO)
+    air = _worst(solution, refracted(distance, standing, state.targets), LARGEST_RATIO)
     return ordered(
         (
             _moved(
@@ -595,14 +595,3 @@ def _knocks(solution: SixSolution, when: NetworkTiming) -> Floats:
     late = [when.own >= share for share in KNOCKED_AT]
     runs = [(layout.place == k)[:, None] for k in range(len(layout.places))]
     return np.concatenate([along * after * mine for after in late for mine in runs])
-
-
-def _standing(solution: SixSolution) -> Floats:
-    """Return where the stations (V, 3) are without scatter, m."""
-    return solution.network.state.stations(solution.layout)
-
-
-def _distance(solution: SixSolution) -> Floats:
-    """Return the distances (V, n) from stations to targets, m."""
-    apart = _standing(solution)[:, None] - solution.network.state.targets
-    return np.asarray(np.linalg.norm(apart, axis=2))
