@@ -173,7 +173,6 @@ def test_drift_and_knocks_are_effects_of_the_engine(drift):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
     n, hits, runs = 144, 0, 120 if LONG else 20
     problem, _ = measured(12, list(range(12)), 0, {"closing": False})

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
@@ -40,6 +40,9 @@ TABLE_COMPONENTS = {
     "EBC": ("rotation", 1),
     "ECC": ("rotation", 2),
 }
+PARTS = ([0, 1, 5], [2, 3, 4])
+"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z; of
+the deviations, EXC to ECC: those that these move. The one part knows nothing of the other."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,13 @@ class LinearFit(ABC):
             curves[:, :, found.number] = found.parameters.curves()
             information[found.number] = found.kept
         return curves, 0.5 * (information + information.T)
+
+    def moved_with_plate(self, there: Bools) -> tuple[Floats, Floats]:
+        """Return what :func:`plate_motion` does to the curves where ``there`` (n,) is true.
+
+        As :meth:`moved_by`: (6, M, 6) and (6, 6).
+        """
+        return self.moved_by(plate_motion(self.problem) * there[:, None, None])
 
 
 def scaled(unit: PlateParameters, axes: Floats) -> PlateParameters:

@@ -11,7 +11,6 @@ motion finds what is too small for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -19,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import f_isf, f_noncentrality, f_sf
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.ball_plate.solver.estimate import (
@@ -29,6 +28,7 @@ from rotcal_ros.methods.ball_plate.solver.estimate import (
     factored_with_drift,
 )
 from rotcal_ros.methods.ball_plate.solver.model import (
+    PARTS,
     LinearFit,
     OriginDrift,
     Solution,
@@ -54,9 +54,6 @@ SETTLED: Final = 0.01
 """Share of the stated noise that the iteration of the exact model may leave in the residuals."""
 FALSE_KNOCK: Final = 1e-6
 """Probability that good data are said to contain a knock."""
-PARTS: Final = ([0, 1, 5], [2, 3, 4])
-"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z; of
-the deviations, EXC to ECC: those that these move. The one part knows nothing of the other."""
 CANDIDATES: Final = 3
 """Moments of a knock whose motion is fitted with all that table and CMM take of it."""
 
@@ -136,25 +133,29 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
     again = places_of(cells[np.isin(cells, problem.cell)], problem.cell)
     change = 0.5 - problem.run_time[again]  # of the run time, which is 0.5 at the end
 
-    def patterns(columns: Floats, closed: Floats) -> DisplacementPatterns:
-        """Return those of ``columns`` (n, 3, m); ``closed`` (k, 3, m): between first and last."""
-        response, information = linear.moved_by(columns)
-        return DisplacementPatterns.of(
-            response=response,
-            information=information,
-            # a difference of two centres has twice the variance of one
-            closing=0.5 * np.einsum("nia,nib->ab", closed, closed),
-            total=float(np.einsum("ni,nia,nia->", problem.weights, columns, columns))
-            / columns.shape[2],
-        )
+    def patterns(
+        moved: tuple[Floats, Floats], closed: Floats, total: float
+    ) -> DisplacementPatterns:
+        """Return those of a fit, ``closed`` (k, 3, m) between first and last, ``total`` of all."""
+        # a difference of two centres has twice the variance of one
+        closing = 0.5 * np.einsum("nia,nib->ab", closed, closed)
+        return DisplacementPatterns.of(*moved, closing, total / len(closing))
 
-    motion = plate_motion(problem)
-    repeated = motion[again]
+    drift, motion = drift_columns(problem.run_time, 1), plate_motion(problem)
+    squares = np.einsum("ni,nia->n", problem.weights, motion**2)
     return OrderEffects(
-        drift=patterns(drift_columns(problem.run_time, 1), drift_columns(change, 1)),
+        drift=patterns(
+            linear.moved_by(drift),
+            drift_columns(change, 1),
+            float(np.einsum("ni,nia->", problem.weights, drift**2)),
+        ),
         knocks=tuple(
-            patterns(moved, repeated[place[again] < moment])
-            for moment, moved in zip(moments, _from_each(moments, motion, place), strict=True)
+            patterns(
+                linear.moved_with_plate(place >= moment),
+                motion[again[place[again] < moment]],
+                float(squares[place >= moment].sum()),
+            )
+            for moment in moments
         ),
         moments=moments,
     )
@@ -163,16 +164,6 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
 def _of_part(part: list[int], m: int) -> list[int]:
     """Return which of m patterns, a drift or a motion, belong to a part."""
     return [number for number in part if number < m]
-
-
-def _from_each(moments: Ints, motion: Floats, place: Ints) -> Iterator[Floats]:
-    """Yield, one after the other in the place of ``motion`` (n, 3, m), that from each moment on.
-
-    ``moments`` ascend; ``place`` (n,) is that of each row in the order of measurement.
-    """
-    for moment in moments:
-        motion[place < moment] = 0.0
-        yield motion
 
 
 def needed(parameters: int, dof: int, tests: int = 1) -> float:
@@ -456,12 +447,10 @@ def find_knock(
         return None
     motion = plate_motion(problem)
     order, later = _pulled(problem, solution, motion)
-    starts = np.sort(_candidates(later, motion, problem.weights, order))
+    place = np.argsort(order)  # of each row in the order of measurement
     fitted = [
-        (*_fit_motion(linear, moved, later[start]), start)
-        for start, moved in zip(
-            starts.tolist(), _from_each(starts, motion, np.argsort(order)), strict=True
-        )
+        (*_fit_motion(linear, place >= start, later[start]), start)
+        for start in sorted(_candidates(later, motion, problem.weights, order))
     ]
     gain, amount, start = max(fitted, key=lambda each: each[0])
     rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
@@ -512,9 +501,9 @@ def _bound(later: Floats, motion: Floats, weight: Floats, order: Ints) -> Floats
     return np.asarray(np.einsum("nj,nj->n", later, amount))
 
 
-def _fit_motion(linear: LinearFit, moved: Floats, right: Floats) -> tuple[float, Floats]:
-    """Return gain of w'w and the motion (6,) of rows ``moved`` (n, 3, 6) by a unit of each."""
-    _, information = linear.moved_by(moved)
+def _fit_motion(linear: LinearFit, there: Bools, right: Floats) -> tuple[float, Floats]:
+    """Return gain of w'w and the motion (6,) of the plate in the rows ``there`` (n,)."""
+    _, information = linear.moved_with_plate(there)
     # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
     amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
     return float(right @ amount), amount
