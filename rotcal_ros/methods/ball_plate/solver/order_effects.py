@@ -17,7 +17,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import f_isf, f_noncentrality, f_sf
+from rotcal_ros.adjust.distributions import f_isf, f_sf, noncentrality
+from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -62,41 +63,23 @@ CANDIDATES: Final = 3
 class DisplacementPatterns:
     """Some patterns of displacement, m columns: amounts in metres, rotations times radius.
 
-    ``felt`` are the errors of the deviations of each part per unit of its patterns, (3, N, .), m
-    and rad. The amount a changes w'w of the fit by a' ``information`` a, and that of the
-    difference between the first table position and its repetition at the end by a' ``closing`` a
-    (zero without); (m, m). ``total`` is the mean information that perfect knowledge of all else
-    would leave.
+    ``seen`` by a fit, whose score is zero. The amount a changes the difference between the first
+    table position and its repetition at the end by a' ``closing`` a; (m, m), zero without.
     """
 
-    felt: tuple[Floats, Floats]
-    information: Floats
+    seen: Seen
     closing: Floats
-    total: float
-
-    @classmethod
-    def of(
-        cls, response: Floats, information: Floats, closing: Floats, total: float
-    ) -> DisplacementPatterns:
-        """Return those with the errors ``response`` (6, N, m) of the six deviations per unit."""
-        m = response.shape[2]
-        first, second = (response[part][:, :, _of_part(part, m)] for part in PARTS)
-        return cls((first, second), information, closing, total)
 
     @property
     def response(self) -> Floats:
         """Errors of the six deviations per unit (6, N, m), m and rad."""
-        m = len(self.information)
-        response = np.zeros((6, self.felt[0].shape[1], m))
-        for part, felt in zip(PARTS, self.felt, strict=True):
-            for k, number in enumerate(_of_part(part, m)):
-                response[part, :, number] = felt[:, :, k]
-        return response
+        m = len(self.closing)
+        return self.seen.moved.T.reshape(6, -1, m)
 
     @property
-    def seen(self) -> float:
-        """Information from which on a direction counts as seen, not as rounding."""
-        return NOTHING * self.total
+    def rounding(self) -> float:
+        """Information up to which a direction counts as unseen."""
+        return NOTHING * float(self.seen.whole[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,43 +116,27 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
     again = places_of(cells[np.isin(cells, problem.cell)], problem.cell)
     change = 0.5 - problem.run_time[again]  # of the run time, which is 0.5 at the end
 
-    def patterns(
-        moved: tuple[Floats, Floats], closed: Floats, total: float
-    ) -> DisplacementPatterns:
-        """Return those of a fit, ``closed`` (k, 3, m) between first and last, ``total`` of all."""
+    def patterns(seen: Seen, closed: Floats) -> DisplacementPatterns:
+        """Return those of a fit; ``closed`` (k, 3, m) between first and last."""
+        # of equal length, so that no column counts more where a direction leaves nothing
+        seen = replace(seen, whole=np.full_like(seen.whole, seen.whole.mean()))
         # a difference of two centres has twice the variance of one
-        closing = 0.5 * np.einsum("nia,nib->ab", closed, closed)
-        return DisplacementPatterns.of(*moved, closing, total / len(closing))
+        return DisplacementPatterns(seen, 0.5 * np.einsum("nia,nib->ab", closed, closed))
 
-    drift, motion = drift_columns(problem.run_time, 1), plate_motion(problem)
-    squares = np.einsum("ni,nia->n", problem.weights, motion**2)
+    drift, motion = drift_columns(problem.run_time, 1), plate_motion(problem)[again]
     return OrderEffects(
-        drift=patterns(
-            linear.moved_by(drift),
-            drift_columns(change, 1),
-            float(np.einsum("ni,nia->", problem.weights, drift**2)),
-        ),
+        drift=patterns(linear.seen(drift), drift_columns(change, 1)),
         knocks=tuple(
-            patterns(
-                linear.moved_with_plate(place >= moment),
-                motion[again[place[again] < moment]],
-                float(squares[place >= moment].sum()),
-            )
+            patterns(linear.seen_of_plate(place >= moment), motion[place[again] < moment])
             for moment in moments
         ),
         moments=moments,
     )
 
 
-def _of_part(part: list[int], m: int) -> list[int]:
-    """Return which of m patterns, a drift or a motion, belong to a part."""
-    return [number for number in part if number < m]
-
-
 def needed(parameters: int, dof: int, tests: int = 1) -> float:
     """Return the noncentrality that an F test at SIGNIFICANCE / ``tests`` finds with POWER."""
-    limit = float(f_isf(SIGNIFICANCE / tests, parameters, dof))
-    return f_noncentrality(limit, parameters, dof, POWER)
+    return noncentrality(SIGNIFICANCE / tests, POWER, parameters, dof)
 
 
 def found_size(
@@ -180,10 +147,10 @@ def found_size(
     ``fit`` and ``closure`` are the noncentralities that the two tests need; infinite when both
     are blind.
     """
-    seen = amount @ disturbance.information @ amount / fit
+    seen = amount @ disturbance.seen.information @ amount / fit
     again = amount @ disturbance.closing @ amount / closure
     best = max(float(seen), float(again))
-    blind = disturbance.seen * float(amount @ amount) / max(fit, closure)
+    blind = disturbance.rounding * float(amount @ amount) / max(fit, closure)
     return float(best**-0.5) if best > blind else float("inf")
 
 
@@ -195,17 +162,16 @@ def _worst_unseen(
     Over all directions of the amounts, components and positions; of the bounds by either test
     and by both together the smallest holds.
     """
-    fitted, closed = disturbance.information / fit, disturbance.closing / closure
-    floor, worst = disturbance.seen / max(fit, closure), 0.0
-    for part, felt in zip(PARTS, disturbance.felt, strict=True):
-        gain = (felt / std[part][:, :, None]).reshape(-1, felt.shape[2])
-        own = np.ix_(_of_part(part, len(fitted)), _of_part(part, len(fitted)))
-        bounds = [
-            factor * _largest(gain, information[own], floor)
-            for factor, information in ((1.0, fitted), (1.0, closed), (2.0, fitted + closed))
-        ]
-        worst = max(worst, float(np.min(bounds, axis=0).max()))
-    return float(np.sqrt(worst))
+    fitted, closed = disturbance.seen.information / fit, disturbance.closing / closure
+    gain, floor = (
+        (disturbance.seen.moved / std.ravel()).T,
+        disturbance.rounding / max(fit, closure),
+    )
+    bounds = [
+        factor * _largest(gain, information, floor)
+        for factor, information in ((1.0, fitted), (1.0, closed), (2.0, fitted + closed))
+    ]
+    return float(np.sqrt(np.min(bounds, axis=0).max()))
 
 
 def _largest(gain: Floats, information: Floats, floor: float) -> Floats:
@@ -314,13 +280,13 @@ def find_drift(
     if solution.drift is not None:
         return _estimated(solution, solution.drift)
     columns = drift_columns(problem.run_time, 1)
-    seen = drift_seen(problem, columns, effects.drift.information)
-    if seen < VISIBLE or solution.dof < SPARE:
+    kept = drift_seen(problem, columns, effects.drift.seen.information)
+    if kept < VISIBLE or solution.dof < SPARE:
         return None
-    right = np.einsum("nia,ni->a", columns, problem.weights * solution.residuals)
-    least = least_noise(problem, solution)
-    amount, inverse, p_value, variance = _tested(effects.drift, right, solution, least)
-    return DriftTest(amount, np.sqrt(variance * np.diag(inverse)), p_value, estimated=False)
+    score = np.einsum("nia,ni->a", columns, problem.weights * solution.residuals)
+    test = _tested(effects.drift, score, solution, least_noise(problem, solution))
+    std = np.sqrt(test.variance * np.diag(test.covariance))
+    return DriftTest(test.size, std, test.probability, estimated=False)
 
 
 def find_motion(
@@ -335,11 +301,12 @@ def find_motion(
     for moment, knock in zip(effects.moments, effects.knocks, strict=True):
         if moment >= len(order):
             continue  # after the last row nothing shows it
-        amount, _, p_value, _ = _tested(knock, later[moment], solution, least)
-        p_value = min(1.0, p_value * len(effects.knocks))  # Bonferroni: the best of so many
+        test = _tested(knock, later[moment], solution, least)
+        # Bonferroni: the best of so many
+        p_value = min(1.0, test.probability * len(effects.knocks))
         if best is None or p_value < best.p_value:
             row = int(problem.rows[order[moment]])
-            best = MotionTest(row, amount[:3], amount[3:] / problem.radius, p_value)
+            best = MotionTest(row, test.size[:3], test.size[3:] / problem.radius, p_value)
     return best
 
 
@@ -367,21 +334,11 @@ def least_noise(problem: BallPlateProblem, solution: Solution) -> float:
 
 
 def _tested(
-    pattern: DisplacementPatterns, right: Floats, solution: Solution, floor: float
-) -> tuple[Floats, Floats, float, float]:
-    """Return amount, unit covariance, p value of its F test, and the variance of the rest."""
-    # only along the directions of which the fit leaves anything
-    values, vectors = np.linalg.eigh(pattern.information)
-    seen = values > pattern.seen
-    rank = int(np.count_nonzero(seen))
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    amount: Floats = inverse @ right
-    gain = float(right @ amount)
-    dof = solution.dof - rank
-    if not rank:
-        return amount, inverse, 1.0, floor
-    variance = max((solution.weighted_square_sum - gain) / dof, floor)
-    return amount, inverse, f_sf(gain / rank / variance, rank, dof), variance
+    pattern: DisplacementPatterns, score: Floats, solution: Solution, least: float
+) -> EffectTest:
+    """Return the F test of what residuals say of a pattern, by a variance of ``least`` or more."""
+    rest = solution.weighted_square_sum, solution.dof
+    return effect_test(replace(pattern.seen, score=score), rest, least, NOTHING)
 
 
 def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
@@ -503,7 +460,7 @@ def _bound(later: Floats, motion: Floats, weight: Floats, order: Ints) -> Floats
 
 def _fit_motion(linear: LinearFit, there: Bools, right: Floats) -> tuple[float, Floats]:
     """Return gain of w'w and the motion (6,) of the plate in the rows ``there`` (n,)."""
-    _, information = linear.moved_with_plate(there)
+    information = linear.seen_of_plate(there).information
     # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
     amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
     return float(right @ amount), amount

@@ -73,6 +73,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from rotcal_ros.adjust.effects import Seen
 from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.components import ROTATIONS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
@@ -390,30 +391,31 @@ class SpectralFit(LinearFit):
         fields, residuals = self._back(table, cmm, rest)
         return self._estimate(fields, mean, pose), residuals
 
-    def moved_with_plate(self, there: Bools) -> tuple[Floats, Floats]:
-        """Return what motions of the plate do to the curves, see :class:`LinearFit`.
+    def seen_of_plate(self, there: Bools) -> Seen:
+        """Return what is seen of motions of the plate, see :class:`LinearFit`.
 
         Where the plate is a motion of it is the same for a ball at all table positions, in the
         frame that turns with the table: so one transform of ``there`` serves all six. What the
         residuals keep is told by their spectra (Parseval), nobody asks for each residual.
         """
         problem, system = self.problem, self._system
-        present = np.fft.rfft(there.reshape(len(system.balls), -1))[:, 1:].T  # (Q, R)
+        present = np.fft.rfft(there.reshape(len(system.balls), -1)).T  # (Q + 1, R)
         out = self._turn[problem.balls]
         plane = ROOT_HALF * np.stack([np.ones_like(out), np.full_like(out, 1j), 1j * out])
         axial = np.stack([np.ones_like(out), out.imag, -out.real])
         unit = np.stack([plane, plane.conj(), axial], axis=1)  # one of each part share a fit
-        table, _, rest = _solve_harmonics(system, unit[:, :, None] * present)
+        table, _, rest = _solve_harmonics(system, unit[:, :, None] * present[1:])
         rest *= np.sqrt(multiplicity(system.grid) / system.grid)[:, None]
         found = self._vectors(_to_sequences(_of_table(table), system.grid))
-        found = found.reshape(2, 3, system.grid, 3).transpose(0, 3, 2, 1)
-        found[1] /= problem.radius
-        curves, information = np.zeros((6, system.grid, 6)), np.zeros((6, 6))
+        found = found.reshape(2, 3, system.grid, 3).transpose(1, 0, 3, 2)
+        found[:, 1] /= problem.radius
+        curves, information, whole = np.zeros((6, 6, system.grid)), np.zeros((6, 6)), np.zeros(6)
         for part, rows in zip(PARTS, (slice(2), slice(2, 3)), strict=True):
-            curves[np.ix_(part, range(system.grid), part)] = found.reshape(6, -1, 3)[part]
+            curves[np.ix_(part, part)] = found.reshape(3, 6, -1)[:, part]
             kept = np.ascontiguousarray(rest[:, rows]).reshape(3, -1).view(np.float64)
             information[np.ix_(part, part)] = kept @ kept.T
-        return curves, information
+            whole[part] = (np.abs(unit[:, rows]) ** 2).sum(axis=1) @ present[0].real
+        return Seen(curves.reshape(6, -1), information, np.zeros(6), whole)
 
     @property
     def unit_std(self) -> PlateParameters:
