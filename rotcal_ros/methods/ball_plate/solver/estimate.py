@@ -190,8 +190,8 @@ class WithGaps(_Bordered):
         units = np.zeros((len(table), 3, len(gaps), 3))
         units[gaps[:, None], np.arange(3), np.arange(len(gaps))[:, None], np.arange(3)] = 1.0
         # a residual at the gaps per unit deviation there: the cofactor
-        units = units.reshape(len(table), 3, -1)
-        self.parameters, self.remains, at_gaps = self.plain.responses(units)
+        caused = self.plain.responses(units.reshape(len(table), 3, -1))
+        self.parameters, self.remains, at_gaps = caused
         if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
             raise ObservabilityError(
                 "without the missing or rejected centres not all errors of table, plate and CMM "

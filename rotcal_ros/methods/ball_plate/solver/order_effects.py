@@ -19,7 +19,7 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import f_isf, f_sf, noncentrality
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.ball_plate.solver.estimate import (
@@ -55,6 +55,8 @@ SETTLED: Final = 0.01
 """Share of the stated noise that the iteration of the exact model may leave in the residuals."""
 FALSE_KNOCK: Final = 1e-6
 """Probability that good data are said to contain a knock."""
+IMITATED: Final = 1e-6
+"""Part of a motion's information up to which the CMM's errors imitate it: it counts as zero."""
 CANDIDATES: Final = 3
 """Moments of a knock whose motion is fitted with all that table and CMM take of it."""
 
@@ -73,8 +75,7 @@ class DisplacementPatterns:
     @property
     def response(self) -> Floats:
         """Errors of the six deviations per unit (6, N, m), m and rad."""
-        m = len(self.closing)
-        return self.seen.moved.T.reshape(6, -1, m)
+        return np.asarray(self.seen.moved.T.reshape(6, -1, len(self.closing)))
 
     @property
     def rounding(self) -> float:
@@ -118,10 +119,8 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
 
     def patterns(seen: Seen, closed: Floats) -> DisplacementPatterns:
         """Return those of a fit; ``closed`` (k, 3, m) between first and last."""
-        # of equal length, so that no column counts more where a direction leaves nothing
-        seen = replace(seen, whole=np.full_like(seen.whole, seen.whole.mean()))
         # a difference of two centres has twice the variance of one
-        return DisplacementPatterns(seen, 0.5 * np.einsum("nia,nib->ab", closed, closed))
+        return DisplacementPatterns(_alike(seen), 0.5 * np.einsum("nia,nib->ab", closed, closed))
 
     drift, motion = drift_columns(problem.run_time, 1), plate_motion(problem)[again]
     return OrderEffects(
@@ -132,6 +131,11 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
         ),
         moments=moments,
     )
+
+
+def _alike(seen: Seen) -> Seen:
+    """Return it with columns of one length: none counts more where a direction leaves nothing."""
+    return replace(seen, whole=np.full_like(seen.whole, seen.whole.mean()))
 
 
 def needed(parameters: int, dof: int, tests: int = 1) -> float:
@@ -405,11 +409,12 @@ def find_knock(
     motion = plate_motion(problem)
     order, later = _pulled(problem, solution, motion)
     place = np.argsort(order)  # of each row in the order of measurement
-    fitted = [
-        (*_fit_motion(linear, place >= start, later[start]), start)
-        for start in sorted(_candidates(later, motion, problem.weights, order))
-    ]
-    gain, amount, start = max(fitted, key=lambda each: each[0])
+    fitted = []
+    for start in sorted(_candidates(later, motion, problem.weights, order)):
+        seen = replace(_alike(linear.seen_of_plate(place >= start)), score=later[start])
+        fitted.append((start, effect_test(seen, nothing=IMITATED)))
+    start, found = max(fitted, key=lambda each: each[1].squares)
+    gain = found.squares
     rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
     scatter = max(rest, (sigma or 0.0) ** 2, least_variance(problem, solution.estimate))
     if gain / 6.0 < scatter * f_isf(FALSE_KNOCK / len(order), 6, solution.dof - 6):
@@ -420,8 +425,8 @@ def find_knock(
         first=int(problem.rows[row]),
         ball_step=int(problem.ball_step[row]),
         position=int(problem.position[row]),
-        shift=amount[:3],
-        rotation=amount[3:] / problem.radius,
+        shift=found.size[:3],
+        rotation=found.size[3:] / problem.radius,
         gain=gain,
         scatter=scatter,
     )
@@ -456,11 +461,3 @@ def _bound(later: Floats, motion: Floats, weight: Floats, order: Ints) -> Floats
     spread += 1e-9 * total
     amount = np.linalg.solve(spread, later[:, :, None])[:, :, 0]
     return np.asarray(np.einsum("nj,nj->n", later, amount))
-
-
-def _fit_motion(linear: LinearFit, there: Bools, right: Floats) -> tuple[float, Floats]:
-    """Return gain of w'w and the motion (6,) of the plate in the rows ``there`` (n,)."""
-    information = linear.seen_of_plate(there).information
-    # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
-    amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
-    return float(right @ amount), amount

@@ -328,7 +328,7 @@ def _of_table(table: Complexes) -> Complexes:
     """Return w+, w- and z of m translations, then of m rotations, (3, 2 m, Q); (m, 2, Q, 3)."""
     fields = table.transpose(3, 1, 0, 2).copy()
     fields[2] = fields[2, ::-1]  # d_z is an unknown of the block AXIS, c_z of PLANE
-    return fields.reshape(3, -1, table.shape[2])
+    return np.asarray(fields.reshape(3, -1, table.shape[2]))
 
 
 def _to_sequences(harmonics: Complexes, grid: int) -> Complexes:
