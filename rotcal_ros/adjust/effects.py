@@ -59,7 +59,7 @@ class EffectTest(NamedTuple):
     ``size`` (k,) with ``covariance`` (k, k): of the columns, zero where nothing is seen.
     Chi-squared falls by ``squares`` for ``rank`` more unknowns; chance makes more of it with
     ``probability``. ``axes`` (k, rank): combinations of the columns that residuals can tell.
-    ``member``: which of a family it is, else 0.
+    ``member``: which of a family it is, else 0. ``variance`` of the noise that it was tested by.
     """
 
     size: Floats
@@ -69,19 +69,30 @@ class EffectTest(NamedTuple):
     probability: float
     axes: Floats
     member: int = 0
+    variance: float = 1.0
 
 
-def effect_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTest:
+def effect_test(
+    seen: Seen,
+    rest: tuple[float, float] | None = None,
+    least: float = 1e-300,
+    nothing: float = UNSEEN,
+) -> EffectTest:
     """Test all columns together.
 
     ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated
-    from it; None: the noise is known.
+    from it; None: the noise is known. Its variance is ``least`` or more. ``nothing``: as UNSEEN.
     """
-    axes, values, _ = _axes(seen)
+    axes, values, _ = _axes(seen, nothing)
     inverse = (axes / values) @ axes.T
     size = inverse @ seen.score
     squares, rank = float(seen.score @ size), len(values)
-    return EffectTest(size, inverse, squares, rank, _chance(squares, rank, rest), axes)
+    variance, left = 1.0, np.inf
+    if rest is not None:
+        left = rest[1] - rank
+        variance = max((rest[0] - squares) / max(left, 1.0), least)
+    chance = _chance(squares, rank, variance, left)
+    return EffectTest(size, inverse, squares, rank, chance, axes, variance=variance)
 
 
 def family_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTest:
@@ -100,7 +111,7 @@ def member_squares(seen: Seen) -> Floats:
     return np.where(checked, seen.score**2 / np.where(checked, information, 1.0), 0.0)
 
 
-def _axes(seen: Seen) -> tuple[Floats, Floats, Floats]:
+def _axes(seen: Seen, nothing: float = UNSEEN) -> tuple[Floats, Floats, Floats]:
     """Return combinations (k, rank) of the columns that leave residuals, and their information.
 
     And the combinations (k, k - rank) that leave none. All columns count as of length one: S is
@@ -108,19 +119,16 @@ def _axes(seen: Seen) -> tuple[Floats, Floats, Floats]:
     """
     scale = np.sqrt(np.maximum(seen.whole, np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(seen.information / scale / scale[:, None])
-    axes, checked = vectors / scale[:, None], values > UNSEEN
+    axes, checked = vectors / scale[:, None], values > nothing
     return axes[:, checked], values[checked], axes[:, ~checked]
 
 
-def _chance(squares: float, rank: int, rest: tuple[float, float] | None) -> float:
-    if not rank:
+def _chance(squares: float, rank: int, variance: float, left: float) -> float:
+    """Return the probability of ``squares``; ``left``: degrees of freedom of the ``variance``."""
+    if not rank or left < 1.0:
         return 1.0
-    if rest is None:
+    if np.isinf(left):
         return chi2_sf(squares, rank)
-    left = rest[1] - rank
-    if left < 1.0:
-        return 1.0
-    variance = max(rest[0] - squares, 1e-300) / left
     return f_sf(squares / rank / variance, rank, left)
 
 

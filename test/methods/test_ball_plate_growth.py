@@ -81,7 +81,6 @@ def test_a_warm_plate_is_suspect_and_named_by_kelvin_of_its_material(order):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_plate_that_keeps_its_temperature_is_seldom_said_to_grow(order):
     runs = 300 if LONG else 25
@@ -143,7 +142,7 @@ def test_the_order_tells_from_which_size_a_growth_is_found():
         36, RADIUS, np.zeros(12, dtype=int), np.array(DEMO_PLATE), row=432 + np.arange(12)
     )
     found = unit_growth(problem, linear, again)
-    assert found.information[0, 0] < 1e-3 * found.total
+    assert found.seen.information[0, 0] < 1e-3 * found.seen.whole[0]
     assert alone.closing[0, 0] == 0.0
     # 12 balls moved outward by up to RADIUS, less what a motion of the plate explains
     assert 0.3 * 6.0 * RADIUS**2 < found.closing[0, 0] < 6.0 * RADIUS**2

@@ -127,7 +127,9 @@ def test_predicted_errors_are_what_a_simulation_gives(order, grid):
     for axis in range(3):
         curves, left = found(drifted(len(row), size * np.eye(3)[axis]))
         np.testing.assert_allclose(curves / size, effects.drift.response[:, :, axis], atol=1e-6)
-        assert left / size**2 == pytest.approx(effects.drift.information[axis, axis], abs=1e-6)
+        assert left / size**2 == pytest.approx(
+            effects.drift.seen.information[axis, axis], abs=1e-6
+        )
     for number in (0, len(effects.moments) // 2, len(effects.moments) - 1):
         knock, moment = effects.knocks[number], effects.moments[number]
         shift, turn = np.array([3.0, 2.0, -1.0]), np.array([5.0, -4.0, 6.0])
@@ -135,7 +137,7 @@ def test_predicted_errors_are_what_a_simulation_gives(order, grid):
         curves, left = found(knocked(grid, table, ball, moment, *motion))
         amount = np.concatenate([shift, turn])
         np.testing.assert_allclose(curves / size, knock.response @ amount, atol=2e-5)
-        expected = amount @ knock.information @ amount
+        expected = amount @ knock.seen.information @ amount
         assert left / size**2 == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
@@ -161,7 +163,7 @@ def test_drift_and_knocks_are_effects_of_the_engine(drift):
             found.response.reshape(-1, columns.shape[2]), seen.moved.T, rtol=0, atol=1e-9 * size
         )
         np.testing.assert_allclose(
-            found.information, seen.information, rtol=0, atol=1e-9 * seen.whole.max()
+            found.seen.information, seen.information, rtol=0, atol=1e-9 * seen.whole.max()
         )
     if drift:
         return
@@ -172,7 +174,6 @@ def test_drift_and_knocks_are_effects_of_the_engine(drift):
     assert 1e-6 < mine.p_value < 0.1
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
     n, hits, runs = 144, 0, 120 if LONG else 20

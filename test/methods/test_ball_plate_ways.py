@@ -12,6 +12,7 @@ from plate_data import PAPER_PLATE, RADIUS, simulated, solved
 from plate_in_engine import in_the_engine
 from scipy.optimize import lsq_linear
 
+from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve
@@ -149,6 +150,21 @@ def test_each_way_is_the_dense_reference_of_the_engine(kind, drift):
     np.testing.assert_allclose(redundancy.ravel(), dense.redundancy, rtol=0, atol=AGREE)
     assert found.dof == dense.dof
     assert found.weighted_square_sum == pytest.approx(dense.chi2, rel=AGREE)
+
+
+@pytest.mark.parametrize("grid", [9, 24])
+def test_motions_of_the_plate_by_their_spectra_are_those_of_the_engine(grid):
+    problem, _ = simulated(grid, [0, 1, 3, 4, 8], seed=5)
+    there = np.random.default_rng(1).random(len(problem.centres)) < 0.4
+    found = SpectralFit(problem).seen_of_plate(there)
+    columns = model.plate_motion(problem) * there[:, None, None]
+    seen = seen_by(in_the_engine(problem), columns.reshape(-1, 6))
+    size = np.abs(seen.moved).max()
+    np.testing.assert_allclose(found.moved, seen.moved, rtol=0, atol=AGREE * size)
+    np.testing.assert_allclose(
+        found.information, seen.information, rtol=0, atol=AGREE * seen.whole.max()
+    )
+    np.testing.assert_allclose(found.whole, seen.whole, rtol=AGREE)
 
 
 def test_dense_minimises_what_an_independent_solver_minimises():

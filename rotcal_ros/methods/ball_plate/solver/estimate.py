@@ -149,15 +149,6 @@ class _Bordered(LinearFit):
     remains: Floats
     inverse: Floats
 
-    def _border(self, displacements: Floats) -> Floats:
-        """Border by ``displacements`` (n, 3, m); return what residuals keep of them (m, m)."""
-        each = sorted(self.plain.responses(displacements), key=lambda response: response.number)
-        first, *others = (response.parameters for response in each)
-        self.parameters = first.merged(lambda *fields: np.stack(fields, axis=-1), *others)
-        self.remains = np.stack([response.residuals for response in each], axis=2)
-        kept = np.array([response.kept for response in each])
-        return np.asarray(0.5 * (kept + kept.T))
-
     @property
     def unit_std(self) -> PlateParameters:
         def std(own: Floats, moved: Floats) -> Floats:
@@ -199,7 +190,8 @@ class WithGaps(_Bordered):
         units = np.zeros((len(table), 3, len(gaps), 3))
         units[gaps[:, None], np.arange(3), np.arange(len(gaps))[:, None], np.arange(3)] = 1.0
         # a residual at the gaps per unit deviation there: the cofactor
-        at_gaps = self._border(units.reshape(len(table), 3, -1))
+        caused = self.plain.responses(units.reshape(len(table), 3, -1))
+        self.parameters, self.remains, at_gaps = caused
         if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
             raise ObservabilityError(
                 "without the missing or rejected centres not all errors of table, plate and CMM "
@@ -270,7 +262,7 @@ class WithDrift(_Bordered):
         self.dof -= self.columns.shape[2]
         self.way = f"{self.plain.way} with drift"
         self.weighted = problem.weights[:, :, None] * self.columns
-        information = self._border(self.columns)
+        self.parameters, self.remains, information = self.plain.responses(self.columns)
         seen = drift_seen(problem, self.columns, information)
         if seen < VISIBLE:
             raise ObservabilityError(

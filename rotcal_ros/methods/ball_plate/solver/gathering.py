@@ -162,11 +162,11 @@ def _counted(
     found = []
     for kind, (numbers, lost) in taken.counted(problem).items():
         size, checks = np.bincount(numbers), np.bincount(numbers, redundancy)
-        for name in np.flatnonzero(size).tolist():
-            gone, left = int(lost[name]), int(size[name])
-            checked = float(checks[name]) / left
-            test = GroupTest(0.0, 0, 1.0, checked, gone / (left + gone))
-            found.append(Count(kind, f"{kind} {name}", test, left + gone, gone))
+        each = enumerate(zip(size.tolist(), lost.tolist(), checks.tolist(), strict=False))
+        for name, (left, gone, checked) in each:
+            if left:
+                test = GroupTest(0.0, 0, 1.0, checked / left, gone / (left + gone))
+                found.append(Count(kind, f"{kind} {name}", test, left + gone, gone))
     return replace(before, counts=tuple(found))
 
 

@@ -15,9 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.effects import Seen, effect_test, member_squares, unseen
+from rotcal_ros.adjust.effects import Seen, effect_test, unseen
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.materials import kelvin
@@ -128,7 +127,6 @@ def unit_growth(
     Of these counts what no rigid motion explains.
     """
     columns = growth_columns(problem, problem.run_time)
-    seen = _seen(problem, linear, columns, np.zeros_like(problem.centres))
     closed = np.zeros((1, 1))
     if closing is not None:
         again = closing.take(np.isin(closing.cell, problem.cell))
@@ -138,40 +136,20 @@ def unit_growth(
         motion = rigid_motion(problem.angles[problem.cmm_index[first]]).reshape(-1, 6)
         change = change - motion @ np.linalg.lstsq(motion, change, rcond=None)[0]
         closed = 0.5 * change.T @ change  # of two centres, which have twice the variance of one
-    response = seen.moved.T.reshape(len(COMPONENTS), -1, 1)
-    return DisplacementPatterns.of(response, seen.information, closed, float(seen.whole[0]))
+    return DisplacementPatterns(linear.seen(columns), closed)
 
 
 def find_growth(problem: BallPlateProblem, linear: LinearFit, solution: Solution) -> Growth:
     """Look for a growth in the residuals of a fit."""
     columns = growth_columns(problem, problem.run_time)
-    seen = _seen(problem, linear, columns, solution.residuals)
-    if solution.dof < SPARE:
+    seen, rest = linear.seen(columns, solution.residuals), solution.weighted_square_sum
+    found = effect_test(seen, (rest, solution.dof), least_noise(problem, solution))
+    if not found.rank or solution.dof < SPARE:
         return Growth(seen)
-    gain, left = float(member_squares(seen)[0]), solution.dof - 1
-    squares = max(solution.weighted_square_sum, gain + left * least_noise(problem, solution))
-    found = effect_test(seen, (squares, solution.dof))
-    if not found.rank:
-        return Growth(seen)
-    std = np.sqrt((squares - gain) / left * found.covariance[0, 0])
-    amount = float(found.size[0])
-    test = GrowthTest.of(amount, float(std), found.probability, problem.material)
+    std = float(np.sqrt(found.variance * found.covariance[0, 0]))
+    test = GrowthTest.of(float(found.size[0]), std, found.probability, problem.material)
     evident = found.probability < FALSE_KNOCK
     if evident:
-        drift = _seen(problem, linear, drift_columns(problem.run_time, 1), solution.residuals)
-        evident = gain > effect_test(drift).squares
-    return Growth(seen, test, gain, evident)
-
-
-def _seen(
-    problem: BallPlateProblem, linear: LinearFit, columns: Floats, residuals: Floats
-) -> Seen:
-    """Return what a fit makes of ``columns`` (n, 3, k), and ``residuals`` (n, 3) have of them."""
-    curves, information = linear.moved_by(columns)
-    weighted = problem.weights[:, :, None] * columns
-    return Seen(
-        curves.reshape(-1, columns.shape[2]).T,
-        information,
-        np.einsum("nia,ni->a", weighted, residuals),
-        np.einsum("nia,nia->a", weighted, columns),
-    )
+        drift = linear.seen(drift_columns(problem.run_time, 1), solution.residuals)
+        evident = found.squares > effect_test(drift).squares
+    return Growth(seen, test, found.squares, evident)

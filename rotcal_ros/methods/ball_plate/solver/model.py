@@ -14,14 +14,14 @@ unknowns that leave all centres where they are.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import NamedTuple
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.adjust.effects import Seen
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
@@ -40,6 +40,9 @@ TABLE_COMPONENTS = {
     "EBC": ("rotation", 1),
     "ECC": ("rotation", 2),
 }
+PARTS = ([0, 1, 5], [2, 3, 4])
+"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z; of
+the deviations, EXC to ECC: those that these move. The one part knows nothing of the other."""
 
 
 @dataclass(frozen=True)
@@ -108,25 +111,6 @@ class Solution:
     drift: OriginDrift | None = None
 
 
-class FitResponse(NamedTuple):
-    """What the displacement ``number`` of m does to a fit, which is linear in it.
-
-    ``kept`` (m,): what the residuals keep of its products with all m, in units of the rows'
-    ``std``. ``shared`` (n, 3) are the residuals of a fit, of which ``axes`` (3,) are its own.
-    """
-
-    number: int
-    parameters: PlateParameters
-    kept: Floats
-    shared: Floats
-    axes: Floats
-
-    @property
-    def residuals(self) -> Floats:
-        """The residuals (n, 3) of a unit of the displacement."""
-        return self.shared * self.axes
-
-
 class LinearFit(ABC):
     """The factored linear model of a problem, ready for any number of right-hand sides.
 
@@ -174,34 +158,48 @@ class LinearFit(ABC):
         """Return the solution for deviations (n, 3)."""
         return self.solution(*self.fit(observed))
 
-    def responses(self, displacements: Floats) -> Iterator[FitResponse]:
-        """Yield what each of ``displacements`` (n, 3, m), in the plane or along z, does.
+    def responses(self, displacements: Floats) -> tuple[PlateParameters, Floats, Floats]:
+        """Return what units of ``displacements`` (n, 3, m) do, each in the plane or along z.
 
-        The model keeps z apart from x and y: one in the plane and one along z share a fit.
+        The parameters and residuals (n, 3, m) that each causes, and the information (m, m) that
+        residuals keep of them, in units of the rows' ``std``. The model keeps z apart from x and
+        y: one in the plane and one along z share a fit.
         """
-        columns = displacements.reshape(-1, displacements.shape[2])
         axial = np.asarray(displacements[:, 2].any(axis=0))
+        remains = np.zeros_like(displacements)
+        caused: dict[int, PlateParameters] = {}
         for pair in zip_longest(np.flatnonzero(~axial).tolist(), np.flatnonzero(axial).tolist()):
             numbers = [number for number in pair if number is not None]
-            found, left = self.fit(displacements.T[numbers].sum(axis=0).T)
-            kept = (self.problem.weights * left).ravel() @ columns
+            found, left = self.fit(displacements[:, :, numbers].sum(axis=2))
             for number in numbers:
-                alike = axial == axial[number]
                 axes = np.where(axial[number], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0])
-                yield FitResponse(number, scaled(found, axes), kept * alike, left, axes)
+                caused[number], remains[:, :, number] = scaled(found, axes), left * axes
+        first, *others = (caused[number] for number in range(len(axial)))
+        weighted = (self.problem.weights[:, :, None] * remains).reshape(-1, len(axial))
+        kept = weighted.T @ displacements.reshape(-1, len(axial))
+        parameters = first.merged(lambda *fields: np.stack(fields, axis=-1), *others)
+        return parameters, remains, 0.5 * (kept + kept.T)
 
-    def moved_by(self, displacements: Floats) -> tuple[Floats, Floats]:
-        """Return what ``displacements`` (n, 3, m), as of :meth:`responses`, do to the curves.
+    def seen(self, displacements: Floats, residuals: Floats | None = None) -> Seen:
+        """Return what is seen of ``displacements`` (n, 3, m), as of :meth:`responses`.
 
-        The six deviations (6, M, m) per unit, and the information (m, m) that residuals keep.
+        Outputs are the six deviations, M values each, in the order of ``COMPONENTS``. The score is
+        that of ``residuals`` (n, 3), zero without.
         """
-        m = displacements.shape[2]
-        curves = np.empty((6, len(self.problem.table_positions), m))
-        information = np.empty((m, m))
-        for found in self.responses(displacements):
-            curves[:, :, found.number] = found.parameters.curves()
-            information[found.number] = found.kept
-        return curves, 0.5 * (information + information.T)
+        parameters, _, information = self.responses(displacements)
+        weighted = self.problem.weights[:, :, None] * displacements
+        return Seen(
+            parameters.curves().reshape(-1, len(information)).T,
+            information,
+            np.zeros(len(information))
+            if residuals is None
+            else np.einsum("nia,ni->a", weighted, residuals),
+            np.einsum("nia,nia->a", weighted, displacements),
+        )
+
+    def seen_of_plate(self, there: Bools) -> Seen:
+        """Return likewise what :func:`plate_motion` does where ``there`` (n,) is true."""
+        return self.seen(plate_motion(self.problem) * there[:, None, None])
 
 
 def scaled(unit: PlateParameters, axes: Floats) -> PlateParameters:

@@ -11,14 +11,14 @@ motion finds what is too small for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import f_isf, f_noncentrality, f_sf
+from rotcal_ros.adjust.distributions import f_isf, f_sf, noncentrality
+from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -29,6 +29,7 @@ from rotcal_ros.methods.ball_plate.solver.estimate import (
     factored_with_drift,
 )
 from rotcal_ros.methods.ball_plate.solver.model import (
+    PARTS,
     LinearFit,
     OriginDrift,
     Solution,
@@ -54,9 +55,8 @@ SETTLED: Final = 0.01
 """Share of the stated noise that the iteration of the exact model may leave in the residuals."""
 FALSE_KNOCK: Final = 1e-6
 """Probability that good data are said to contain a knock."""
-PARTS: Final = ([0, 1, 5], [2, 3, 4])
-"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z; of
-the deviations, EXC to ECC: those that these move. The one part knows nothing of the other."""
+IMITATED: Final = 1e-6
+"""Part of a motion's information up to which the CMM's errors imitate it: it counts as zero."""
 CANDIDATES: Final = 3
 """Moments of a knock whose motion is fitted with all that table and CMM take of it."""
 
@@ -65,41 +65,22 @@ CANDIDATES: Final = 3
 class DisplacementPatterns:
     """Some patterns of displacement, m columns: amounts in metres, rotations times radius.
 
-    ``felt`` are the errors of the deviations of each part per unit of its patterns, (3, N, .), m
-    and rad. The amount a changes w'w of the fit by a' ``information`` a, and that of the
-    difference between the first table position and its repetition at the end by a' ``closing`` a
-    (zero without); (m, m). ``total`` is the mean information that perfect knowledge of all else
-    would leave.
+    ``seen`` by a fit, whose score is zero. The amount a changes the difference between the first
+    table position and its repetition at the end by a' ``closing`` a; (m, m), zero without.
     """
 
-    felt: tuple[Floats, Floats]
-    information: Floats
+    seen: Seen
     closing: Floats
-    total: float
-
-    @classmethod
-    def of(
-        cls, response: Floats, information: Floats, closing: Floats, total: float
-    ) -> DisplacementPatterns:
-        """Return those with the errors ``response`` (6, N, m) of the six deviations per unit."""
-        m = response.shape[2]
-        first, second = (response[part][:, :, _of_part(part, m)] for part in PARTS)
-        return cls((first, second), information, closing, total)
 
     @property
     def response(self) -> Floats:
         """Errors of the six deviations per unit (6, N, m), m and rad."""
-        m = len(self.information)
-        response = np.zeros((6, self.felt[0].shape[1], m))
-        for part, felt in zip(PARTS, self.felt, strict=True):
-            for k, number in enumerate(_of_part(part, m)):
-                response[part, :, number] = felt[:, :, k]
-        return response
+        return np.asarray(self.seen.moved.T.reshape(6, -1, len(self.closing)))
 
     @property
-    def seen(self) -> float:
-        """Information from which on a direction counts as seen, not as rounding."""
-        return NOTHING * self.total
+    def rounding(self) -> float:
+        """Information up to which a direction counts as unseen."""
+        return NOTHING * float(self.seen.whole[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,49 +117,30 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
     again = places_of(cells[np.isin(cells, problem.cell)], problem.cell)
     change = 0.5 - problem.run_time[again]  # of the run time, which is 0.5 at the end
 
-    def patterns(columns: Floats, closed: Floats) -> DisplacementPatterns:
-        """Return those of ``columns`` (n, 3, m); ``closed`` (k, 3, m): between first and last."""
-        response, information = linear.moved_by(columns)
-        return DisplacementPatterns.of(
-            response=response,
-            information=information,
-            # a difference of two centres has twice the variance of one
-            closing=0.5 * np.einsum("nia,nib->ab", closed, closed),
-            total=float(np.einsum("ni,nia,nia->", problem.weights, columns, columns))
-            / columns.shape[2],
-        )
+    def patterns(seen: Seen, closed: Floats) -> DisplacementPatterns:
+        """Return those of a fit; ``closed`` (k, 3, m) between first and last."""
+        # a difference of two centres has twice the variance of one
+        return DisplacementPatterns(_alike(seen), 0.5 * np.einsum("nia,nib->ab", closed, closed))
 
-    motion = plate_motion(problem)
-    repeated = motion[again]
+    drift, motion = drift_columns(problem.run_time, 1), plate_motion(problem)[again]
     return OrderEffects(
-        drift=patterns(drift_columns(problem.run_time, 1), drift_columns(change, 1)),
+        drift=patterns(linear.seen(drift), drift_columns(change, 1)),
         knocks=tuple(
-            patterns(moved, repeated[place[again] < moment])
-            for moment, moved in zip(moments, _from_each(moments, motion, place), strict=True)
+            patterns(linear.seen_of_plate(place >= moment), motion[place[again] < moment])
+            for moment in moments
         ),
         moments=moments,
     )
 
 
-def _of_part(part: list[int], m: int) -> list[int]:
-    """Return which of m patterns, a drift or a motion, belong to a part."""
-    return [number for number in part if number < m]
-
-
-def _from_each(moments: Ints, motion: Floats, place: Ints) -> Iterator[Floats]:
-    """Yield, one after the other in the place of ``motion`` (n, 3, m), that from each moment on.
-
-    ``moments`` ascend; ``place`` (n,) is that of each row in the order of measurement.
-    """
-    for moment in moments:
-        motion[place < moment] = 0.0
-        yield motion
+def _alike(seen: Seen) -> Seen:
+    """Return it with columns of one length: none counts more where a direction leaves nothing."""
+    return replace(seen, whole=np.full_like(seen.whole, seen.whole.mean()))
 
 
 def needed(parameters: int, dof: int, tests: int = 1) -> float:
     """Return the noncentrality that an F test at SIGNIFICANCE / ``tests`` finds with POWER."""
-    limit = float(f_isf(SIGNIFICANCE / tests, parameters, dof))
-    return f_noncentrality(limit, parameters, dof, POWER)
+    return noncentrality(SIGNIFICANCE / tests, POWER, parameters, dof)
 
 
 def found_size(
@@ -189,10 +151,10 @@ def found_size(
     ``fit`` and ``closure`` are the noncentralities that the two tests need; infinite when both
     are blind.
     """
-    seen = amount @ disturbance.information @ amount / fit
+    seen = amount @ disturbance.seen.information @ amount / fit
     again = amount @ disturbance.closing @ amount / closure
     best = max(float(seen), float(again))
-    blind = disturbance.seen * float(amount @ amount) / max(fit, closure)
+    blind = disturbance.rounding * float(amount @ amount) / max(fit, closure)
     return float(best**-0.5) if best > blind else float("inf")
 
 
@@ -204,17 +166,16 @@ def _worst_unseen(
     Over all directions of the amounts, components and positions; of the bounds by either test
     and by both together the smallest holds.
     """
-    fitted, closed = disturbance.information / fit, disturbance.closing / closure
-    floor, worst = disturbance.seen / max(fit, closure), 0.0
-    for part, felt in zip(PARTS, disturbance.felt, strict=True):
-        gain = (felt / std[part][:, :, None]).reshape(-1, felt.shape[2])
-        own = np.ix_(_of_part(part, len(fitted)), _of_part(part, len(fitted)))
-        bounds = [
-            factor * _largest(gain, information[own], floor)
-            for factor, information in ((1.0, fitted), (1.0, closed), (2.0, fitted + closed))
-        ]
-        worst = max(worst, float(np.min(bounds, axis=0).max()))
-    return float(np.sqrt(worst))
+    fitted, closed = disturbance.seen.information / fit, disturbance.closing / closure
+    gain, floor = (
+        (disturbance.seen.moved / std.ravel()).T,
+        disturbance.rounding / max(fit, closure),
+    )
+    bounds = [
+        factor * _largest(gain, information, floor)
+        for factor, information in ((1.0, fitted), (1.0, closed), (2.0, fitted + closed))
+    ]
+    return float(np.sqrt(np.min(bounds, axis=0).max()))
 
 
 def _largest(gain: Floats, information: Floats, floor: float) -> Floats:
@@ -323,13 +284,13 @@ def find_drift(
     if solution.drift is not None:
         return _estimated(solution, solution.drift)
     columns = drift_columns(problem.run_time, 1)
-    seen = drift_seen(problem, columns, effects.drift.information)
-    if seen < VISIBLE or solution.dof < SPARE:
+    kept = drift_seen(problem, columns, effects.drift.seen.information)
+    if kept < VISIBLE or solution.dof < SPARE:
         return None
-    right = np.einsum("nia,ni->a", columns, problem.weights * solution.residuals)
-    least = least_noise(problem, solution)
-    amount, inverse, p_value, variance = _tested(effects.drift, right, solution, least)
-    return DriftTest(amount, np.sqrt(variance * np.diag(inverse)), p_value, estimated=False)
+    score = np.einsum("nia,ni->a", columns, problem.weights * solution.residuals)
+    test = _tested(effects.drift, score, solution, least_noise(problem, solution))
+    std = np.sqrt(test.variance * np.diag(test.covariance))
+    return DriftTest(test.size, std, test.probability, estimated=False)
 
 
 def find_motion(
@@ -344,11 +305,12 @@ def find_motion(
     for moment, knock in zip(effects.moments, effects.knocks, strict=True):
         if moment >= len(order):
             continue  # after the last row nothing shows it
-        amount, _, p_value, _ = _tested(knock, later[moment], solution, least)
-        p_value = min(1.0, p_value * len(effects.knocks))  # Bonferroni: the best of so many
+        test = _tested(knock, later[moment], solution, least)
+        # Bonferroni: the best of so many
+        p_value = min(1.0, test.probability * len(effects.knocks))
         if best is None or p_value < best.p_value:
             row = int(problem.rows[order[moment]])
-            best = MotionTest(row, amount[:3], amount[3:] / problem.radius, p_value)
+            best = MotionTest(row, test.size[:3], test.size[3:] / problem.radius, p_value)
     return best
 
 
@@ -376,21 +338,11 @@ def least_noise(problem: BallPlateProblem, solution: Solution) -> float:
 
 
 def _tested(
-    pattern: DisplacementPatterns, right: Floats, solution: Solution, floor: float
-) -> tuple[Floats, Floats, float, float]:
-    """Return amount, unit covariance, p value of its F test, and the variance of the rest."""
-    # only along the directions of which the fit leaves anything
-    values, vectors = np.linalg.eigh(pattern.information)
-    seen = values > pattern.seen
-    rank = int(np.count_nonzero(seen))
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    amount: Floats = inverse @ right
-    gain = float(right @ amount)
-    dof = solution.dof - rank
-    if not rank:
-        return amount, inverse, 1.0, floor
-    variance = max((solution.weighted_square_sum - gain) / dof, floor)
-    return amount, inverse, f_sf(gain / rank / variance, rank, dof), variance
+    pattern: DisplacementPatterns, score: Floats, solution: Solution, least: float
+) -> EffectTest:
+    """Return the F test of what residuals say of a pattern, by a variance of ``least`` or more."""
+    rest = solution.weighted_square_sum, solution.dof
+    return effect_test(replace(pattern.seen, score=score), rest, least, NOTHING)
 
 
 def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
@@ -456,14 +408,13 @@ def find_knock(
         return None
     motion = plate_motion(problem)
     order, later = _pulled(problem, solution, motion)
-    starts = np.sort(_candidates(later, motion, problem.weights, order))
-    fitted = [
-        (*_fit_motion(linear, moved, later[start]), start)
-        for start, moved in zip(
-            starts.tolist(), _from_each(starts, motion, np.argsort(order)), strict=True
-        )
-    ]
-    gain, amount, start = max(fitted, key=lambda each: each[0])
+    place = np.argsort(order)  # of each row in the order of measurement
+    fitted = []
+    for start in sorted(_candidates(later, motion, problem.weights, order)):
+        seen = replace(_alike(linear.seen_of_plate(place >= start)), score=later[start])
+        fitted.append((start, effect_test(seen, nothing=IMITATED)))
+    start, found = max(fitted, key=lambda each: each[1].squares)
+    gain = found.squares
     rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
     scatter = max(rest, (sigma or 0.0) ** 2, least_variance(problem, solution.estimate))
     if gain / 6.0 < scatter * f_isf(FALSE_KNOCK / len(order), 6, solution.dof - 6):
@@ -474,8 +425,8 @@ def find_knock(
         first=int(problem.rows[row]),
         ball_step=int(problem.ball_step[row]),
         position=int(problem.position[row]),
-        shift=amount[:3],
-        rotation=amount[3:] / problem.radius,
+        shift=found.size[:3],
+        rotation=found.size[3:] / problem.radius,
         gain=gain,
         scatter=scatter,
     )
@@ -510,11 +461,3 @@ def _bound(later: Floats, motion: Floats, weight: Floats, order: Ints) -> Floats
     spread += 1e-9 * total
     amount = np.linalg.solve(spread, later[:, :, None])[:, :, 0]
     return np.asarray(np.einsum("nj,nj->n", later, amount))
-
-
-def _fit_motion(linear: LinearFit, moved: Floats, right: Floats) -> tuple[float, Floats]:
-    """Return gain of w'w and the motion (6,) of rows ``moved`` (n, 3, 6) by a unit of each."""
-    _, information = linear.moved_by(moved)
-    # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
-    amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
-    return float(right @ amount), amount

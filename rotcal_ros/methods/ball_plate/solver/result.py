@@ -24,7 +24,7 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
-from rotcal_ros.foundation.protection import TOLERABLE, Protection, ordered
+from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Residuals, Result, Verdict, plain_fields
 from rotcal_ros.foundation.units import MICROMETRE
@@ -433,7 +433,13 @@ def _protections(
     return ordered(
         [
             _against_drift(solution.problem, drift),
-            _against_knock(knock),
+            _against(
+                "knock",
+                knock,
+                "a motion of the plate on the table contradicts earlier centres of the same balls",
+                "a small motion of the plate between two stops may pass for deviations of the "
+                "table: measure in the order interleaved, with more balls",
+            ),
             Protection(
                 "axis noise", "estimated", "each axis has its own, also where one was stated"
             ),
@@ -450,7 +456,13 @@ def _protections(
                 "tilt", "estimated", "the pose of the axis and the place of each ball are unknowns"
             ),
             _gauge(solution),
-            _against_growth(growth),
+            _against(
+                "growth",
+                growth,
+                "a plate that warms and grows leaves residuals, or does little harm in this order",
+                "a plate that warms a little may grow unseen: measure in the order interleaved, "
+                "with more balls",
+            ),
             _one_place(_hidden(result, solution)),
             Protection(
                 "numbering",
@@ -500,50 +512,24 @@ def _against_drift(problem: BallPlateProblem, error: float) -> Protection:
     if problem.drift:
         shape = ("linear", "quadratic")[problem.drift - 1]
         return Protection("drift", "estimated", f"a {shape} drift of each axis is an unknown")
-    if error <= TOLERABLE:
-        why = "the order of measurement shows a linear drift of the CMM's origin"
-        return Protection("drift", "tested", why, error)
-    if problem.drift_allowance > 0.0:
+    if error > TOLERABLE and problem.drift_allowance > 0.0:
         why = f"the budget holds {problem.drift_allowance / MICROMETRE:g} um over the run"
         return Protection("drift", "bounded", why)
-    return Protection(
+    return _against(
         "drift",
-        "not protected",
+        error,
+        "the order of measurement shows a linear drift of the CMM's origin",
         "the order of measurement hides a drift of the CMM's origin in the table's deviations: "
         "measure in the order interleaved, or state solver.drift_allowance_m",
-        _finite(error),
     )
 
 
-def _against_knock(error: float) -> Protection:
+def _against(effect: Effect, error: float, tested: str, unprotected: str) -> Protection:
+    """Return the protection by a test that leaves no more than ``error`` unseen, inf: any."""
     if error <= TOLERABLE:
-        why = "a motion of the plate on the table contradicts earlier centres of the same balls"
-        return Protection("knock", "tested", why, error)
-    return Protection(
-        "knock",
-        "not protected",
-        "a small motion of the plate between two stops may pass for deviations of the table: "
-        "measure in the order interleaved, with more balls",
-        _finite(error),
-    )
-
-
-def _against_growth(error: float) -> Protection:
-    if error <= TOLERABLE:
-        why = "a plate that warms and grows leaves residuals, or does little harm in this order"
-        return Protection("growth", "tested", why, error)
-    return Protection(
-        "growth",
-        "not protected",
-        "a plate that warms a little may grow unseen: measure in the order interleaved, with more "
-        "balls",
-        error,
-    )
-
-
-def _finite(error: float) -> float | None:
-    """Return the error, None where nothing bounds it."""
-    return error if error < float("inf") else None
+        return Protection(effect, "tested", tested, error)
+    bound = error if error < float("inf") else None
+    return Protection(effect, "not protected", unprotected, bound)
 
 
 def _repeatability(solution: PlateSolution, found: Sequence[Findings]) -> Protection:

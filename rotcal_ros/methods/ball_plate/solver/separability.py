@@ -115,7 +115,8 @@ def require_separable(problem: BallPlateProblem) -> None:
 
 def balls_at_positions(problem: BallPlateProblem) -> Ints:
     """Return how many different balls were measured at every table position, (n_positions,)."""
-    return np.bincount(np.unique(problem.cell) // problem.grid, minlength=problem.n_positions)
+    once = np.diff(problem.cell, prepend=-1) != 0  # in canonical order doubles are neighbours
+    return np.bincount(problem.position[once], minlength=problem.n_positions)
 
 
 def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> None:

@@ -73,10 +73,11 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Complexes, Floats, Ints
+from rotcal_ros.adjust.effects import Seen
+from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.components import ROTATIONS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS, PARTS, LinearFit, PlateParameters
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
 PLANE, AXIS = 0, 1
@@ -237,9 +238,9 @@ def _solve_harmonics(
 ) -> tuple[Complexes, Complexes, Complexes]:
     """Solve all harmonics: ``spectrum`` (3, Q, R) to table (2, Q, 3), CMM (3, Q), rest (3, Q, R).
 
-    Rows are +, - and z in the frame that turns with the table; the rest takes the place of the
-    spectrum. Where a layout is weak, a step of iterative refinement takes the squared condition
-    number out of the answer.
+    Rows are +, - and z in the frame that turns with the table, of one fit or of several along
+    further axes in front; the rest takes the place of the spectrum. Where a layout is weak, a step
+    of iterative refinement takes the squared condition number out of the answer.
     """
     table = _table_of(system, _centred(system, spectrum.copy())[1])
     if system.amplification > WEAK:
@@ -252,9 +253,9 @@ def _solve_harmonics(
 def _centred(system: Harmonics, rows: Complexes) -> tuple[Complexes, Complexes]:
     """Split rows (3, Q, R), in place, into the CMM's mean over the balls (3, Q) and the rest."""
     rows *= system.shift  # there and back: only with the CMM position its unknowns are the mean
-    mean = rows.sum(axis=2)
+    mean = rows.sum(axis=-1)
     mean /= len(system.balls)
-    rows -= mean[:, :, None]
+    rows -= mean[..., None]
     rows *= system.shift.conj()
     return mean, rows
 
@@ -262,14 +263,16 @@ def _centred(system: Harmonics, rows: Complexes) -> tuple[Complexes, Complexes]:
 def _table_of(system: Harmonics, centred: Complexes) -> Complexes:
     """Return the table's unknowns (2, Q, 3) from centred rows (3, Q, R)."""
     right = centred @ system.adjoint
-    right[1] += right[0]  # the rows + and - both measure the block PLANE
-    unknowns: Complexes = np.einsum("bqij,bqj->bqi", system.inverse, right[1:])
+    right[..., 1, :, :] += right[..., 0, :, :]  # the rows + and - both measure the block PLANE
+    unknowns: Complexes = np.einsum("bqij,...bqj->...bqi", system.inverse, right[..., 1:, :, :])
     return unknowns
 
 
 def _fitted(system: Harmonics, table: Complexes) -> Complexes:
     """Return the rows (3, Q, R) that the table's unknowns (2, Q, 3) cause."""
-    fitted: Complexes = table[[PLANE, PLANE, AXIS]] @ system.adjoint.conj().swapaxes(1, 2)
+    fitted: Complexes = table[..., [PLANE, PLANE, AXIS], :, :] @ system.adjoint.conj().swapaxes(
+        1, 2
+    )
     return fitted
 
 
@@ -319,6 +322,13 @@ def _to_harmonics(sequences: Complexes) -> tuple[Complexes, Complexes]:
     rows[:2] *= ROOT_HALF
     rows[2] = full[n_balls:, 1:last].T
     return rows, full[:, 0].reshape(2, n_balls) / grid
+
+
+def _of_table(table: Complexes) -> Complexes:
+    """Return w+, w- and z of m translations, then of m rotations, (3, 2 m, Q); (m, 2, Q, 3)."""
+    fields = table.transpose(3, 1, 0, 2).copy()
+    fields[2] = fields[2, ::-1]  # d_z is an unknown of the block AXIS, c_z of PLANE
+    return np.asarray(fields.reshape(3, -1, table.shape[2]))
 
 
 def _to_sequences(harmonics: Complexes, grid: int) -> Complexes:
@@ -380,6 +390,32 @@ class SpectralFit(LinearFit):
         pose = self._axis_pose(cmm)
         fields, residuals = self._back(table, cmm, rest)
         return self._estimate(fields, mean, pose), residuals
+
+    def seen_of_plate(self, there: Bools) -> Seen:
+        """Return what is seen of motions of the plate, see :class:`LinearFit`.
+
+        Where the plate is a motion of it is the same for a ball at all table positions, in the
+        frame that turns with the table: so one transform of ``there`` serves all six. What the
+        residuals keep is told by their spectra (Parseval), nobody asks for each residual.
+        """
+        problem, system = self.problem, self._system
+        present = np.fft.rfft(there.reshape(len(system.balls), -1)).T  # (Q + 1, R)
+        out = self._turn[problem.balls]
+        plane = ROOT_HALF * np.stack([np.ones_like(out), np.full_like(out, 1j), 1j * out])
+        axial = np.stack([np.ones_like(out), out.imag, -out.real])
+        unit = np.stack([plane, plane.conj(), axial], axis=1)  # one of each part share a fit
+        table, _, rest = _solve_harmonics(system, unit[:, :, None] * present[1:])
+        rest *= np.sqrt(multiplicity(system.grid) / system.grid)[:, None]
+        found = self._vectors(_to_sequences(_of_table(table), system.grid))
+        found = found.reshape(2, 3, system.grid, 3).transpose(1, 0, 3, 2)
+        found[:, 1] /= problem.radius
+        curves, information, whole = np.zeros((6, 6, system.grid)), np.zeros((6, 6)), np.zeros(6)
+        for part, rows in zip(PARTS, (slice(2), slice(2, 3)), strict=True):
+            curves[np.ix_(part, part)] = found.reshape(3, 6, -1)[:, part]
+            kept = np.ascontiguousarray(rest[:, rows]).reshape(3, -1).view(np.float64)
+            information[np.ix_(part, part)] = kept @ kept.T
+            whole[part] = (np.abs(unit[:, rows]) ** 2).sum(axis=1) @ present[0].real
+        return Seen(curves.reshape(6, -1), information, np.zeros(6), whole)
 
     @property
     def unit_std(self) -> PlateParameters:
@@ -445,9 +481,7 @@ class SpectralFit(LinearFit):
         Returns translation, rotation times radius and CMM, (3, N, 3), and the residuals (n, 3).
         """
         grid = self.problem.grid
-        # w+, w- and z of translation, rotation and CMM
-        fields = np.stack([table[PLANE], table[AXIS], cmm.T]).transpose(2, 0, 1)
-        fields[2, :2] = fields[2, 1::-1]  # d_z is an unknown of the block AXIS, c_z of PLANE
+        fields = np.concatenate([_of_table(table[None]), cmm[:, None]], axis=1)
         found = [_to_sequences(each, grid) for each in (fields, rest.transpose(0, 2, 1))]
         return self._vectors(found[0]), self._vectors(found[1]).reshape(-1, 3)
 
