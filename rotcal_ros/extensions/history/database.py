@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timezone
-from functools import partial
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
@@ -51,7 +51,6 @@ CUTTING: Final = ("encoder", "bearing", "repair")
 PATIENCE_S: Final = 60
 """Time to wait for another writer."""
 _OF_ITEM: Final = ("serial", "axis")
-_INSERT: Final[Mapping[str, Any]] = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
 _NS: Final = 1_000_000_000
 _VERB: Final = "rotcal history"
 
@@ -150,6 +149,7 @@ class ParkHistory:
     def __init__(self, database: str, *, must_exist: bool = False) -> None:
         self._engine = _engine(database, must_exist=must_exist)
         self.place = _shown(database)
+        self._joint: sa.Connection | None = None
         with self._connected() as connection:
             _upgrade(connection, database)
 
@@ -158,6 +158,15 @@ class ParkHistory:
 
     def __exit__(self, *_: object) -> None:
         self._engine.dispose()
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Add all that is added meanwhile, or nothing; it is on the medium at the end."""
+        with self._connected(writing=True) as self._joint:
+            try:
+                yield
+            finally:
+                self._joint = None
 
     def add_result(
         self,
@@ -235,16 +244,16 @@ class ParkHistory:
         result = result_of(entry) if entry.kind == RESULT else None
         return self._add(entry, result, where)
 
-    def items(self) -> list[Item]:
+    def items(self, *wanted: Any) -> list[Item]:
         """Return all axes with a valid entry, by serial number."""
-        asked = sa.select(ITEMS).order_by(ITEMS.c.serial, ITEMS.c.axis)
-        asked = asked.where(ITEMS.c.id.in_(sa.select(ENTRIES.c.item_id).where(_valid())))
+        kept = sa.exists().where(ENTRIES.c.item_id == ITEMS.c.id, _valid())
+        asked = sa.select(ITEMS).where(kept, *wanted).order_by(ITEMS.c.serial, ITEMS.c.axis)
         with self._connected() as connection:
             return [Item(*row) for row in connection.execute(asked)]
 
     def item(self, serial: str, axis: str = "") -> Item:
         """Return an axis; DataError if there is none, or more than one without ``axis``."""
-        found = [i for i in self.items() if i.serial == serial and axis in ("", i.axis)]
+        found = self.items(ITEMS.c.serial == serial, *([ITEMS.c.axis == axis] if axis else []))
         if len(found) == 1:
             return found[0]
         if found:
@@ -330,11 +339,9 @@ class ParkHistory:
 
     def forecasts(self) -> dict[tuple[int, str], str]:
         """Return what was forecast last, by number of the axis and basis."""
-        later = FORECASTS.alias()
-        newer = sa.exists().where(
-            later.c.item_id == FORECASTS.c.item_id, later.c.made_ns > FORECASTS.c.made_ns
-        )
-        asked = sa.select(FORECASTS).where(~newer)
+        own = FORECASTS.c.item_id, FORECASTS.c.made_ns
+        newest = sa.select(own[0], sa.func.max(own[1])).group_by(own[0])
+        asked = sa.select(FORECASTS).where(sa.tuple_(*own).in_(newest))
         with self._connected() as connection:
             return {(row.item_id, row.basis): row.content for row in connection.execute(asked)}
 
@@ -346,7 +353,7 @@ class ParkHistory:
         ]
         if rows:
             with self._connected(writing=True) as connection:
-                connection.execute(self._insert(FORECASTS), rows)
+                connection.execute(_insertion(connection.dialect.name, FORECASTS), rows)
 
     def check(self) -> list[str]:
         """Return what is wrong, in a sentence each: hashes, references, curves, the file."""
@@ -390,18 +397,17 @@ class ParkHistory:
     def _add(self, entry: HistoryEntry, result: Result | None, where: str) -> Added:
         """Write an entry and what follows from it, all or nothing."""
         with self._connected(writing=True) as connection:
-            replaced = _replaced(connection, entry)
-            own = ITEMS.c.serial == entry.serial, ITEMS.c.axis == entry.axis
-            known = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one_or_none()
-            if known is None:
-                named = {"serial": entry.serial, "axis": entry.axis}
-                connection.execute(self._insert(ITEMS), named)
-                known = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one()
-            entry = replace(entry, sha256=entry.sha256 or entry.hashed(replaced))
-            row = {n: v for n, v in vars(entry).items() if n not in ("id", *_OF_ITEM)}
+            insert = partial(_insertion, connection.dialect.name)
+            entry = replace(
+                entry, sha256=entry.sha256 or entry.hashed(_replaced(connection, entry))
+            )
+            row = {name: value for name, value in vars(entry).items() if name != "id"}
+            own = {name: row.pop(name) for name in _OF_ITEM}
+            if (known := connection.execute(_ITEM, own).scalar()) is None:
+                connection.execute(insert(ITEMS), own)
+                known = connection.execute(_ITEM, own).scalar_one()
             row |= {"item_id": known, "content": zlib.compress(entry.content)}
-            asked = self._insert(ENTRIES).values(row).returning(ENTRIES.c.id)
-            entry_id = connection.execute(asked).scalar_one_or_none()
+            entry_id = connection.execute(insert(ENTRIES), row).scalar()
             if entry_id is not None and result is not None:
                 connection.execute(sa.insert(RESULTS), _result_row(entry_id, result))
                 if rows := _curve_rows(entry_id, result):
@@ -429,14 +435,13 @@ class ParkHistory:
             )
         return old
 
-    def _insert(self, table: sa.Table) -> Any:
-        """Return an insertion that does nothing where the row is there already."""
-        return _INSERT[self._engine.dialect.name](table).on_conflict_do_nothing()
-
     @contextmanager
     def _connected(self, *, writing: bool = False) -> Iterator[sa.Connection]:
         """Give a connection in a transaction; errors of the database become a BagError."""
         try:
+            if self._joint is not None:
+                yield self._joint
+                return
             with self._engine.connect() as plain:
                 connection = plain.execution_options(rotcal_writing=writing)
                 with connection.begin():
@@ -553,6 +558,19 @@ def _shown(database: str) -> str:
         if "://" in database:
             return make_url(database).render_as_string(hide_password=True)
     return database
+
+
+_ITEM: Final = sa.select(ITEMS.c.id).where(
+    *(ITEMS.c[name] == sa.bindparam(name) for name in _OF_ITEM)
+)
+
+
+@cache
+def _insertion(dialect: str, table: sa.Table) -> Any:
+    """Return an insertion that does nothing where the row is there; else it returns the id."""
+    kind = sqlite.insert if dialect == "sqlite" else postgresql.insert
+    asked = kind(table).on_conflict_do_nothing()
+    return asked.returning(table.c.id) if "id" in table.c else asked
 
 
 def _valid() -> Any:

@@ -47,10 +47,11 @@ def restore(history: ParkHistory, folder: Path) -> tuple[int, int]:
     try:
         with parquet.ParquetFile(path, page_checksum_verification=True) as file:
             for batch in file.iter_batches(batch_size=_GROUP):
-                for row in batch.to_pylist():
-                    replaced = row.pop("replaces")
-                    added = history.restore(HistoryEntry(**row, replaces=None), replaced)
-                    new, old = new + added.new, old + (not added.new)
+                with history.together():
+                    for row in batch.to_pylist():
+                        replaced = row.pop("replaces")
+                        added = history.restore(HistoryEntry(**row, replaces=None), replaced)
+                        new, old = new + added.new, old + (not added.new)
     except (OSError, pa.ArrowException, KeyError, TypeError) as error:
         raise BagError(f"{path} is no whole export of a history: {error}; export again") from error
     return new, old

@@ -89,11 +89,10 @@ def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
     named = list(outlooks)
     for number, view in enumerate(outlooks):
         jumped = [d for d in view.deviations if d.alarm is not None]
-        others = [other for other in outlooks if other is not view]
-        fits = [(fit, other) for other in others if (fit := _fit(jumped, other)) > -np.inf]
-        if not jumped or not fits:
+        if not jumped:
             continue
-        best, other = max(fits, key=lambda pair: pair[0])
+        fits = [(_fit(jumped, other), other) for other in outlooks if other is not view]
+        best, other = max(fits, key=lambda pair: pair[0], default=(-np.inf, view))
         if best < sum(_compared(mine, mine)[1] for mine in jumped) + _CLEARLY:
             continue
         time_ns = max(d.times_ns[d.alarm or 0] for d in jumped)
@@ -109,7 +108,7 @@ def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
 def _fit(jumped: Sequence[DeviationOutlook], other: Outlook) -> float:
     """Return the log-likelihood of jumped curves as those of another table; -inf: they differ."""
     theirs = {d.component: d for d in other.deviations if d.expected}
-    total = 0.0 if jumped else -np.inf
+    total = 0.0
     for mine in jumped:
         their = theirs.get(mine.component)
         if their is None or len(their.found) != len(mine.found):

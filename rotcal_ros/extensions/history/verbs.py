@@ -16,7 +16,7 @@ from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
 from rotcal_ros.cli.options import language_option, shown_option
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say, tell
@@ -117,24 +117,27 @@ def add(
     check, a report, a table in force. Of several the others are added where one is refused; the
     exit code is then 1.
     """
-    from rotcal_ros.extensions.history.adding import add_source, in_words
+    from rotcal_ros.extensions.history.adding import add_found, add_sources, in_words
     from rotcal_ros.extensions.history.database import ParkHistory, time_of
+    from rotcal_ros.recordings.result_sources import read_source
 
-    measured_ns = time_of(measured) if measured else 0
     done, refused, settings = [], list[str](), asked.pop("settings")
-    add_one = add_source if kind is None else partial(_add_document, kind)
+    given = {**asked, "measured_ns": time_of(measured) if measured else 0}
     with ParkHistory(settings.database) as history, progress("adding") as shown:
-        for number, source in enumerate(sources, 1):
+        read, add_one = (
+            (read_source, partial(add_found, history, given))
+            if kind is None
+            else (Path.read_bytes, partial(_add_document, history, given, kind))
+        )
+        for number, came in enumerate(add_sources(history, sources, read, add_one), 1):
             shown(number, len(sources))
-            try:
-                added = add_one(history, source, {**asked, "measured_ns": measured_ns})
-            except DataError as error:
+            if isinstance(came, RotcalError):
                 if len(sources) == 1:
-                    raise
-                refused.append(str(error))
-                say(f"not added: {error}")
+                    raise came
+                refused.append(str(came))
+                say(f"not added: {came}")
                 continue
-            for addition in added:
+            for addition in came:
                 done.append({"new": addition.new, **_facts(addition.entry)})
                 say(in_words(addition))
     if as_json:
@@ -145,12 +148,11 @@ def add(
 
 
 def _add_document(
-    kind: str, history: ParkHistory, source: Path, given: Mapping[str, Any]
+    history: ParkHistory, given: Mapping[str, Any], kind: str, source: Path, content: bytes
 ) -> list[Any]:
     item = history.item(given["serial"], given["axis"])
     day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
-    facts = (item.serial, item.axis, kind, source.name, day)
-    return [history.add_document(*facts, source.read_bytes())]
+    return [history.add_document(item.serial, item.axis, kind, source.name, day, content)]
 
 
 @command.command()
