@@ -11,22 +11,22 @@ import numpy as np
 
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.extensions.history.database import (
+    ITEMS,
     RESULT,
     Added,
     ParkHistory,
     canonical,
     result_of,
-    time_of,
 )
-from rotcal_ros.extensions.history.outlook import expected_curve
+from rotcal_ros.extensions.history.outlook import deviation_series, expected_curve
 from rotcal_ros.extensions.history.page import render
-from rotcal_ros.extensions.history.park import deviation_series
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.extensions.history.trend import fit
 from rotcal_ros.foundation.arrays import std_of
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
+from rotcal_ros.foundation.dates import time_of
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result, Zeros
@@ -92,7 +92,7 @@ def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
     """Add the result and the report of a session to a history; return what became of it."""
     with ParkHistory(database) as history:
         found = read_source(folder.path)
-        return in_words(add_found(history, {"axis": axis}, folder.path, found)[0])
+        return add_found(history, {"axis": axis}, folder.path, found)[0].in_words()
 
 
 def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
@@ -106,9 +106,8 @@ def keep_measurement(history: ParkHistory, result: Result, serial: str, source: 
     known = result.circumstances
     serial, begun = known.identity.serial or serial, known.from_ns
     ended = max(begun, known.ended_ns or 0)
-    about = serial, known.axis, result.method, begun - LONGEST_NS, ended
-    valid, replaced = history.measured_between(*about)
-    for entry in valid:
+    about = serial, known.axis, result.method, (begun - LONGEST_NS, ended)
+    for entry in history.measured_between(*about):
         earlier = result_of(entry)
         if not _same_measurement(result, earlier):
             continue
@@ -117,7 +116,7 @@ def keep_measurement(history: ParkHistory, result: Result, serial: str, source: 
             return Added(entry, new=False)
         why = f"{source}, solved again"
         return history.add_result(result, serial=serial, why=why, corrects=entry.id, where=source)
-    for entry in replaced:
+    for entry in history.measured_between(*about, valid=False):
         if _same_measurement(result, result_of(entry)):
             raise DataError(
                 f"entry {entry.id} of the same measurement was taken from this table: add it with "
@@ -192,22 +191,14 @@ def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, f
     return result, room
 
 
-def in_words(added: Added) -> str:
-    """Say what became of an addition."""
-    entry, state = added.entry, "added" if added.new else "there already"
-    return f"entry {entry.id}: {entry.kind} of {entry.title}, {entry.day}, {state}"
-
-
 def _earlier(
     history: ParkHistory, result: Result, serial: str, axis: str
 ) -> tuple[str, Result] | None:
-    for item in history.items():
-        if (item.serial, item.axis) != (serial, axis):
-            continue
-        until = result.circumstances.from_ns or 1 << 62
-        known = [e for e in history.of_item(item) if e.kind == RESULT and e.measured_ns < until]
-        for entry in reversed(known):
-            last = result_of(history.entry(entry.id))
-            if canonical(last) != canonical(result):
-                return entry.day, last
+    until = result.circumstances.from_ns or 1 << 62
+    for item in history.items(ITEMS.c.serial == serial, ITEMS.c.axis == axis):
+        for entry in reversed(history.of_item(item)):
+            if entry.kind == RESULT and entry.measured_ns < until:
+                last = result_of(history.entry(entry.id))
+                if canonical(last) != canonical(result):
+                    return entry.day, last
     return None

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from datetime import date, datetime, timedelta, timezone
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.bags.parquet import arrow
-from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory, day_of
-from rotcal_ros.extensions.history.outlook import Outlook, urgent
+from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory
+from rotcal_ros.extensions.history.outlook import Outlook
 from rotcal_ros.foundation.arrays import std_of
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import replace_atomically
@@ -61,7 +62,7 @@ def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
     """Return the due dates as an iCalendar (RFC 5545): a whole day for each table."""
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//rotcal_ros//history//EN"]
     for view in outlooks:
-        due = date.fromisoformat(day_of(view.due_ns))
+        due = date.fromisoformat(view.due)
         lines += [
             "BEGIN:VEVENT",
             f"UID:{_escaped(view.title)}@rotcal",
@@ -80,8 +81,8 @@ def letter(outlooks: Sequence[Outlook], before: str) -> str:
     tables = "1 table is" if len(outlooks) == 1 else f"{len(outlooks)} tables are"
     lines = [f"Subject: {tables} due before {before}", ""]
     for view in outlooks:
-        lines += [f"{day_of(view.due_ns)}  {view.title}: {view.reason}"]
-        lines += [f"            {found.words}" for found in urgent(view)[1:]]
+        lines += [f"{view.due}  {view.title}: {view.reason}"]
+        lines += [f"            {found.words}" for found in view.urgent[1:]]
     return "\n".join(lines) + "\n"
 
 
@@ -91,7 +92,7 @@ def metrics(outlooks: Sequence[Outlook]) -> str:
         ("due_timestamp_seconds", "When the axis is due.", lambda o: o.due_ns / 1e9),
         ("last_timestamp_seconds", "When it was measured last.", lambda o: o.last_ns / 1e9),
         ("ok", "1 if the newest result is ok.", lambda o: int(o.verdict == "ok")),
-        ("findings", "What a person has to look at.", lambda o: len(urgent(o))),
+        ("findings", "What a person has to look at.", lambda o: len(o.urgent)),
         ("results", "Results in the history.", lambda o: o.results),
     )
     lines = []
@@ -139,16 +140,12 @@ def _write(path: Path, schema: Any, batches: Iterable[Any]) -> None:
 def _entries(history: ParkHistory, schema: Any) -> Iterator[Any]:
     """Yield the entries in batches, in the order in which they were added."""
     pa, _ = arrow()
-    known: dict[int, str] = {}
-    rows = []
-    for entry in history.entries(content=True):
-        known[entry.id] = entry.sha256
-        replaced = "" if entry.replaces is None else known[entry.replaces]
-        rows.append(asdict(entry) | {"replaces": replaced})
-        if len(rows) >= _GROUP:
-            yield pa.RecordBatch.from_pylist(rows, schema)
-            rows = []
-    yield pa.RecordBatch.from_pylist(rows, schema)
+    known: dict[int | None, str] = {None: ""}
+    every = history.entries(content=True)
+    while group := list(islice(every, _GROUP)):
+        known |= {entry.id: entry.sha256 for entry in group}
+        rows = [asdict(entry) | {"replaces": known[entry.replaces]} for entry in group]
+        yield pa.RecordBatch.from_pylist(rows, schema)
 
 
 def _entry_schema() -> Any:

@@ -9,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.history.database import CUTTING, EVENT, Campaign, HistoryEntry
+from rotcal_ros.extensions.history.database import EVENT, Campaign, HistoryEntry
+from rotcal_ros.extensions.history.settings import CUTTING
 from rotcal_ros.extensions.history.trend import CampaignSeries
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS
@@ -82,15 +83,16 @@ def usable(campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry]) -> li
 def series_of(
     campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry], common_share: float
 ) -> dict[str, DeviationSeries]:
-    """Return the series of each deviation of campaigns in order of time.
+    """Return the series of each deviation of what is usable of campaigns in order of time.
 
     At an event, and where the table in force changes, the level may jump. A deviation whose
     curves cannot be compared is left out.
     """
+    counting = usable(campaigns, entries)
     jumps = [e.measured_ns for e in entries if e.kind == EVENT]
     found = {}
     for name in COMPONENTS:
-        with_it = [c for c in campaigns if name in c.curves]
+        with_it = [c for c in counting if name in c.curves]
         series = _series(name, with_it, jumps, common_share) if with_it else None
         if series is not None:
             found[name] = series

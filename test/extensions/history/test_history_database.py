@@ -13,14 +13,14 @@ from alembic.runtime.migration import MigrationContext
 from simulated_park import BEGIN_NS, YEAR_NS, result
 
 from rotcal_ros.extensions.history.database import (
+    METADATA,
+    TABLES,
     ParkHistory,
     canonical,
-    day_of,
     result_of,
-    time_of,
 )
 from rotcal_ros.extensions.history.exchange import export, restore
-from rotcal_ros.extensions.history.schema import METADATA, TABLES
+from rotcal_ros.foundation.dates import day_of, time_of
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.recordings.result_sources import read_source
 
@@ -49,9 +49,10 @@ def test_results_of_a_time_are_found_and_those_that_were_replaced(database):
         first = history.add_result(some()).entry
         second = history.add_result(some(u=0.4), corrects=first.id).entry
         history.add_result(some(year=1.0))
-        about = ("4711", "C", "tracer_multistation", BEGIN_NS - 1, BEGIN_NS + 1)
-        found = history.measured_between(*about)
-        assert [[entry.id for entry in each] for each in found] == [[second.id], [first.id]]
+        about = ("4711", "C", "tracer_multistation", (BEGIN_NS - 1, BEGIN_NS + 1))
+        for valid, wanted in ((True, second), (False, first)):
+            found = history.measured_between(*about, valid=valid)
+            assert [entry.id for entry in found] == [wanted.id]
         verdicts = history.verdicts(history.item("4711"))
         assert list(verdicts) == [1, 2, 3]
         assert {line[:2] for line in verdicts.values()} == {"ok"}

@@ -4,13 +4,12 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 from simulated_park import BEGIN_NS, Table, measured, result
 
-from rotcal_ros.extensions.history import charts, database, figures, verbs
+from rotcal_ros.foundation.dates import day_of
 
 DATA = Path(__file__).parents[3] / "examples" / "data"
 YEARS = np.linspace(0.0, 5.0, 11)
@@ -102,14 +101,6 @@ def test_a_result_of_nobody_gets_its_table_by_option(history):
     assert kept.returncode == 0, kept.stderr
 
 
-def test_the_verbs_offer_what_there_is():
-    """They name it themselves, for the modules that know it take a second to load."""
-    assert verbs.EVENTS == database.EVENTS
-    assert verbs.KINDS == database.DOCUMENTS
-    assert verbs.CHARTS == charts.CHARTS == get_args(charts.Chart)
-    assert get_args(figures.Basis) == verbs.BASES
-
-
 def test_one_that_is_refused_keeps_no_other_out(history, results):
     nobody = DATA / "result_tracer.json"
     added = history("add", results[0], nobody, results[1], "--json")
@@ -181,5 +172,5 @@ def test_the_next_check_is_proposed_for_the_day_on_which_the_table_is_due(histor
     history("add", *results[:11])
     due = json.loads(history("--json").stdout)["tables"][0]["due_ns"]
     shown = history("show", "DRIFTS").stderr
-    asked = f"rotcal plan check DRIFTS --from-history .*history.db --at {database.day_of(due)} "
+    asked = f"rotcal plan check DRIFTS --from-history .*history.db --at {day_of(due)} "
     assert re.search(asked, " ".join(shown.split())), shown

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,6 +14,7 @@ from rotcal_ros.extensions.design.goal import goal_settings
 from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.dates import today
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -102,7 +102,7 @@ def check(
     expected = None
     if database is not None:
         keeper = plugins.extension(plugins.HISTORIES, "history", "a plan from a history")
-        day = day or datetime.now(timezone.utc).date().isoformat()
+        day = day or today()
         expected, room = keeper.expected(database, str(earlier), axis, day)
         if asked["within"] is None and room <= 0.0:
             raise PlanError(
