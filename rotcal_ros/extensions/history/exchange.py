@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
-from datetime import date, datetime, timedelta, timezone
+from datetime import datetime, timezone
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +23,8 @@ from rotcal_ros.foundation.files import replace_atomically
 ENTRIES: Final = "entries.parquet"
 DEVIATIONS: Final = "deviations.parquet"
 _GROUP: Final = 500
+_IN_CALENDAR: Final = str.maketrans({"\\": r"\\", ";": r"\;", ",": r"\,", "\n": r"\n"})
+_IN_LABEL: Final = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 
 
@@ -62,15 +64,13 @@ def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
     """Return the due dates as an iCalendar (RFC 5545): a whole day for each table."""
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//rotcal_ros//history//EN"]
     for view in outlooks:
-        due = date.fromisoformat(view.due)
         lines += [
             "BEGIN:VEVENT",
-            f"UID:{_escaped(view.title)}@rotcal",
+            f"UID:{view.title.translate(_IN_CALENDAR)}@rotcal",
             f"DTSTAMP:{now.astimezone(timezone.utc):%Y%m%dT%H%M%SZ}",
-            f"DTSTART;VALUE=DATE:{due:%Y%m%d}",
-            f"DTEND;VALUE=DATE:{due + timedelta(days=1):%Y%m%d}",
-            f"SUMMARY:Calibrate {_escaped(view.title)}",
-            f"DESCRIPTION:{_escaped(view.reason)}",
+            f"DTSTART;VALUE=DATE:{view.due.replace('-', '')}",
+            f"SUMMARY:Calibrate {view.title.translate(_IN_CALENDAR)}",
+            f"DESCRIPTION:{view.reason.translate(_IN_CALENDAR)}",
             "END:VEVENT",
         ]
     return "".join(f"{part}\r\n" for line in [*lines, "END:VCALENDAR"] for part in _folded(line))
@@ -100,15 +100,9 @@ def metrics(outlooks: Sequence[Outlook]) -> str:
         full = f"rotcal_calibration_{name}"
         lines += [f"# HELP {full} {words}", f"# TYPE {full} gauge"]
         for view in outlooks:
-            labels = f'serial="{_label(view.serial)}",axis="{_label(view.axis)}"'
-            lines.append(f"{full}{{{labels}}} {value(view):.15g}")
+            serial, axis = (text.translate(_IN_LABEL) for text in (view.serial, view.axis))
+            lines.append(f'{full}{{serial="{serial}",axis="{axis}"}} {value(view):.15g}')
     return "\n".join(lines) + "\n"
-
-
-def _escaped(text: str) -> str:
-    for plain in "\\;,":
-        text = text.replace(plain, f"\\{plain}")
-    return text.replace("\n", "\\n")
 
 
 def _folded(line: str) -> Iterator[str]:
@@ -120,10 +114,6 @@ def _folded(line: str) -> Iterator[str]:
             part = " "
         part += character
     yield part
-
-
-def _label(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 
 def _write(path: Path, schema: Any, batches: Iterable[Any]) -> None:

@@ -285,11 +285,13 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
         return plain
     trend = fit(curves.series)
     rate, rate_std, at, moved = _rate(curves, trend)
+    kelvin, row = trend.per_kelvin(), curves.basis[at]
     alarm = _alarm(trend, "t2")
     watched = len(times) - 1 if alarm is None else alarm
     found = replace(
         plain, rate=rate, rate_std=rate_std, angle=float(curve.angles[at]), moved=moved,
-        wearing=_alarm(trend, "cusum") is not None, per_kelvin=_per_kelvin(curves, trend, at),
+        wearing=_alarm(trend, "cusum") is not None,
+        per_kelvin=kelvin and (float(row @ kelvin[0]), float(np.sqrt(row**2 @ kelvin[1] ** 2))),
         alarm=alarm, expected=tuple(tuple(row.tolist()) for row in trend.expected(watched)),
         found=tuple(curves.series.values[watched].tolist()),
     )  # fmt: skip
@@ -351,14 +353,6 @@ def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, i
         return None, 0.0, at, False
     normal = np.abs(moved) > _SIGNIFICANT * std
     return float(curve[at] / years), float(deviation[at] / years), at, bool(np.any(normal))
-
-
-def _per_kelvin(curves: DeviationSeries, trend: Trend, at: int) -> tuple[float, float] | None:
-    found = trend.per_kelvin()
-    if found is None:
-        return None
-    row = curves.basis[at]
-    return float(row @ found[0]), float(np.sqrt(row**2 @ found[1] ** 2))
 
 
 def _alarm(trend: Trend, chart: Chart) -> int | None:
