@@ -211,6 +211,31 @@ def test_events_and_files_are_kept_beside_the_results(database):
         assert history.check() == []
 
 
+def begun(history):
+    """Add a result in a transaction that is not finished."""
+    with history.together():
+        history.add_result(some())
+        raise RuntimeError
+
+
+def test_what_is_added_together_is_there_as_a_whole_or_not_at_all(database):
+    unnamed = some("")
+    with ParkHistory(database) as history:
+        with pytest.raises(RuntimeError):
+            begun(history)
+        assert history.items() == []
+        with history.together():
+            added = [history.add_result(some()) for _ in range(2)]
+            history.add_result(unnamed, serial="4712")
+            with pytest.raises(DataError, match="as result of 4712/C"):
+                history.add_result(unnamed, serial="4713")
+            assert len(history.items()) == 2
+        assert [each.new for each in added] == [True, False]
+    with ParkHistory(database) as history:
+        assert [item.serial for item in history.items()] == ["4711", "4712"]
+        assert history.check() == []
+
+
 def test_export_and_import_are_round_trips(database, tmp_path):
     with ParkHistory(database) as history:
         wrong = history.add_result(some(year=1.0)).entry

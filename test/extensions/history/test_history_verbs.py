@@ -113,6 +113,15 @@ def test_one_that_is_refused_keeps_no_other_out(history, results):
     assert history("add", nobody).returncode == 3
 
 
+def test_files_that_cannot_be_read_keep_no_other_out(history, results, tmp_path):
+    (tmp_path / "broken.json").write_text("{")
+    added = history("add", *results[:2], "broken.json", *results[2:], "--json")
+    assert added.returncode == 1
+    told = json.loads(added.stdout)
+    assert (len(told["entries"]), len(told["refused"])) == (len(results), 1)
+    assert "broken.json" in told["refused"][0]
+
+
 def test_a_history_that_is_not_there_is_not_begun_by_a_look(history, tmp_path):
     looked = history("show", "4711")
     assert (looked.returncode, "there is no history" in looked.stderr) == (2, True)
