@@ -16,5 +16,5 @@ def test_a_day_begins_at_midnight_in_utc(day, time_ns):
 
 
 def test_what_is_no_day_is_refused():
-    with pytest.raises(ConfigurationError, match="'31.3.2026' is no date"):
+    with pytest.raises(ConfigurationError, match=r"'31\.3\.2026' is no date"):
         time_of("31.3.2026")

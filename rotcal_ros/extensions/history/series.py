@@ -123,9 +123,8 @@ def _series(
         temperature_c=None if None in temperatures else np.array(temperatures, dtype=np.float64),
     )
     dropped = len(campaigns) - len(kept)
-    notes = (f"{dropped} results of {component} have too few angles or another arc",) * bool(
-        dropped
-    )
+    words = f"{dropped} of {len(campaigns)} results of {component}: too few angles, or another arc"
+    notes = (words,) if dropped else ()
     return DeviationSeries(
         component, tuple(kept), series, basis[:, 1:], left @ newest.deviation,
         left @ newest.covariance @ left.T, int(zero[0]) if len(zero) == 1 else None, notes,
