@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.evaluation.quick_check import quick_check
-from rotcal_ros.extensions.design.ball_plate.check_balls import plan_ball_check
+from rotcal_ros.extensions.design.check_balls import plan_ball_check
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.units import ARCSEC, TURN

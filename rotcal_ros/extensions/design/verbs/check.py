@@ -21,7 +21,7 @@ from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
-    from rotcal_ros.extensions.design.ball_plate.check_balls import BallCheckPlan
+    from rotcal_ros.extensions.design.check_balls import BallCheckPlan
     from rotcal_ros.extensions.design.check_plan import CheckPlan
     from rotcal_ros.foundation.results import Result
 
@@ -145,7 +145,7 @@ def _check_plan(
     **rule: Any,
 ) -> CheckPlan | BallCheckPlan:
     """Return the plan that the options ask for; ``rule`` are those of :func:`rule_options`."""
-    from rotcal_ros.extensions.design.ball_plate.check_balls import plan_ball_check
+    from rotcal_ros.extensions.design.check_balls import plan_ball_check
     from rotcal_ros.extensions.design.check_plan import plan_check
     from rotcal_ros.foundation.curves.measured import measured_curve
     from rotcal_ros.methods import changed, read_configuration
