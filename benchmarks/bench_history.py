@@ -1,4 +1,4 @@
-"""The history with many results: adding, listing, the trend of a table; how arrays are kept.
+"""The history with many results: adding, listing, the trend of a table, the page; arrays.
 
 100,000 results of 200 tables by ``ROTCAL_RESULTS=100000``; 2,000 otherwise.
 """
@@ -9,14 +9,17 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
+from rotcal_ros.extensions.history.adding import AT_ONCE
 from rotcal_ros.extensions.history.database import ParkHistory, packed
-from rotcal_ros.extensions.history.park import outlook_of, park
+from rotcal_ros.extensions.history.outlook import outlook_of, park
+from rotcal_ros.extensions.history.page import write_park
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.identity import Identity
@@ -62,6 +65,15 @@ def results() -> Iterator[Result]:
         )
 
 
+def add_all(history: ParkHistory) -> None:
+    """Add all results, so many at once as ``rotcal history add`` of files."""
+    every = results()
+    while group := list(islice(every, AT_ONCE)):
+        with history.together():
+            for each in group:
+                history.add_result(each)
+
+
 def timed(name: str, count: int, work: Callable[[], object], size: float = float("nan")) -> Row:
     """Return the time of ``work``, in processor time and in all per piece."""
     begun = time.process_time()
@@ -77,13 +89,17 @@ def rows() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "history.db")
         with ParkHistory(str(path)) as history:
-            yield timed("add", RESULTS, lambda: [history.add_result(r) for r in results()])
+            yield timed("add", RESULTS, lambda: add_all(history))
             size = path.stat().st_size / RESULTS
             item = history.items()[0]
             trend = timed("trend of a table", 1, lambda: outlook_of(history, item, settings))
             yield trend
             yield timed("first list of the park", TABLES, lambda: park(history, settings))
             yield timed("list of the park", TABLES, lambda: park(history, settings), size)
+            seen, today = park(history, settings), "2026-03-31"
+            yield timed(
+                "page of the park", TABLES, lambda: write_park(history, seen, Path(folder), today)
+            )
 
 
 def arrays() -> Iterator[Row]:

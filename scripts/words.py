@@ -24,7 +24,8 @@ from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.adjust.model import effect_texts
 from rotcal_ros.evaluation.budget import WHOLE
-from rotcal_ros.extensions.history.database import DOCUMENTS, EVENT, EVENTS, RESULT, WITHDRAWAL
+from rotcal_ros.extensions.history.database import EVENT, RESULT, WITHDRAWAL
+from rotcal_ros.extensions.history.settings import DOCUMENTS, EVENTS
 from rotcal_ros.extensions.page.web import asked_settings
 from rotcal_ros.foundation.language import FOLDER, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES

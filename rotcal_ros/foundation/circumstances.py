@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import datetime, timezone
 from typing import Any, Final
 
+from rotcal_ros.foundation.dates import day_of, time_of
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.records import record
 
@@ -80,19 +80,14 @@ class Circumstances:
             stated = self.identity.measured[:10]
             return (stated, stated) if stated else None
         ended = self.begun_ns if self.ended_ns is None else self.ended_ns
-        first, last = (
-            datetime.fromtimestamp(ns // 1_000_000_000, timezone.utc).date().isoformat()
-            for ns in (self.begun_ns, ended)
-        )
-        return first, last
+        return day_of(self.begun_ns), day_of(ended)
 
     @property
     def from_ns(self) -> int:
         """When it began, ns since 1970; of a stated day its first moment in UTC; 0: not known."""
         if self.begun_ns is not None or self.days is None:
             return self.begun_ns or 0
-        day = datetime.fromisoformat(self.days[0]).replace(tzinfo=timezone.utc)
-        return int(day.timestamp()) * 1_000_000_000
+        return time_of(self.days[0])
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is known in plain types, as in result.json."""

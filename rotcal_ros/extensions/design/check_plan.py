@@ -8,7 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY, TracerDesignSettings
+from rotcal_ros.extensions.design.settings import (
+    CHECK_FILE,
+    LEAST_REDUNDANCY,
+    TracerDesignSettings,
+)
 from rotcal_ros.extensions.design.tracer.candidates import candidates, scene_of
 from rotcal_ros.extensions.design.tracer.check_lengths import CheckLengths, fewest_lengths
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -34,7 +38,6 @@ from rotcal_ros.methods.tracer.timing import cell_time
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
 
-CONFIGURATION_FILE: Final = "check.yaml"
 SEED: Final = 0
 """Of the noise with which orders are judged."""
 
@@ -64,6 +67,11 @@ class CheckPlan:
     seconds: float
     unseen: Forecast
 
+    @property
+    def at_each_angle(self) -> Ints:
+        """How many lengths are measured at each angle (m,)."""
+        return np.bincount(self.pairs[:, 0], minlength=len(self.angles))
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI."""
         return {
@@ -86,7 +94,7 @@ class CheckPlan:
         Raises BagError where that is not possible.
         """
         plan = write_plan_files(folder, self.angles, self.targets, self.pairs)
-        path = folder / CONFIGURATION_FILE
+        path = folder / CHECK_FILE
         write_atomically(path, replaced(self.configuration, "plan", plan))
         return path
 
@@ -204,8 +212,8 @@ def _require_fitting(configuration: Configuration) -> None:
     solver, source = configuration.solver, configuration.source
     if configuration.method.name != METHOD:
         raise ConfigurationError(
-            f"{source}: a quick check is planned for the method {METHOD}, not for "
-            f"{configuration.method.name}"
+            f"{source}: a quick check is planned for the methods {METHOD} and ball_plate, not for "
+            f"{configuration.method.name}: judge any new result by `rotcal check`"
         )
     if (solver.variant, solver.datum) != ("joint", "prior"):
         raise ConfigurationError(

@@ -18,6 +18,8 @@ PER_STATION = "per_station"
 ANY = "any"
 DIRECTION = "direction"
 AXIS = "axis"
+CHECK_FILE: Final = "check.yaml"
+"""The configuration of a quick check that was planned."""
 LEAST_REDUNDANCY: Final = 0.25
 """Below it an error of one length would hardly show in its residual."""
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,40 +11,74 @@ import numpy as np
 
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.extensions.history.database import (
+    ITEMS,
     RESULT,
     Added,
     ParkHistory,
     canonical,
     result_of,
-    time_of,
 )
-from rotcal_ros.extensions.history.outlook import expected_curve
+from rotcal_ros.extensions.history.outlook import deviation_series, expected_curve
 from rotcal_ros.extensions.history.page import render
-from rotcal_ros.extensions.history.park import deviation_series
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.extensions.history.trend import fit
 from rotcal_ros.foundation.arrays import std_of
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.dates import time_of
+from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result, Zeros
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.recordings.result_sources import read_source
+from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.comparison import curves_and_errors
 
 TITLE = phrase("Since last time")
+AT_ONCE: Final = 50
+"""Results in files that are added in one transaction."""
 LONGEST_NS: Final = 86_400_000_000_000
 """No measurement takes longer."""
 
 
-def add_source(history: ParkHistory, source: Path, given: Mapping[str, Any]) -> list[Added]:
-    """Add the result of a file, bag or session, and the report that a session has.
+def add_sources(
+    history: ParkHistory,
+    sources: Iterable[Path],
+    read: Callable[[Path], Any],
+    add: Callable[[Path, Any], list[Added]],
+) -> Iterator[list[Added] | RotcalError]:
+    """Yield what ``add`` made of what ``read`` found in each source, or why it was not added.
+
+    It is on the medium then: of result files AT_ONCE share a transaction. Raises BagError where
+    the history does not take them.
+    """
+    for files, alike in groupby(sources, lambda source: source.suffix == ".json"):
+        while group := list(islice(alike, AT_ONCE if files else 1)):
+            found = [_or_error(RotcalError, read, source) for source in group]
+            with history.together():
+                done = [
+                    each
+                    if isinstance(each, RotcalError)
+                    else _or_error(DataError, add, source, each)
+                    for source, each in zip(group, found, strict=True)
+                ]
+            yield from done
+
+
+def _or_error(kind: type[RotcalError], function: Callable[..., Any], *given: Any) -> Any:
+    try:
+        return function(*given)
+    except kind as error:
+        return error
+
+
+def add_found(
+    history: ParkHistory, given: Mapping[str, Any], source: Path, found: ResultSource
+) -> list[Added]:
+    """Add the result that was found in a file, bag or session, and the report of a session.
 
     ``given`` is what the result does not state; raises what :meth:`ParkHistory.add_result` does.
     """
-    found = read_source(source)
     given = {**given, "axis": given.get("axis") or found.axis or ""}
     added = [history.add_result(found.result, **given, where=str(source))]
     report, entry = SessionFolder(source).report, added[0].entry
@@ -56,7 +91,8 @@ def add_source(history: ParkHistory, source: Path, given: Mapping[str, Any]) -> 
 def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
     """Add the result and the report of a session to a history; return what became of it."""
     with ParkHistory(database) as history:
-        return in_words(add_source(history, folder.path, {"axis": axis})[0])
+        found = read_source(folder.path)
+        return add_found(history, {"axis": axis}, folder.path, found)[0].in_words()
 
 
 def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
@@ -70,9 +106,8 @@ def keep_measurement(history: ParkHistory, result: Result, serial: str, source: 
     known = result.circumstances
     serial, begun = known.identity.serial or serial, known.from_ns
     ended = max(begun, known.ended_ns or 0)
-    about = serial, known.axis, result.method, begun - LONGEST_NS, ended
-    valid, replaced = history.measured_between(*about)
-    for entry in valid:
+    about = serial, known.axis, result.method, (begun - LONGEST_NS, ended)
+    for entry in history.measured_between(*about):
         earlier = result_of(entry)
         if not _same_measurement(result, earlier):
             continue
@@ -81,7 +116,7 @@ def keep_measurement(history: ParkHistory, result: Result, serial: str, source: 
             return Added(entry, new=False)
         why = f"{source}, solved again"
         return history.add_result(result, serial=serial, why=why, corrects=entry.id, where=source)
-    for entry in replaced:
+    for entry in history.measured_between(*about, valid=False):
         if _same_measurement(result, result_of(entry)):
             raise DataError(
                 f"entry {entry.id} of the same measurement was taken from this table: add it with "
@@ -156,22 +191,14 @@ def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, f
     return result, room
 
 
-def in_words(added: Added) -> str:
-    """Say what became of an addition."""
-    entry, state = added.entry, "added" if added.new else "there already"
-    return f"entry {entry.id}: {entry.kind} of {entry.title}, {entry.day}, {state}"
-
-
 def _earlier(
     history: ParkHistory, result: Result, serial: str, axis: str
 ) -> tuple[str, Result] | None:
-    for item in history.items():
-        if (item.serial, item.axis) != (serial, axis):
-            continue
-        until = result.circumstances.from_ns or 1 << 62
-        known = [e for e in history.of_item(item) if e.kind == RESULT and e.measured_ns < until]
-        for entry in reversed(known):
-            last = result_of(history.entry(entry.id))
-            if canonical(last) != canonical(result):
-                return entry.day, last
+    until = result.circumstances.from_ns or 1 << 62
+    for item in history.items(ITEMS.c.serial == serial, ITEMS.c.axis == axis):
+        for entry in reversed(history.of_item(item)):
+            if entry.kind == RESULT and entry.measured_ns < until:
+                last = result_of(history.entry(entry.id))
+                if canonical(last) != canonical(result):
+                    return entry.day, last
     return None

@@ -7,17 +7,21 @@ So their limits follow from the average run length alone: the campaigns until a 
 
 from __future__ import annotations
 
-from typing import Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtr
 
 from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.adjust.roots import root_between
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.extensions.history.series import DeviationSeries
+from rotcal_ros.extensions.history.settings import Basis, Chart
+from rotcal_ros.extensions.history.trend import DRAWS, Trend
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.figures import style
 
-Chart = Literal["shewhart", "cusum", "ewma", "t2"]
-CHARTS: Final[tuple[Chart, ...]] = ("shewhart", "cusum", "ewma", "t2")
 FALSE_ALARM: Final = 370.4
 """Campaigns until a false alarm, on average: those of Shewhart's three standard deviations."""
 REFERENCE: Final = 0.5
@@ -26,6 +30,13 @@ SMOOTHING: Final = 0.2
 """Weight of the newest value of the EWMA."""
 _EXACT: Final = 2e-12
 """Of a limit: no smaller interval is looked for."""
+_WORDS: Final[dict[Basis, str]] = {
+    "stated": "by the stated uncertainties",
+    "own": "by the series' own scatter",
+    "model": "by the fitted model",
+}
+_STEPS: Final = 40
+"""Times at which a forecast is drawn."""
 
 
 def own_scatter(stated: Floats) -> Floats:
@@ -105,3 +116,43 @@ def _ewma_length(edge: float) -> float:
     stay = upper - ndtr((from_here - step / 2.0) / SMOOTHING)
     lengths = np.linalg.solve(np.eye(states) - stay, np.ones(states))
     return float(lengths[states // 2])
+
+
+@style.styled
+def chart_and_forecast(
+    curves: DeviationSeries, trend: Trend, until_ns: int, chart: Chart, basis: Basis
+) -> str:
+    """Draw the deviation at the angle that moves most with its forecast, above a control chart."""
+    unit, label = unit_of(curves.component)
+    top, bottom = style.grid(2, 1, height=3.0)
+    moved = curves.curves_of(trend.change()[0], np.zeros(1))
+    at = int(np.argmax(np.abs(moved)))
+    times = curves.series.times_ns
+    measured = curves.curves_of(curves.series.values, curves.rest)[:, at] / unit
+    basis_at = curves.basis[at] - (0.0 if curves.zero is None else curves.basis[curves.zero])
+    band = COVERAGE_FACTOR * np.sqrt(curves.series.std**2 @ basis_at**2) / unit
+    top.errorbar(_dates(times), measured, band, fmt="o", color=style.BLUE, ms=4, capsize=2)
+    ahead = np.linspace(times[-1], max(until_ns, times[-1] + 1), _STEPS).astype(np.int64)
+    drawn = curves.curves_of(trend.forecast(ahead), curves.drawn_rest(DRAWS))[:, :, at] / unit
+    low, middle, high = np.quantile(drawn, [0.025, 0.5, 0.975], axis=0)
+    top.plot(_dates(ahead), middle, color=style.ORANGE, label="forecast, 95 %")
+    top.fill_between(_dates(ahead), low, high, color=style.ORANGE, alpha=0.2, linewidth=0)
+    if curves.tolerance:
+        for sign in (-1.0, 1.0):
+            top.axhline(sign * curves.tolerance / unit, color=style.RED, ls="--", lw=1)
+    angle = curves.newest.angles[at] / DEGREE
+    top.set_ylabel(f"{curves.component} at {angle:.4g}° / {label}")
+    top.legend()
+    deviates = trend.surprise if basis == "model" else trend.stated
+    if basis == "own":
+        deviates = own_scatter(deviates)
+    edge = limit(chart, deviates.shape[1])
+    bottom.plot(_dates(times), statistic(chart, deviates), "o-", ms=3, lw=0.8)
+    for sign in (1.0,) if chart == "t2" else (-1.0, 1.0):
+        bottom.axhline(sign * edge, color=style.RED, ls="--", lw=1)
+    bottom.set_ylabel(f"{chart}, {_WORDS[basis]}")
+    return style.svg(top)
+
+
+def _dates(times_ns: Ints) -> Any:
+    return times_ns.astype("datetime64[ns]")

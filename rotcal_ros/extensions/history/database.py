@@ -1,7 +1,10 @@
 """The database of a history: opened, brought to its present form, asked, added to.
 
 SQLite (one file, WAL) or PostgreSQL, by one schema. What was added is on the medium when ``add``
-returns, once, whoever adds it at the same time or again; nothing is ever changed.
+returns, once, whoever adds it at the same time or again. Every row stays as it was written:
+triggers refuse UPDATE, DELETE and TRUNCATE. Times are integer nanoseconds since 1970, numbers SI.
+Arrays are little-endian float64, row by row: a curve of 36 angles is read 250 times as fast as
+from Parquet, from fewer bytes (benchmarks/bench_history.py).
 """
 
 from __future__ import annotations
@@ -14,8 +17,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
-from datetime import datetime, timezone
-from functools import partial
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
@@ -31,10 +33,11 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import make_url
 
 from rotcal_ros.evaluation.marks import tolerance_of
-from rotcal_ros.extensions.history.schema import CURVES, ENTRIES, FORECASTS, ITEMS, RESULTS
+from rotcal_ros.extensions.history.settings import DOCUMENTS, EVENTS
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import sync_folder
 from rotcal_ros.foundation.results import Result
@@ -43,24 +46,95 @@ from rotcal_ros.foundation.untrusted import load_json, require_plain
 RESULT: Final = "result"
 EVENT: Final = "event"
 WITHDRAWAL: Final = "withdrawal"
-DOCUMENTS: Final = ("check", "report", "table")
-"""Kinds of entries that are files beside a result: a quick check, a report, a table in force."""
-EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
-CUTTING: Final = ("encoder", "bearing", "repair")
-"""After these a table is another one; after all other events its curve may have jumped."""
 PATIENCE_S: Final = 60
 """Time to wait for another writer."""
 _OF_ITEM: Final = ("serial", "axis")
-_INSERT: Final[Mapping[str, Any]] = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
-_NS: Final = 1_000_000_000
 _VERB: Final = "rotcal history"
+
+METADATA: Final = sa.MetaData()
+WHOLE: Final = sa.BigInteger().with_variant(sa.Integer, "sqlite")
+NUMBER: Final[sa.types.TypeEngine[float]] = sa.Double().with_variant(sa.REAL, "sqlite")
+
+
+def _table(name: str, *parts: Any) -> sa.Table:
+    return sa.Table(name, METADATA, *parts, sqlite_strict=True)
+
+
+def _own(name: str, kind: Any, *more: Any) -> sa.Column[Any]:
+    return sa.Column(name, kind, *more, primary_key=True)
+
+
+def _given(kind: Any, *names: str) -> list[sa.Column[Any]]:
+    return [sa.Column(name, kind, nullable=False) for name in names]
+
+
+ITEMS: Final = _table(
+    "items", _own("id", WHOLE), *_given(sa.Text, *_OF_ITEM), sa.UniqueConstraint(*_OF_ITEM)
+)
+"""A rotary axis of one machine."""
+
+ENTRIES: Final = _table(
+    "entries",
+    _own("id", WHOLE),
+    sa.Column("item_id", WHOLE, sa.ForeignKey("items.id"), nullable=False),
+    *_given(sa.Text, "kind", "what"),
+    *_given(WHOLE, "measured_ns", "added_ns"),
+    *_given(sa.Text, "added_by", "why", "content_sha256", "sha256"),
+    sa.Column("replaces", WHOLE, sa.ForeignKey("entries.id"), unique=True),
+    *_given(sa.LargeBinary, "content"),
+    sa.UniqueConstraint("sha256"),
+    sa.CheckConstraint("length(sha256) = 64"),
+    sa.Index("entries_of_item", "item_id", "measured_ns"),
+    sa.Index(
+        "entries_once",
+        "content_sha256",
+        unique=True,
+        sqlite_where=sa.text("replaces IS NULL"),
+        postgresql_where=sa.text("replaces IS NULL"),
+    ),
+)
+"""``content`` is compressed by zlib, ``content_sha256`` of what is in it, ``sha256`` of the entry.
+
+The same content is added once; only a correction, which ``replaces`` another entry, may have it
+again. An entry is replaced once.
+"""
+
+RESULTS: Final = _table(
+    "results",
+    _own("entry_id", WHOLE, sa.ForeignKey("entries.id")),
+    *_given(sa.Text, "method", "verdict", "verdict_line"),
+    *_given(WHOLE, "covered", "simulated"),
+    *_given(sa.Text, "measured_on", "instruments"),
+    sa.Column("temperature_c", NUMBER),
+    *_given(NUMBER, "tolerance_rad", "tolerance_m"),
+)
+"""What is asked of a result without reading all of it. It follows from the content."""
+
+CURVES: Final = _table(
+    "curves",
+    _own("entry_id", WHOLE, sa.ForeignKey("entries.id")),
+    _own("component", sa.Text),
+    *_given(NUMBER, "period"),
+    *_given(sa.LargeBinary, "angles", "deviation", "covariance"),
+)
+"""The deviation curves of a result. They follow from its content."""
+
+FORECASTS: Final = _table(
+    "forecasts",
+    _own("item_id", WHOLE, sa.ForeignKey("items.id")),
+    _own("basis", sa.Text),
+    *_given(WHOLE, "made_ns"),
+    *_given(sa.Text, "content"),
+)
+"""What was forecast of an axis; ``basis`` hashes the entries and settings it was made from."""
+
+TABLES: Final = tuple(table.name for table in METADATA.sorted_tables)
 
 
 @dataclass(frozen=True)
-class Item:
-    """A rotary axis of one machine."""
+class OfAxis:
+    """What is of a rotary axis of one machine."""
 
-    id: int
     serial: str
     axis: str
 
@@ -71,7 +145,14 @@ class Item:
 
 
 @dataclass(frozen=True)
-class HistoryEntry:
+class Item(OfAxis):
+    """An axis, and its number in the database."""
+
+    id: int
+
+
+@dataclass(frozen=True)
+class HistoryEntry(OfAxis):
     """One entry; ``content`` as it was added, times in ns since 1970.
 
     ``what``: the method of a result, the kind of an event, the name of a file. ``replaces`` is
@@ -79,8 +160,6 @@ class HistoryEntry:
     """
 
     id: int
-    serial: str
-    axis: str
     kind: str
     what: str
     measured_ns: int
@@ -91,11 +170,6 @@ class HistoryEntry:
     sha256: str
     replaces: int | None
     content: bytes = b""
-
-    @property
-    def title(self) -> str:
-        """Serial number and axis for people."""
-        return f"{self.serial}/{self.axis}"
 
     @property
     def day(self) -> str:
@@ -117,6 +191,11 @@ class Added:
 
     entry: HistoryEntry
     new: bool
+
+    def in_words(self) -> str:
+        """Return it in a line."""
+        entry, state = self.entry, "added" if self.new else "there already"
+        return f"entry {entry.id}: {entry.kind} of {entry.title}, {entry.day}, {state}"
 
 
 @dataclass(frozen=True)
@@ -150,6 +229,7 @@ class ParkHistory:
     def __init__(self, database: str, *, must_exist: bool = False) -> None:
         self._engine = _engine(database, must_exist=must_exist)
         self.place = _shown(database)
+        self._joint: sa.Connection | None = None
         with self._connected() as connection:
             _upgrade(connection, database)
 
@@ -158,6 +238,15 @@ class ParkHistory:
 
     def __exit__(self, *_: object) -> None:
         self._engine.dispose()
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Add all that is added meanwhile, or nothing; it is on the medium at the end."""
+        with self._connected(writing=True) as self._joint:
+            try:
+                yield
+            finally:
+                self._joint = None
 
     def add_result(
         self,
@@ -235,16 +324,16 @@ class ParkHistory:
         result = result_of(entry) if entry.kind == RESULT else None
         return self._add(entry, result, where)
 
-    def items(self) -> list[Item]:
+    def items(self, *wanted: Any) -> list[Item]:
         """Return all axes with a valid entry, by serial number."""
-        asked = sa.select(ITEMS).order_by(ITEMS.c.serial, ITEMS.c.axis)
-        asked = asked.where(ITEMS.c.id.in_(sa.select(ENTRIES.c.item_id).where(_valid())))
+        kept = sa.exists().where(ENTRIES.c.item_id == ITEMS.c.id, _valid())
+        asked = sa.select(ITEMS).where(kept, *wanted).order_by(ITEMS.c.serial, ITEMS.c.axis)
         with self._connected() as connection:
-            return [Item(*row) for row in connection.execute(asked)]
+            return [Item(**row._asdict()) for row in connection.execute(asked)]
 
     def item(self, serial: str, axis: str = "") -> Item:
         """Return an axis; DataError if there is none, or more than one without ``axis``."""
-        found = [i for i in self.items() if i.serial == serial and axis in ("", i.axis)]
+        found = self.items(ITEMS.c.serial == serial, *([ITEMS.c.axis == axis] if axis else []))
         if len(found) == 1:
             return found[0]
         if found:
@@ -268,32 +357,27 @@ class ParkHistory:
         return sorted(self.entries(*wanted), key=lambda entry: (entry.measured_ns, entry.id))
 
     def measured_between(
-        self, serial: str, axis: str, method: str, begin_ns: int, end_ns: int
-    ) -> tuple[list[HistoryEntry], list[HistoryEntry]]:
+        self, serial: str, axis: str, method: str, times_ns: tuple[int, int], *, valid: bool = True
+    ) -> list[HistoryEntry]:
         """Return the results of a method, of an axis, that begin in a time, with their content.
 
-        First the valid ones, then those that something replaces.
+        The valid ones, or those that something replaces.
         """
         wanted = (
             ITEMS.c.serial == serial, ITEMS.c.axis == axis, ENTRIES.c.kind == RESULT,
-            ENTRIES.c.what == method, ENTRIES.c.measured_ns.between(begin_ns, end_ns),
+            ENTRIES.c.what == method, ENTRIES.c.measured_ns.between(*times_ns),
+            _valid() if valid else sa.not_(_valid()),
         )  # fmt: skip
-        valid, others = _valid(), sa.not_(_valid())
-        return (
-            list(self.entries(*wanted, valid, content=True)),
-            list(self.entries(*wanted, others, content=True)),
-        )
+        return list(self.entries(*wanted, content=True))
 
     def entries(self, *wanted: Any, content: bool = False) -> Iterator[HistoryEntry]:
         """Yield entries in the order in which they were added."""
-        names = [
-            field.name for field in fields(HistoryEntry) if content or field.name != "content"
-        ]
+        names = [f.name for f in fields(HistoryEntry) if content or f.name != "content"]
         columns = [ITEMS.c[n] if n in _OF_ITEM else ENTRIES.c[n] for n in names]
         asked = sa.select(*columns).select_from(ENTRIES.join(ITEMS)).where(*wanted)
         with self._connected() as connection:
-            streamed = connection.execution_options(yield_per=200)
-            for row in streamed.execute(asked.order_by(ENTRIES.c.id)):
+            streamed = asked.order_by(ENTRIES.c.id).execution_options(yield_per=200)
+            for row in connection.execute(streamed):
                 facts = row._asdict()
                 if content:
                     with suppress(zlib.error):  # its hash tells
@@ -330,11 +414,9 @@ class ParkHistory:
 
     def forecasts(self) -> dict[tuple[int, str], str]:
         """Return what was forecast last, by number of the axis and basis."""
-        later = FORECASTS.alias()
-        newer = sa.exists().where(
-            later.c.item_id == FORECASTS.c.item_id, later.c.made_ns > FORECASTS.c.made_ns
-        )
-        asked = sa.select(FORECASTS).where(~newer)
+        own = FORECASTS.c.item_id, FORECASTS.c.made_ns
+        newest = sa.select(own[0], sa.func.max(own[1])).group_by(own[0])
+        asked = sa.select(FORECASTS).where(sa.tuple_(*own).in_(newest))
         with self._connected() as connection:
             return {(row.item_id, row.basis): row.content for row in connection.execute(asked)}
 
@@ -346,7 +428,7 @@ class ParkHistory:
         ]
         if rows:
             with self._connected(writing=True) as connection:
-                connection.execute(self._insert(FORECASTS), rows)
+                connection.execute(_insertion(connection.dialect.name, FORECASTS), rows)
 
     def check(self) -> list[str]:
         """Return what is wrong, in a sentence each: hashes, references, curves, the file."""
@@ -390,18 +472,17 @@ class ParkHistory:
     def _add(self, entry: HistoryEntry, result: Result | None, where: str) -> Added:
         """Write an entry and what follows from it, all or nothing."""
         with self._connected(writing=True) as connection:
-            replaced = _replaced(connection, entry)
-            own = ITEMS.c.serial == entry.serial, ITEMS.c.axis == entry.axis
-            known = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one_or_none()
-            if known is None:
-                named = {"serial": entry.serial, "axis": entry.axis}
-                connection.execute(self._insert(ITEMS), named)
-                known = connection.execute(sa.select(ITEMS.c.id).where(*own)).scalar_one()
-            entry = replace(entry, sha256=entry.sha256 or entry.hashed(replaced))
-            row = {n: v for n, v in vars(entry).items() if n not in ("id", *_OF_ITEM)}
+            insert = partial(_insertion, connection.dialect.name)
+            entry = replace(
+                entry, sha256=entry.sha256 or entry.hashed(_replaced(connection, entry))
+            )
+            row = {name: value for name, value in vars(entry).items() if name != "id"}
+            own = {name: row.pop(name) for name in _OF_ITEM}
+            if (known := connection.execute(_ITEM, own).scalar()) is None:
+                connection.execute(insert(ITEMS), own)
+                known = connection.execute(_ITEM, own).scalar_one()
             row |= {"item_id": known, "content": zlib.compress(entry.content)}
-            asked = self._insert(ENTRIES).values(row).returning(ENTRIES.c.id)
-            entry_id = connection.execute(asked).scalar_one_or_none()
+            entry_id = connection.execute(insert(ENTRIES), row).scalar()
             if entry_id is not None and result is not None:
                 connection.execute(sa.insert(RESULTS), _result_row(entry_id, result))
                 if rows := _curve_rows(entry_id, result):
@@ -429,14 +510,13 @@ class ParkHistory:
             )
         return old
 
-    def _insert(self, table: sa.Table) -> Any:
-        """Return an insertion that does nothing where the row is there already."""
-        return _INSERT[self._engine.dialect.name](table).on_conflict_do_nothing()
-
     @contextmanager
     def _connected(self, *, writing: bool = False) -> Iterator[sa.Connection]:
         """Give a connection in a transaction; errors of the database become a BagError."""
         try:
+            if self._joint is not None:
+                yield self._joint
+                return
             with self._engine.connect() as plain:
                 connection = plain.execution_options(rotcal_writing=writing)
                 with connection.begin():
@@ -456,20 +536,6 @@ def result_of(entry: HistoryEntry) -> Result:
 def canonical(result: Result) -> bytes:
     """Return a result as text: the same for the same result, every number to the last bit."""
     return json.dumps(result.to_dict(), separators=(",", ":"), allow_nan=False).encode()
-
-
-def day_of(time_ns: int) -> str:
-    """Return the day (UTC) of a time."""
-    return datetime.fromtimestamp(time_ns // _NS, timezone.utc).date().isoformat()
-
-
-def time_of(day: str) -> int:
-    """Return the first moment (ns) of a day like 2026-03-31; raises ConfigurationError."""
-    try:
-        begun = datetime.fromisoformat(day).replace(tzinfo=timezone.utc)
-    except ValueError:
-        raise ConfigurationError(f"{day!r} is no date: expected one like 2026-03-31") from None
-    return int(begun.timestamp()) * _NS
 
 
 def _engine(database: str, *, must_exist: bool) -> sa.Engine:
@@ -522,15 +588,12 @@ def _upgrade(connection: sa.Connection, database: str) -> None:
     """Bring the database to the newest form, if it is an older one."""
     place = str(Path(__file__).with_name("migrations"))
     script = ScriptDirectory(place)
-    known = {step.revision for step in script.walk_revisions()}
-    newest = script.get_current_head()
     found = MigrationContext.configure(connection).get_current_revision()
-    if found == newest:
+    if found == script.get_current_head():
         return
-    if found is not None and found not in known:
+    if found is not None and found not in {step.revision for step in script.walk_revisions()}:
         raise BagError(
-            f"{_shown(database)} was written by a later rotcal (form {found}, known: "
-            f"{', '.join(sorted(known))}): update rotcal"
+            f"{_shown(database)} was written by a later rotcal (form {found}): update rotcal"
         )
     config = Config()
     config.set_main_option("script_location", place)
@@ -553,6 +616,19 @@ def _shown(database: str) -> str:
         if "://" in database:
             return make_url(database).render_as_string(hide_password=True)
     return database
+
+
+_ITEM: Final = sa.select(ITEMS.c.id).where(
+    *(ITEMS.c[name] == sa.bindparam(name) for name in _OF_ITEM)
+)
+
+
+@cache
+def _insertion(dialect: str, table: sa.Table) -> Any:
+    """Return an insertion that does nothing where the row is there; else it returns the id."""
+    kind = sqlite.insert if dialect == "sqlite" else postgresql.insert
+    asked = kind(table).on_conflict_do_nothing()
+    return asked.returning(table.c.id) if "id" in table.c else asked
 
 
 def _valid() -> Any:
@@ -578,7 +654,7 @@ def _entry(
 ) -> HistoryEntry:
     who = os.environ.get("ROTCAL_USER") or _user()
     return HistoryEntry(
-        0, serial, axis, kind, what, measured_ns, time.time_ns(), who, why, _hash(content), "",
+        serial, axis, 0, kind, what, measured_ns, time.time_ns(), who, why, _hash(content), "",
         None, content,
     )  # fmt: skip
 
@@ -594,11 +670,11 @@ def _identified(
     result: Result, serial: str, axis: str, where: str, *, corrected: bool
 ) -> tuple[str, str]:
     """Return serial number and axis, stated by the result or given; DataError without either."""
-    circumstances = result.circumstances
-    stated = circumstances.identity.serial, circumstances.axis
-    names = (("serial number", "serial"), ("axis", "axis"))
-    found = []
-    for own, given, (words, option) in zip(stated, (serial, axis), names, strict=True):
+    known, found = result.circumstances, []
+    for words, option, own, given in (
+        ("serial number", "serial", known.identity.serial, serial),
+        ("axis", "axis", known.axis, axis),
+    ):
         if own and given and own != given and not corrected:
             raise DataError(
                 f"{where} is of the {words} {own!r}, not {given!r}: leave out --{option}, or add "

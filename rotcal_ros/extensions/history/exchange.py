@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
-from datetime import date, datetime, timedelta, timezone
+from datetime import datetime, timezone
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.bags.parquet import arrow
-from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory, day_of
-from rotcal_ros.extensions.history.outlook import Outlook, urgent
+from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory
+from rotcal_ros.extensions.history.outlook import Outlook
 from rotcal_ros.foundation.arrays import std_of
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import replace_atomically
@@ -22,6 +23,8 @@ from rotcal_ros.foundation.files import replace_atomically
 ENTRIES: Final = "entries.parquet"
 DEVIATIONS: Final = "deviations.parquet"
 _GROUP: Final = 500
+_IN_CALENDAR: Final = str.maketrans({"\\": r"\\", ";": r"\;", ",": r"\,", "\n": r"\n"})
+_IN_LABEL: Final = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
 _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 
 
@@ -47,10 +50,11 @@ def restore(history: ParkHistory, folder: Path) -> tuple[int, int]:
     try:
         with parquet.ParquetFile(path, page_checksum_verification=True) as file:
             for batch in file.iter_batches(batch_size=_GROUP):
-                for row in batch.to_pylist():
-                    replaced = row.pop("replaces")
-                    added = history.restore(HistoryEntry(**row, replaces=None), replaced)
-                    new, old = new + added.new, old + (not added.new)
+                with history.together():
+                    for row in batch.to_pylist():
+                        replaced = row.pop("replaces")
+                        added = history.restore(HistoryEntry(**row, replaces=None), replaced)
+                        new, old = new + added.new, old + (not added.new)
     except (OSError, pa.ArrowException, KeyError, TypeError) as error:
         raise BagError(f"{path} is no whole export of a history: {error}; export again") from error
     return new, old
@@ -60,15 +64,13 @@ def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
     """Return the due dates as an iCalendar (RFC 5545): a whole day for each table."""
     lines = ["BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//rotcal_ros//history//EN"]
     for view in outlooks:
-        due = date.fromisoformat(day_of(view.due_ns))
         lines += [
             "BEGIN:VEVENT",
-            f"UID:{_escaped(view.title)}@rotcal",
+            f"UID:{view.title.translate(_IN_CALENDAR)}@rotcal",
             f"DTSTAMP:{now.astimezone(timezone.utc):%Y%m%dT%H%M%SZ}",
-            f"DTSTART;VALUE=DATE:{due:%Y%m%d}",
-            f"DTEND;VALUE=DATE:{due + timedelta(days=1):%Y%m%d}",
-            f"SUMMARY:Calibrate {_escaped(view.title)}",
-            f"DESCRIPTION:{_escaped(view.reason)}",
+            f"DTSTART;VALUE=DATE:{view.due.replace('-', '')}",
+            f"SUMMARY:Calibrate {view.title.translate(_IN_CALENDAR)}",
+            f"DESCRIPTION:{view.reason.translate(_IN_CALENDAR)}",
             "END:VEVENT",
         ]
     return "".join(f"{part}\r\n" for line in [*lines, "END:VCALENDAR"] for part in _folded(line))
@@ -79,8 +81,8 @@ def letter(outlooks: Sequence[Outlook], before: str) -> str:
     tables = "1 table is" if len(outlooks) == 1 else f"{len(outlooks)} tables are"
     lines = [f"Subject: {tables} due before {before}", ""]
     for view in outlooks:
-        lines += [f"{day_of(view.due_ns)}  {view.title}: {view.reason}"]
-        lines += [f"            {found.words}" for found in urgent(view)[1:]]
+        lines += [f"{view.due}  {view.title}: {view.reason}"]
+        lines += [f"            {found.words}" for found in view.urgent[1:]]
     return "\n".join(lines) + "\n"
 
 
@@ -90,7 +92,7 @@ def metrics(outlooks: Sequence[Outlook]) -> str:
         ("due_timestamp_seconds", "When the axis is due.", lambda o: o.due_ns / 1e9),
         ("last_timestamp_seconds", "When it was measured last.", lambda o: o.last_ns / 1e9),
         ("ok", "1 if the newest result is ok.", lambda o: int(o.verdict == "ok")),
-        ("findings", "What a person has to look at.", lambda o: len(urgent(o))),
+        ("findings", "What a person has to look at.", lambda o: len(o.urgent)),
         ("results", "Results in the history.", lambda o: o.results),
     )
     lines = []
@@ -98,15 +100,9 @@ def metrics(outlooks: Sequence[Outlook]) -> str:
         full = f"rotcal_calibration_{name}"
         lines += [f"# HELP {full} {words}", f"# TYPE {full} gauge"]
         for view in outlooks:
-            labels = f'serial="{_label(view.serial)}",axis="{_label(view.axis)}"'
-            lines.append(f"{full}{{{labels}}} {value(view):.15g}")
+            serial, axis = (text.translate(_IN_LABEL) for text in (view.serial, view.axis))
+            lines.append(f'{full}{{serial="{serial}",axis="{axis}"}} {value(view):.15g}')
     return "\n".join(lines) + "\n"
-
-
-def _escaped(text: str) -> str:
-    for plain in "\\;,":
-        text = text.replace(plain, f"\\{plain}")
-    return text.replace("\n", "\\n")
 
 
 def _folded(line: str) -> Iterator[str]:
@@ -118,10 +114,6 @@ def _folded(line: str) -> Iterator[str]:
             part = " "
         part += character
     yield part
-
-
-def _label(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 
 def _write(path: Path, schema: Any, batches: Iterable[Any]) -> None:
@@ -138,16 +130,12 @@ def _write(path: Path, schema: Any, batches: Iterable[Any]) -> None:
 def _entries(history: ParkHistory, schema: Any) -> Iterator[Any]:
     """Yield the entries in batches, in the order in which they were added."""
     pa, _ = arrow()
-    known: dict[int, str] = {}
-    rows = []
-    for entry in history.entries(content=True):
-        known[entry.id] = entry.sha256
-        replaced = "" if entry.replaces is None else known[entry.replaces]
-        rows.append(asdict(entry) | {"replaces": replaced})
-        if len(rows) >= _GROUP:
-            yield pa.RecordBatch.from_pylist(rows, schema)
-            rows = []
-    yield pa.RecordBatch.from_pylist(rows, schema)
+    known: dict[int | None, str] = {None: ""}
+    every = history.entries(content=True)
+    while group := list(islice(every, _GROUP)):
+        known |= {entry.id: entry.sha256 for entry in group}
+        rows = [asdict(entry) | {"replaces": known[entry.replaces]} for entry in group]
+        yield pa.RecordBatch.from_pylist(rows, schema)
 
 
 def _entry_schema() -> Any:

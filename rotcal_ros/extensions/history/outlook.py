@@ -1,4 +1,4 @@
-"""What is known of one table: has it changed, when is it due, and why.
+"""What is known of the tables: have they changed, when are they due, and why.
 
 Due is the last day on which the whole curve is within its tolerance with the promised probability
 (the conformance probability of JCGM 106:2012, 7, of a forecast). Beside it stand the methods of
@@ -8,21 +8,25 @@ ILAC-G24 / OIML D 10:2022 that a series of calibrations allows: staircase and co
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
 from typing import Final, Literal
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.evaluation.marks import decide
-from rotcal_ros.extensions.history.charts import FALSE_ALARM, Chart, alarms
-from rotcal_ros.extensions.history.database import EVENT, Campaign, HistoryEntry, day_of
-from rotcal_ros.extensions.history.series import DeviationSeries, series_of, usable
-from rotcal_ros.extensions.history.settings import HistorySettings
+from rotcal_ros.extensions.history.charts import FALSE_ALARM, alarms
+from rotcal_ros.extensions.history.database import EVENT, Campaign, Item, OfAxis, ParkHistory
+from rotcal_ros.extensions.history.series import DeviationSeries, series_of
+from rotcal_ros.extensions.history.settings import Chart, HistorySettings
 from rotcal_ros.extensions.history.trend import DRAWS, YEAR_NS, Trend, fit
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.dates import day_of
+from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.units import DEGREE
@@ -40,13 +44,20 @@ _SIGNIFICANT: Final = 3.0
 _CLOSE: Final = 0.8
 """Staircase: within this share of the tolerance the next interval is longer."""
 _LONGER, _SHORTER = 1.25, 0.7
+KEPT_AFTER: Final = 100
+"""New outlooks that are kept at once."""
+_FITS: Final = 0.01
+"""A jump goes to another table if that would show more in one of a hundred such curves."""
+_CLEARLY: Final = 10.0
+"""By this logarithm of a likelihood ratio the other table explains it better."""
+Kind = Literal["jump", "drift", "wear", "beyond", "verdict", "event", "swapped"]
 
 
 @dataclass(frozen=True)
 class TableFinding:
     """Something that a person has to look at, and when it was seen."""
 
-    kind: Literal["jump", "drift", "wear", "beyond", "verdict", "event", "swapped"]
+    kind: Kind
     time_ns: int
     words: str
 
@@ -69,20 +80,20 @@ class DeviationOutlook:
     tolerance: float
     times_ns: tuple[int, ...]
     largest: tuple[float, ...]
-    rate: float | None
-    rate_std: float
-    angle: float
-    moved: bool
-    wearing: bool
-    due_ns: int | None
-    probability: float | None
     decision: str
-    intervals_days: tuple[tuple[str, float], ...]
-    per_kelvin: tuple[float, float] | None
-    alarm: int | None
-    expected: tuple[tuple[float, ...], ...]
-    found: tuple[float, ...]
     notes: tuple[str, ...]
+    rate: float | None = None
+    rate_std: float = 0.0
+    angle: float = 0.0
+    moved: bool = False
+    wearing: bool = False
+    due_ns: int | None = None
+    probability: float | None = None
+    intervals_days: tuple[tuple[str, float], ...] = ()
+    per_kelvin: tuple[float, float] | None = None
+    alarm: int | None = None
+    expected: tuple[tuple[float, ...], ...] = ()
+    found: tuple[float, ...] = ()
 
     @property
     def trend(self) -> str:
@@ -96,11 +107,9 @@ class DeviationOutlook:
 
 
 @dataclass(frozen=True)
-class Outlook:
+class Outlook(OfAxis):
     """What is known of one axis; times in ns since 1970, ``due_ns`` with the ``reason``."""
 
-    serial: str
-    axis: str
     results: int
     last_ns: int
     verdict: str
@@ -122,9 +131,19 @@ class Outlook:
         return max(shown, key=lambda d: abs(d.rate or 0.0) / (d.tolerance or d.rate_std)).trend
 
     @property
-    def title(self) -> str:
-        """Serial number and axis."""
-        return f"{self.serial}/{self.axis}"
+    def last(self) -> str:
+        """The day of the newest result."""
+        return day_of(self.last_ns)
+
+    @property
+    def due(self) -> str:
+        """The day on which it is due."""
+        return day_of(self.due_ns)
+
+    @property
+    def urgent(self) -> tuple[TableFinding, ...]:
+        """The findings that a person has to look at now: all but a mere drift."""
+        return tuple(found for found in self.findings if found.kind != "drift")
 
     def to_json(self) -> str:
         """Return it as text, read again by :meth:`from_json`."""
@@ -136,21 +155,42 @@ class Outlook:
         return record(cls, json.loads(text))
 
 
-def outlook(
-    serial: str,
-    axis: str,
-    campaigns: Sequence[Campaign],
-    entries: Sequence[HistoryEntry],
+def park(
+    history: ParkHistory,
     settings: HistorySettings,
-) -> Outlook:
-    """Return the outlook of an axis with at least one result; DataError without any.
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[Outlook]:
+    """Return the outlooks of all axes with results, by serial number.
 
-    ``entries`` are those of the axis, events among them.
+    They are computed where something is new.
     """
+    bases, known = history.bases(), history.forecasts()
+    plain = replace(settings, database="", period_s=1.0)  # the others change what is forecast
+    items, found, new = history.items(), list[Outlook](), list[tuple[int, str, str]]()
+    for done, item in enumerate(items, 1):
+        basis = sha256(f"{VERSION} {plain} {bases.get(item.id)}".encode()).hexdigest()
+        view = None
+        with suppress(ValueError, KeyError):
+            view = Outlook.from_json(known[item.id, basis])
+        if view is None and (view := outlook_of(history, item, settings)) is not None:
+            new.append((item.id, basis, view.to_json()))
+        if view is not None:
+            found.append(view)
+        if len(new) >= KEPT_AFTER or done == len(items):
+            with suppress(BagError):  # a history that may only be read is shown all the same
+                history.note_forecasts(new)
+            new = []
+        progress(done, len(items))
+    return _with_swaps(found)
+
+
+def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> Outlook | None:
+    """Return the outlook of one axis; None for one without results."""
+    campaigns, entries = history.campaigns(item), history.of_item(item)
     if not campaigns:
-        raise DataError(f"{serial}/{axis} has no result yet: add one")
-    newest, counting = campaigns[-1], usable(campaigns, entries)
-    found = series_of(counting, entries, settings.common_share)
+        return None
+    newest = campaigns[-1]
+    found = series_of(campaigns, entries, settings.common_share)
     each = tuple(_of_deviation(curves, settings) for curves in found.values())
     findings = [f for view in each for f in _findings(view)]
     if newest.verdict != "ok":
@@ -162,18 +202,25 @@ def outlook(
     due_ns, reason = _due(newest, each, findings, settings)
     reason = "; ".join([reason, *(found.words for found in findings if found.kind == "wear")])
     return Outlook(
-        serial=serial, axis=axis, results=len(campaigns),
+        serial=item.serial, axis=item.axis, results=len(campaigns),
         last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=newest.verdict_line,
         covered=newest.covered, measured_on=newest.measured_on, due_ns=due_ns, reason=reason,
         findings=tuple(findings), deviations=each,
     )  # fmt: skip
 
 
-def with_finding(known: Outlook, finding: TableFinding) -> Outlook:
-    """Return the outlook with a finding in front, that makes it due at once."""
-    findings = (finding, *known.findings)
-    due_ns = min(known.due_ns, finding.time_ns)
-    return replace(known, findings=findings, due_ns=due_ns, reason=finding.words)
+def deviation_series(
+    history: ParkHistory, item: Item, component: str, settings: HistorySettings
+) -> DeviationSeries:
+    """Return the series of one deviation of an axis; DataError with fewer than two results."""
+    found = series_of(history.campaigns(item), history.of_item(item), settings.common_share)
+    curves = found.get(component)
+    if curves is None or len(curves.campaigns) < 2:
+        raise DataError(
+            f"{item.title} has fewer than two results of {component} that can be compared: add "
+            "more, or choose another component"
+        )
+    return curves
 
 
 def _due(
@@ -203,59 +250,51 @@ def _due(
 
 
 def _findings(view: DeviationOutlook) -> list[TableFinding]:
-    found = []
-    if view.alarm is not None:
-        time_ns = view.times_ns[view.alarm]
-        words = phrase(
-            "{0} jumped before {1}: look at the table, then note what happened as an event",
-            view.component,
-            day_of(time_ns),
-        )
-        found.append(TableFinding("jump", time_ns, words))
-    if view.decision == "beyond":
-        words = phrase("{0} is beyond its tolerance", view.component)
-        found.append(TableFinding("beyond", view.times_ns[-1], words))
-    if view.alarm is None and view.wearing:
-        words = phrase(
-            "{0} does not drift evenly: something wears, such as a bearing", view.component
-        )
-        found.append(TableFinding("wear", view.times_ns[-1], words))
-    if view.moved:
-        found.append(TableFinding("drift", view.times_ns[-1], phrase("drift: {0}", view.trend)))
-    return found
+    name, newest = view.component, view.times_ns[-1]
+    jump_ns = newest if view.alarm is None else view.times_ns[view.alarm]
+    seen: tuple[tuple[Kind, bool, int, str], ...] = (
+        (
+            "jump",
+            view.alarm is not None,
+            jump_ns,
+            phrase(
+                "{0} jumped before {1}: look at the table, then note what happened as an event",
+                name,
+                day_of(jump_ns),
+            ),
+        ),
+        ("beyond", view.decision == "beyond", newest, phrase("{0} is beyond its tolerance", name)),
+        (
+            "wear",
+            view.alarm is None and view.wearing,
+            newest,
+            phrase("{0} does not drift evenly: something wears, such as a bearing", name),
+        ),
+        ("drift", view.moved, newest, phrase("drift: {0}", view.trend)),
+    )
+    return [TableFinding(kind, time_ns, words) for kind, there, time_ns, words in seen if there]
 
 
 def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> DeviationOutlook:
-    name, tolerance = curves.component, curves.tolerance
+    name, tolerance, curve = curves.component, curves.tolerance, curves.newest
     times = tuple(c.measured_ns for c in curves.campaigns)
     largest = tuple(float(np.max(np.abs(c.curves[name].deviation))) for c in curves.campaigns)
-    curve = curves.newest
-    std = np.sqrt(np.maximum(np.diag(curve.covariance), 0.0))
-    decision = decide(curve.deviation, std, tolerance) if tolerance else ""
-    plain = DeviationOutlook(
-        component=name, tolerance=tolerance, times_ns=times, largest=largest, rate=None,
-        rate_std=0.0, angle=0.0, moved=False, wearing=False, due_ns=None, probability=None,
-        decision=decision, intervals_days=(), per_kelvin=None, alarm=None,
-        expected=(), found=(), notes=curves.notes,
-    )  # fmt: skip
+    decision = decide(curve.deviation, std_of(curve.covariance), tolerance) if tolerance else ""
+    plain = DeviationOutlook(name, tolerance, times, largest, decision, curves.notes)
     if len(times) < 2:
         return plain
     trend = fit(curves.series)
     rate, rate_std, at, moved = _rate(curves, trend)
+    kelvin, row = trend.per_kelvin(), curves.basis[at]
     alarm = _alarm(trend, "t2")
     watched = len(times) - 1 if alarm is None else alarm
     found = replace(
-        plain,
-        rate=rate,
-        rate_std=rate_std,
-        angle=float(curve.angles[at]),
-        moved=moved,
+        plain, rate=rate, rate_std=rate_std, angle=float(curve.angles[at]), moved=moved,
         wearing=_alarm(trend, "cusum") is not None,
-        per_kelvin=_per_kelvin(curves, trend, at),
-        alarm=alarm,
-        expected=tuple(tuple(map(float, row)) for row in trend.expected(watched)),
-        found=tuple(map(float, curves.series.values[watched])),
-    )
+        per_kelvin=kelvin and (float(row @ kelvin[0]), float(np.sqrt(row**2 @ kelvin[1] ** 2))),
+        alarm=alarm, expected=tuple(tuple(row.tolist()) for row in trend.expected(watched)),
+        found=tuple(curves.series.values[watched].tolist()),
+    )  # fmt: skip
     since_step = int(np.sum(curves.series.steps == curves.series.steps[-1]))
     if not tolerance or since_step < ENOUGH:
         return found
@@ -316,14 +355,6 @@ def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, i
     return float(curve[at] / years), float(deviation[at] / years), at, bool(np.any(normal))
 
 
-def _per_kelvin(curves: DeviationSeries, trend: Trend, at: int) -> tuple[float, float] | None:
-    found = trend.per_kelvin()
-    if found is None:
-        return None
-    row = curves.basis[at]
-    return float(row @ found[0]), float(np.sqrt(row**2 @ found[1] ** 2))
-
-
 def _alarm(trend: Trend, chart: Chart) -> int | None:
     """Return the newest campaign that forecasts do not explain; false for one table in 370.
 
@@ -359,6 +390,46 @@ def _control_chart(
     return float(min(days, settings.longest_days))
 
 
-def urgent(known: Outlook) -> tuple[TableFinding, ...]:
-    """Return the findings that a person has to look at now: all but a mere drift."""
-    return tuple(f for f in known.findings if f.kind != "drift")
+def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
+    """Name the tables whose jump shows the curve of another one: a swapped serial number."""
+    named = list(outlooks)
+    for number, view in enumerate(outlooks):
+        jumped = [d for d in view.deviations if d.alarm is not None]
+        if not jumped:
+            continue
+        fits = [(_fit(jumped, other), other) for other in outlooks if other is not view]
+        best, other = max(fits, key=lambda pair: pair[0], default=(-np.inf, view))
+        if best < sum(_compared(mine, mine)[1] for mine in jumped) + _CLEARLY:
+            continue
+        time_ns = max(d.times_ns[d.alarm or 0] for d in jumped)
+        words = phrase(
+            "the result of {0} has the curve of {1}: were the serial numbers swapped?",
+            day_of(time_ns),
+            other.title,
+        )
+        findings = (TableFinding("swapped", time_ns, words), *view.findings)
+        due_ns = min(view.due_ns, time_ns)
+        named[number] = replace(view, findings=findings, due_ns=due_ns, reason=words)
+    return named
+
+
+def _fit(jumped: Sequence[DeviationOutlook], other: Outlook) -> float:
+    """Return the log-likelihood of jumped curves as those of another table; -inf: they differ."""
+    theirs = {d.component: d for d in other.deviations if d.expected}
+    total = 0.0
+    for mine in jumped:
+        their = theirs.get(mine.component)
+        if their is None or len(their.found) != len(mine.found):
+            return -np.inf
+        square, density = _compared(mine, their)
+        if chi2_sf(square, len(mine.found)) < _FITS:
+            return -np.inf
+        total += density
+    return total
+
+
+def _compared(mine: DeviationOutlook, their: DeviationOutlook) -> tuple[float, float]:
+    """Return T2 and the log-density of what one deviation showed where another was expected."""
+    mean, std = map(np.array, their.expected)
+    square = float(np.sum(((np.array(mine.found) - mean) / std) ** 2))
+    return square, -0.5 * square - float(np.sum(np.log(std)))

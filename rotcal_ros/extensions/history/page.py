@@ -8,22 +8,18 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from markupsafe import Markup
 
-from rotcal_ros.extensions.history.database import (
-    DOCUMENTS,
-    EVENT,
-    HistoryEntry,
-    ParkHistory,
-    day_of,
-)
-from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook, urgent
+from rotcal_ros.extensions.history.database import EVENT, HistoryEntry, ParkHistory
+from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook
+from rotcal_ros.extensions.history.settings import DOCUMENTS
 from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.report import template
@@ -31,8 +27,9 @@ from rotcal_ros.report import template
 PAGE: Final = "park.html"
 FOLDER: Final = "park"
 """Folder beside the page, for the pages of the tables."""
-WIDTH, HEIGHT = 120, 24
-"""Of a sparkline, in pixels."""
+_SPARK: Final = (3, 117, 3, 21)
+_DRAWING: Final = (60, 848, 14, 164)
+"""Left, right, upper and lower edge of a sparkline, and of the drawing of a table, in pixels."""
 render = partial(template.render, package="rotcal_ros.extensions.history")
 
 
@@ -64,57 +61,62 @@ def write_park(
 
 def _row(view: Outlook, link: str, today: str) -> dict[str, Any]:
     """Return what the page knows of a table."""
-    due, spoken = day_of(view.due_ns), SPOKEN.get()
-    state = "look" if urgent(view) else "due" if due <= today else "well"
+    spoken = SPOKEN.get()
+    state = "look" if view.urgent else "due" if view.due <= today else "well"
     shown = max(view.deviations, key=lambda d: d.component == "ECC", default=None)
     return {
         "table": view.title,
         "link": link,
-        "last": day_of(view.last_ns),
+        "last": view.last,
         "verdict": spoken(view.verdict_line),
         "standing": "partly" if view.verdict == "ok" and not view.covered else view.verdict,
         "trend": spoken(view.trend),
-        "due": due,
+        "due": view.due,
         "reason": spoken(view.reason),
         "state": state,
-        "spark": "" if shown is None else sparkline(shown),
+        "spark": ""
+        if shown is None
+        else _path(shown, *_scales(shown, shown.times_ns[-1], _SPARK)),
     }
 
 
-def sparkline(view: DeviationOutlook) -> str:
-    """Return the largest deviations over time as the path of an SVG, WIDTH by HEIGHT."""
-    first, last = view.times_ns[0], view.times_ns[-1]
+def _scales(
+    view: DeviationOutlook, last_ns: int, edges: tuple[int, ...]
+) -> tuple[Callable[[int], float], Callable[[float], float]]:
+    """Return what gives the places of a time and of a deviation between the edges, in pixels."""
+    left, right, upper, lower = edges
     top = max(*view.largest, view.tolerance, 1e-12)
-    points = [
-        (
-            3 + (WIDTH - 6) * ((time - first) / (last - first) if last > first else 0.5),
-            HEIGHT - 3 - (HEIGHT - 6) * value / top,
-        )
-        for time, value in zip(view.times_ns, view.largest, strict=True)
-    ]
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+    begin, span = view.times_ns[0], last_ns - view.times_ns[0]
+    return (
+        lambda time: round(left + (right - left) * ((time - begin) / span if span else 0.5), 1),
+        lambda value: round(lower - (lower - upper) * value / top, 1),
+    )
+
+
+def _path(view: DeviationOutlook, x: Callable[[int], float], y: Callable[[float], float]) -> str:
+    """Return the largest deviations over time as the path of an SVG."""
+    points = zip(view.times_ns, view.largest, strict=True)
+    return "M" + "L".join(f"{x(time)} {y(value)}" for time, value in points)
 
 
 def _write_table(history: ParkHistory, view: Outlook, folder: Path, name: str) -> None:
     item = history.item(view.serial, view.axis)
     entries = history.of_item(item, valid=False)
-    replaced = {entry.replaces for entry in entries}
+    documents = {e.id: f"entry-{e.id}-{Path(e.what).name}" for e in entries if e.kind in DOCUMENTS}
+    for number, file in documents.items():
+        (folder / file).write_bytes(history.entry(number).content)
     text = render(
         "table",
         view=view,
         day_of=day_of,
         figures=[(d.component, over_time(d, entries)) for d in view.deviations],
-        rows=[_entry_row(history, entry, folder) for entry in reversed(entries)],
-        replaced=replaced,
+        entries=entries[::-1],
+        documents=documents,
+        replaced={entry.replaces for entry in entries},
         verdicts=history.verdicts(item),
-        forecast=[d for d in view.deviations if d.intervals_days],
         home=f"../{PAGE}",
     )
     (folder / name).write_text(text, encoding="utf-8")
-
-
-LEFT, RIGHT, TOP, BOTTOM, WIDE, HIGH = 60, 12, 14, 26, 860, 190
-"""Edges and size of the drawing of a table's page, in pixels."""
 
 
 def over_time(view: DeviationOutlook, entries: Sequence[HistoryEntry]) -> str:
@@ -122,20 +124,13 @@ def over_time(view: DeviationOutlook, entries: Sequence[HistoryEntry]) -> str:
     unit, label = unit_of(view.component)
     events = [e for e in entries if e.kind == EVENT and e.measured_ns >= view.times_ns[0]]
     last = max(view.times_ns[-1], view.due_ns or 0, *(e.measured_ns for e in events), 0)
-    top = 1.1 * max(*view.largest, view.tolerance, 1e-12)
-
-    def x(time_ns: int) -> float:
-        span = max(last - view.times_ns[0], 1)
-        return round(LEFT + (WIDE - LEFT - RIGHT) * (time_ns - view.times_ns[0]) / span, 1)
-
-    def y(value: float) -> float:
-        return round(HIGH - BOTTOM - (HIGH - TOP - BOTTOM) * value / top, 1)
-
+    x, y = _scales(view, last, _DRAWING)
+    top = max(*view.largest, view.tolerance)
     return render(
         "over_time",
-        size=(WIDE, HIGH),
-        edges=(LEFT, WIDE - RIGHT, TOP, HIGH - BOTTOM),
+        edges=_DRAWING,
         label=phrase("largest |{0}| / {1}", view.component, label),
+        path=_path(view, x, y),
         points=[(x(t), y(v)) for t, v in zip(view.times_ns, view.largest, strict=True)],
         ticks=[(y(share * top), f"{share * top / unit:.3g}") for share in (0.0, 0.5, 1.0)],
         dates=[(x(t), day_of(t)) for t in dict.fromkeys([view.times_ns[0], last])],
@@ -143,14 +138,3 @@ def over_time(view: DeviationOutlook, entries: Sequence[HistoryEntry]) -> str:
         events=[(x(e.measured_ns), e.what) for e in events],
         due=None if view.due_ns is None else x(view.due_ns),
     )
-
-
-def _entry_row(
-    history: ParkHistory, entry: HistoryEntry, folder: Path
-) -> tuple[HistoryEntry, str]:
-    """Return an entry with the link to its file: a report as it was, others as they are."""
-    if entry.kind in DOCUMENTS:
-        name = f"entry-{entry.id}-{Path(entry.what).name}"
-        (folder / name).write_bytes(history.entry(entry.id).content)
-        return entry, name
-    return entry, ""

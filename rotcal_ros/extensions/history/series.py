@@ -9,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.history.database import CUTTING, EVENT, Campaign, HistoryEntry
+from rotcal_ros.extensions.history.database import EVENT, Campaign, HistoryEntry
+from rotcal_ros.extensions.history.settings import CUTTING
 from rotcal_ros.extensions.history.trend import CampaignSeries
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS
@@ -67,41 +68,27 @@ class DeviationSeries:
         return np.asarray(self.rest + deviates @ root.T, dtype=np.float64)
 
 
-def usable(campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry]) -> list[Campaign]:
-    """Return the campaigns that count since the last cut, the newest NEWEST of them.
-
-    Results that are not ok, and simulated ones beside real ones, do not count.
-    """
-    cuts = [e.measured_ns for e in entries if e.kind == EVENT and e.what in CUTTING]
-    since = max(cuts, default=0)
-    good = [c for c in campaigns if c.verdict == "ok" and c.measured_ns >= since]
-    real = [c for c in good if not c.simulated]
-    return (real or good)[-NEWEST:]
-
-
 def series_of(
     campaigns: Sequence[Campaign], entries: Sequence[HistoryEntry], common_share: float
 ) -> dict[str, DeviationSeries]:
     """Return the series of each deviation of campaigns in order of time.
 
-    At an event, and where the table in force changes, the level may jump. A deviation whose
-    curves cannot be compared is left out.
+    What counts are the newest NEWEST since the last cut that are ok, and no simulated ones beside
+    real ones. At an event, and where the table in force changes, the level may jump. A deviation
+    whose curves cannot be compared is left out.
     """
-    jumps = [e.measured_ns for e in entries if e.kind == EVENT]
+    events = [e for e in entries if e.kind == EVENT]
+    jumps = [e.measured_ns for e in events]
+    since = max((e.measured_ns for e in events if e.what in CUTTING), default=0)
+    good = [c for c in campaigns if c.verdict == "ok" and c.measured_ns >= since]
+    counting = ([c for c in good if not c.simulated] or good)[-NEWEST:]
     found = {}
     for name in COMPONENTS:
-        with_it = [c for c in campaigns if name in c.curves]
+        with_it = [c for c in counting if name in c.curves]
         series = _series(name, with_it, jumps, common_share) if with_it else None
         if series is not None:
             found[name] = series
     return found
-
-
-def coefficients_of(curve: MeasuredCurve, orders: int) -> tuple[Floats, Floats]:
-    """Return coefficients (p,) of the modes of a curve, and their covariance (p, p)."""
-    _, estimator = _modes(curve, orders)
-    estimator = estimator[1:]
-    return estimator @ curve.deviation, estimator @ curve.covariance @ estimator.T
 
 
 def _series(
@@ -113,11 +100,12 @@ def _series(
     orders = min(ORDERS, int(np.median(list(able.values()))))
     kept = [c for c in alike if able[c.entry_id] >= orders > 0]
     try:
-        fits = [coefficients_of(c.curves[component], orders) for c in kept]
+        estimators = [_modes(c.curves[component], orders)[1][1:] for c in kept]
     except DataError:
         return None
-    variances = [np.diag(covariance) for _, covariance in fits]
-    if not fits or not np.all(np.array(variances) > 0.0):
+    fits = [(c.curves[component], e) for c, e in zip(kept, estimators, strict=True)]
+    variances = np.array([np.diag(e @ curve.covariance @ e.T) for curve, e in fits])
+    if not fits or not np.all(variances > 0.0):
         return None
     newest = kept[-1].curves[component]
     basis, estimator = _modes(newest, orders)
@@ -127,17 +115,16 @@ def _series(
     temperatures = [c.temperature_c for c in kept]
     series = CampaignSeries(
         times_ns=np.array([c.measured_ns for c in kept], dtype=np.int64),
-        values=np.array([values for values, _ in fits]),
-        std=np.sqrt(np.array(variances)),
+        values=np.array([e @ curve.deviation for curve, e in fits]),
+        std=np.sqrt(variances),
         orders=np.repeat(numbers, 2) if period else numbers,
         steps=_steps(kept, jumps),
         common=_common(kept, common_share),
         temperature_c=None if None in temperatures else np.array(temperatures, dtype=np.float64),
     )
     dropped = len(campaigns) - len(kept)
-    notes = (f"{dropped} results of {component} have too few angles or another arc",) * bool(
-        dropped
-    )
+    words = f"{dropped} of {len(campaigns)} results of {component}: too few angles, or another arc"
+    notes = (words,) if dropped else ()
     return DeviationSeries(
         component, tuple(kept), series, basis[:, 1:], left @ newest.deviation,
         left @ newest.covariance @ left.T, int(zero[0]) if len(zero) == 1 else None, notes,

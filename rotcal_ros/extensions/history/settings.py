@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, Literal
 
 from rotcal_ros.foundation.settings import expert, setting
+
+CUTTING: Final = ("encoder", "bearing", "repair")
+"""Events after which a table is another one; after all others its curve may have jumped."""
+EVENTS: Final = (*CUTTING, "crash", "adjustment", "other")
+DOCUMENTS: Final = ("check", "report", "table")
+"""Kinds of entries that are files beside a result: a quick check, a report, a table in force."""
+Chart = Literal["shewhart", "cusum", "ewma", "t2"]
+Basis = Literal["stated", "own", "model"]
+"""What the limits of a chart follow from: stated uncertainties, own scatter, fitted model."""
 
 
 @dataclass(frozen=True)

@@ -8,28 +8,31 @@ from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import click
 
 from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
 from rotcal_ros.cli.options import language_option, shown_option
-from rotcal_ros.extensions.history.settings import HistorySettings
-from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.extensions.history.settings import (
+    DOCUMENTS,
+    EVENTS,
+    Basis,
+    Chart,
+    HistorySettings,
+)
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.dates import time_of, today
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say, tell
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what takes a second to load is imported where it is used
     from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory
-    from rotcal_ros.extensions.history.outlook import Outlook
+    from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook
 
 VARIABLE: Final = "ROTCAL_HISTORY"
-EVENTS: Final = ("encoder", "bearing", "repair", "crash", "adjustment", "other")
-KINDS: Final = ("check", "report", "table")
-CHARTS: Final = ("shewhart", "cusum", "ewma", "t2")
-BASES: Final = ("stated", "own", "model")  # all as in modules that take a second to load
 
 
 def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> HistorySettings:
@@ -88,11 +91,23 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
         if settings != HistorySettings(database=settings.database):
             raise click.UsageError("--set belongs behind the verb that it is for")
         return 0
-    outlooks = _park(settings)
+    views = _park(settings)
     if as_json:
-        print_json({"tables": [_plain(view) for view in outlooks]})
-    else:
-        _print_park(outlooks)
+        print_json({"tables": [_plain(view) for view in views]})
+        return 0
+    views.sort(key=lambda o: (not o.urgent, o.due_ns, o.title))
+    print_table(
+        [
+            Column("Table", [o.title for o in views]),
+            Column("Last", [o.last for o in views]),
+            Column("Verdict", [o.verdict_line for o in views]),
+            Column("Trend", [o.trend for o in views]),
+            Column("Due", [o.due for o in views]),
+            Column("Why", [o.reason for o in views]),
+        ]
+    )
+    tables = "1 table" if len(views) == 1 else f"{len(views)} tables"
+    print_words(f"{tables}, {sum(bool(o.urgent) for o in views)} to look at")
     return 0
 
 
@@ -103,7 +118,7 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
 @click.option("--measured", default="", help="Day of a result without a date, as 2026-03-31.")
 @why_option
 @click.option(
-    "--as", "kind", type=click.Choice(KINDS), help="Add files of this kind; needs --serial."
+    "--as", "kind", type=click.Choice(DOCUMENTS), help="Add files of this kind; needs --serial."
 )
 @asked
 @json_option
@@ -117,26 +132,29 @@ def add(
     check, a report, a table in force. Of several the others are added where one is refused; the
     exit code is then 1.
     """
-    from rotcal_ros.extensions.history.adding import add_source, in_words
-    from rotcal_ros.extensions.history.database import ParkHistory, time_of
+    from rotcal_ros.extensions.history.adding import add_found, add_sources
+    from rotcal_ros.extensions.history.database import ParkHistory
+    from rotcal_ros.recordings.result_sources import read_source
 
-    measured_ns = time_of(measured) if measured else 0
     done, refused, settings = [], list[str](), asked.pop("settings")
-    add_one = add_source if kind is None else partial(_add_document, kind)
+    given = {**asked, "measured_ns": time_of(measured) if measured else 0}
     with ParkHistory(settings.database) as history, progress("adding") as shown:
-        for number, source in enumerate(sources, 1):
+        read, add_one = (
+            (read_source, partial(add_found, history, given))
+            if kind is None
+            else (Path.read_bytes, partial(_add_document, history, given, kind))
+        )
+        for number, came in enumerate(add_sources(history, sources, read, add_one), 1):
             shown(number, len(sources))
-            try:
-                added = add_one(history, source, {**asked, "measured_ns": measured_ns})
-            except DataError as error:
+            if isinstance(came, RotcalError):
                 if len(sources) == 1:
-                    raise
-                refused.append(str(error))
-                say(f"not added: {error}")
+                    raise came
+                refused.append(str(came))
+                say(f"not added: {came}")
                 continue
-            for addition in added:
+            for addition in came:
                 done.append({"new": addition.new, **_facts(addition.entry)})
-                say(in_words(addition))
+                say(addition.in_words())
     if as_json:
         print_json({"entries": done, "refused": refused})
     if refused:
@@ -145,12 +163,11 @@ def add(
 
 
 def _add_document(
-    kind: str, history: ParkHistory, source: Path, given: Mapping[str, Any]
+    history: ParkHistory, given: Mapping[str, Any], kind: str, source: Path, content: bytes
 ) -> list[Any]:
     item = history.item(given["serial"], given["axis"])
     day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
-    facts = (item.serial, item.axis, kind, source.name, day)
-    return [history.add_document(*facts, source.read_bytes())]
+    return [history.add_document(item.serial, item.axis, kind, source.name, day, content)]
 
 
 @command.command()
@@ -166,12 +183,10 @@ def event(serial: str, what: str, axis: str, day: str, why: str, settings: Histo
     After another encoder, another bearing or a repair it is another table: earlier results say
     nothing of it. After a crash, an adjustment or something else its curve may have jumped.
     """
-    from rotcal_ros.extensions.history.adding import in_words
-    from rotcal_ros.extensions.history.database import time_of
-
     with _open(settings) as history:
         item = history.item(serial, axis)
-        say(in_words(history.add_event(item.serial, item.axis, what, time_of(day), why)))
+        added = history.add_event(item.serial, item.axis, what, time_of(day), why)
+        say(added.in_words())
     return 0
 
 
@@ -186,12 +201,10 @@ def correct(
     number: int, serial: str, axis: str, withdraw: bool, why: str, settings: HistorySettings
 ) -> int:
     """Put another entry in the place of ENTRY, which stays: for another table, or for none."""
-    from rotcal_ros.extensions.history.adding import in_words
-
     if withdraw == bool(serial or axis):
         raise click.UsageError("give --serial or --axis, or --withdraw")
     with _open(settings) as history:
-        say(in_words(history.correct(number, why, serial=serial, axis=axis)))
+        say(history.correct(number, why, serial=serial, axis=axis).in_words())
     return 0
 
 
@@ -206,7 +219,7 @@ def show(
     serial: str, axis: str, number: int | None, output: Path | None, as_json: bool, **asked: Any
 ) -> int:
     """Show all entries of the table SERIAL, what has changed, and when it is due."""
-    from rotcal_ros.extensions.history.park import park
+    from rotcal_ros.extensions.history.outlook import park
 
     if (number is None) != (output is None):
         raise click.UsageError("--entry and --output belong together")
@@ -233,11 +246,13 @@ def show(
 @click.argument("serial")
 @axis_option
 @shown_option("--component", type=click.Choice(COMPONENTS), default="ECC", help="Deviation.")
-@shown_option("--chart", type=click.Choice(CHARTS), default="shewhart", help="Control chart.")
+@shown_option(
+    "--chart", type=click.Choice(get_args(Chart)), default="shewhart", help="Control chart."
+)
 @shown_option(
     "--limits",
     "basis",
-    type=click.Choice(BASES),
+    type=click.Choice(get_args(Basis)),
     default="stated",
     help="From stated uncertainties, the scatter of the series itself, or the fitted model.",
 )
@@ -247,17 +262,16 @@ def show(
 @asked
 def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> int:
     """Draw one deviation of the table SERIAL over time, its forecast, and a control chart."""
-    from rotcal_ros.extensions.history.figures import chart_and_forecast
-    from rotcal_ros.extensions.history.outlook import DAY_NS
-    from rotcal_ros.extensions.history.park import deviation_series
+    from rotcal_ros.extensions.history.charts import chart_and_forecast
+    from rotcal_ros.extensions.history.outlook import DAY_NS, deviation_series
     from rotcal_ros.extensions.history.trend import fit
 
     settings: HistorySettings = asked["settings"]
     with _open(settings) as history:
         curves = deviation_series(history, history.item(serial, axis), component, settings)
     until = curves.campaigns[-1].measured_ns + round(2 * settings.interval_days * DAY_NS)
-    drawn = (until, asked["chart"], asked["basis"], curves.tolerance)
-    write_atomically(output, chart_and_forecast(curves, fit(curves.series), *drawn))
+    drawn = chart_and_forecast(curves, fit(curves.series), until, asked["chart"], asked["basis"])
+    write_atomically(output, drawn)
     say(f"drawn: {output.absolute()}")
     return 0
 
@@ -272,25 +286,27 @@ def due(
     before: str, ics: Path | None, mail: bool, settings: HistorySettings, as_json: bool
 ) -> int:
     """Tell which tables are due before a day; the exit code is 1 if there are any."""
-    from rotcal_ros.extensions.history.database import day_of, time_of
     from rotcal_ros.extensions.history.exchange import calendar, letter
 
-    now = datetime.now(timezone.utc)
-    day = before or now.date().isoformat()
+    day = before or today()
     limit = time_of(day)
-    found = sorted(
-        (o for o in _park(settings) if o.due_ns < limit), key=lambda o: (o.due_ns, o.title)
-    )
+    found = [o for o in _park(settings) if o.due_ns < limit]
+    found.sort(key=lambda o: (o.due_ns, o.title))
     if ics is not None:
-        write_atomically(ics, calendar(found, now))
+        write_atomically(ics, calendar(found, datetime.now(timezone.utc)))
         say(f"calendar: {ics.absolute()}")
     if as_json:
         print_json({"before": day, "tables": [_plain(view) for view in found]})
     elif mail:
         tell(*letter(found, day).splitlines())
     elif found:
-        rows = [(day_of(view.due_ns), view.title, view.reason) for view in found]
-        _print_rows(("Due", "Table", "Why"), rows)
+        print_table(
+            [
+                Column("Due", [o.due for o in found]),
+                Column("Table", [o.title for o in found]),
+                Column("Why", [o.reason for o in found]),
+            ]
+        )
     else:
         say(f"no table is due before {day}")
     return int(bool(found))
@@ -346,9 +362,8 @@ def page(output: Path, language: str, settings: HistorySettings) -> int:
     from rotcal_ros.foundation.language import speaking
 
     outlooks = _park(settings)
-    today = datetime.now(timezone.utc).date().isoformat()
     with _open(settings) as history, speaking(language):
-        say(f"page: {write_park(history, outlooks, output, today).absolute()}")
+        say(f"page: {write_park(history, outlooks, output, today()).absolute()}")
     return 0
 
 
@@ -369,7 +384,7 @@ def _open(settings: HistorySettings) -> ParkHistory:
 
 
 def _park(settings: HistorySettings) -> list[Outlook]:
-    from rotcal_ros.extensions.history.park import park
+    from rotcal_ros.extensions.history.outlook import park
 
     with _open(settings) as history, progress("looking at the tables") as shown:
         return park(history, settings, shown)
@@ -385,46 +400,31 @@ def _facts(entry: HistoryEntry) -> dict[str, Any]:
     return facts
 
 
-def _print_park(outlooks: Sequence[Outlook]) -> None:
-    from rotcal_ros.extensions.history.database import day_of
-    from rotcal_ros.extensions.history.outlook import urgent
-
-    rows = sorted(outlooks, key=lambda view: (not urgent(view), view.due_ns, view.title))
-    facts = [
-        (o.title, day_of(o.last_ns), o.verdict_line, o.trend, day_of(o.due_ns), o.reason)
-        for o in rows
-    ]
-    _print_rows(("Table", "Last", "Verdict", "Trend", "Due", "Why"), facts)
-    tables = "1 table" if len(rows) == 1 else f"{len(rows)} tables"
-    print_words(f"{tables}, {sum(bool(urgent(view)) for view in rows)} to look at")
-
-
 def _print_entries(entries: Sequence[HistoryEntry], verdicts: Mapping[int, str]) -> None:
     replaced = {entry.replaces for entry in entries}
-    facts = [
-        (
-            e.id, e.day, e.kind, e.what, e.added_by, e.why,
-            "replaced" if e.id in replaced else verdicts.get(e.id, ""),
-        )
-        for e in entries
-    ]  # fmt: skip
-    _print_rows(("Entry", "Date", "Kind", "What", "By", "Why", "State"), facts)
-
-
-def _print_rows(headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    columns = zip(*rows, strict=True) if rows else ([] for _ in headings)
-    print_table([Column(*pair) for pair in zip(headings, columns, strict=True)])
+    print_table(
+        [
+            Column("Entry", [e.id for e in entries]),
+            Column("Date", [e.day for e in entries]),
+            Column("Kind", [e.kind for e in entries]),
+            Column("What", [e.what for e in entries]),
+            Column("By", [e.added_by for e in entries]),
+            Column("Why", [e.why for e in entries]),
+            Column(
+                "State",
+                ["replaced" if e.id in replaced else verdicts.get(e.id, "") for e in entries],
+            ),
+        ]
+    )
 
 
 def _print_outlook(known: Outlook, database: str) -> None:
-    from rotcal_ros.extensions.history.database import day_of
-
-    print_words(f"due {day_of(known.due_ns)}: {known.reason}")
+    print_words(f"due {known.due}: {known.reason}")
     print_words(*(found.words for found in known.findings))
     for view in known.deviations:
         print_words(*_lines(view), *view.notes)
     if any(d.component == "ECC" and d.tolerance and d.rate is not None for d in known.deviations):
-        day = max(day_of(known.due_ns), datetime.now(timezone.utc).date().isoformat())
+        day = max(known.due, today())
         where = f"--from-history {database} --at {day}"
         print_words(
             f"fewest lengths for the next time: rotcal plan check {known.serial} {where} "
@@ -432,12 +432,10 @@ def _print_outlook(known: Outlook, database: str) -> None:
         )
 
 
-def _lines(view: Any) -> Iterator[str]:
+def _lines(view: DeviationOutlook) -> Iterator[str]:
     """Yield what is known of one deviation."""
-    from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
-
     unit, label = unit_of(view.component)
-    yield f"{view.trend}" if view.rate is not None else f"{view.component}: one result"
+    yield view.trend if view.rate is not None else f"{view.component}: one result"
     if view.probability is not None:
         yield f"{view.component} is within its tolerance with {100.0 * view.probability:.1f} %"
     if view.intervals_days:

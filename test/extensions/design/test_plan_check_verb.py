@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from test_check_balls import SETUP as PLATE_SETUP
+from test_check_balls import SMALL
+from test_check_balls import measured as measured_by_balls
 
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.circumstances import Circumstances
@@ -151,6 +154,23 @@ def test_what_a_history_expects_is_checked_against_what_its_tolerance_leaves(par
     new = tmp_path / "new.json"
     for truth, code in ((drifted(plate, 5.0), 0), (3.0 * drifted(plate, 5.0), 1)):
         new.write_text(measured(tmp_path, truth, 5).to_json())
+        ran = run("check", tmp_path / "expected.json", new, "--within", within)
+        assert ran.exit_code == code, ran.output
+
+
+def test_what_a_history_expects_is_checked_by_the_fewest_balls_of_a_plate(park, tmp_path):
+    setup = ("--setup", PLATE_SETUP, *(part for each in SMALL for part in ("--set", each)))
+    asked = ("plan", "check", "T1", "--from-history", park, "--at", "2026-01-01", *setup)
+    ran = run(*asked, "-o", tmp_path, "--json")
+    assert ran.exit_code == 0, ran.output
+    within, told = float(ran.stderr.rpartition("--within ")[2]), json.loads(ran.stdout)
+    assert told["assurance"] >= 0.95
+    assert told["centres"] < told["offered"]
+    plate = Result.from_dict(json.loads(PLATE.read_text()))
+    new, planned = tmp_path / "new.json", read_configuration(tmp_path / "check.yaml")
+    for truth, code in ((drifted(plate, 5.0), 0), (3.0 * drifted(plate, 5.0), 1)):
+        rng = np.random.default_rng(6)
+        new.write_text(measured_by_balls(planned, truth, rng).to_json())
         ran = run("check", tmp_path / "expected.json", new, "--within", within)
         assert ran.exit_code == code, ran.output
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from simulated_park import Table, measured
 
-from rotcal_ros.extensions.history.database import ParkHistory, day_of
+from rotcal_ros.extensions.history.database import ParkHistory
+from rotcal_ros.foundation.dates import day_of
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

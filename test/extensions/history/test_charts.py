@@ -1,18 +1,21 @@
 """Control charts: limits from the literature, average run lengths by simulation."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from rotcal_ros.extensions.history.charts import (
-    CHARTS,
     FALSE_ALARM,
     alarms,
     limit,
     own_scatter,
     statistic,
 )
+from rotcal_ros.extensions.history.settings import Chart
 
+CHARTS = get_args(Chart)
 EWMA_STD = np.sqrt(0.2 / 1.8)
 
 

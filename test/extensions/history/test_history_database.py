@@ -13,14 +13,14 @@ from alembic.runtime.migration import MigrationContext
 from simulated_park import BEGIN_NS, YEAR_NS, result
 
 from rotcal_ros.extensions.history.database import (
+    METADATA,
+    TABLES,
     ParkHistory,
     canonical,
-    day_of,
     result_of,
-    time_of,
 )
 from rotcal_ros.extensions.history.exchange import export, restore
-from rotcal_ros.extensions.history.schema import METADATA, TABLES
+from rotcal_ros.foundation.dates import day_of, time_of
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.recordings.result_sources import read_source
 
@@ -49,9 +49,10 @@ def test_results_of_a_time_are_found_and_those_that_were_replaced(database):
         first = history.add_result(some()).entry
         second = history.add_result(some(u=0.4), corrects=first.id).entry
         history.add_result(some(year=1.0))
-        about = ("4711", "C", "tracer_multistation", BEGIN_NS - 1, BEGIN_NS + 1)
-        found = history.measured_between(*about)
-        assert [[entry.id for entry in each] for each in found] == [[second.id], [first.id]]
+        about = ("4711", "C", "tracer_multistation", (BEGIN_NS - 1, BEGIN_NS + 1))
+        for valid, wanted in ((True, second), (False, first)):
+            found = history.measured_between(*about, valid=valid)
+            assert [entry.id for entry in found] == [wanted.id]
         verdicts = history.verdicts(history.item("4711"))
         assert list(verdicts) == [1, 2, 3]
         assert {line[:2] for line in verdicts.values()} == {"ok"}
@@ -207,6 +208,31 @@ def test_events_and_files_are_kept_beside_the_results(database):
         assert kinds == ["result", "event", "report"]
         with pytest.raises(ConfigurationError, match="expected one of encoder, bearing"):
             history.add_event("4711", "C", "party", day, "")
+        assert history.check() == []
+
+
+def begun(history):
+    """Add a result in a transaction that is not finished."""
+    with history.together():
+        history.add_result(some())
+        raise RuntimeError
+
+
+def test_what_is_added_together_is_there_as_a_whole_or_not_at_all(database):
+    unnamed = some("")
+    with ParkHistory(database) as history:
+        with pytest.raises(RuntimeError):
+            begun(history)
+        assert history.items() == []
+        with history.together():
+            added = [history.add_result(some()) for _ in range(2)]
+            history.add_result(unnamed, serial="4712")
+            with pytest.raises(DataError, match="as result of 4712/C"):
+                history.add_result(unnamed, serial="4713")
+            assert len(history.items()) == 2
+        assert [each.new for each in added] == [True, False]
+    with ParkHistory(database) as history:
+        assert [item.serial for item in history.items()] == ["4711", "4712"]
         assert history.check() == []
 
 

@@ -4,13 +4,12 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 from simulated_park import BEGIN_NS, Table, measured, result
 
-from rotcal_ros.extensions.history import charts, database, figures, verbs
+from rotcal_ros.foundation.dates import day_of
 
 DATA = Path(__file__).parents[3] / "examples" / "data"
 YEARS = np.linspace(0.0, 5.0, 11)
@@ -102,14 +101,6 @@ def test_a_result_of_nobody_gets_its_table_by_option(history):
     assert kept.returncode == 0, kept.stderr
 
 
-def test_the_verbs_offer_what_there_is():
-    """They name it themselves, for the modules that know it take a second to load."""
-    assert verbs.EVENTS == database.EVENTS
-    assert verbs.KINDS == database.DOCUMENTS
-    assert verbs.CHARTS == charts.CHARTS == get_args(charts.Chart)
-    assert get_args(figures.Basis) == verbs.BASES
-
-
 def test_one_that_is_refused_keeps_no_other_out(history, results):
     nobody = DATA / "result_tracer.json"
     added = history("add", results[0], nobody, results[1], "--json")
@@ -120,6 +111,15 @@ def test_one_that_is_refused_keeps_no_other_out(history, results):
     assert "which table it is of" in told["refused"][0]
     assert "1 of 3 were not added" in added.stderr
     assert history("add", nobody).returncode == 3
+
+
+def test_files_that_cannot_be_read_keep_no_other_out(history, results, tmp_path):
+    (tmp_path / "broken.json").write_text("{")
+    added = history("add", *results[:2], "broken.json", *results[2:], "--json")
+    assert added.returncode == 1
+    told = json.loads(added.stdout)
+    assert (len(told["entries"]), len(told["refused"])) == (len(results), 1)
+    assert "broken.json" in told["refused"][0]
 
 
 def test_a_history_that_is_not_there_is_not_begun_by_a_look(history, tmp_path):
@@ -181,5 +181,5 @@ def test_the_next_check_is_proposed_for_the_day_on_which_the_table_is_due(histor
     history("add", *results[:11])
     due = json.loads(history("--json").stdout)["tables"][0]["due_ns"]
     shown = history("show", "DRIFTS").stderr
-    asked = f"rotcal plan check DRIFTS --from-history .*history.db --at {database.day_of(due)} "
+    asked = f"rotcal plan check DRIFTS --from-history .*history.db --at {day_of(due)} "
     assert re.search(asked, " ".join(shown.split())), shown

@@ -9,9 +9,10 @@ from simulated_park import Table as KnownTable
 from test_due_dates import Mover, series_of
 
 from rotcal_ros.extensions.history.adding import expected
-from rotcal_ros.extensions.history.database import ParkHistory, day_of
+from rotcal_ros.extensions.history.database import ParkHistory
 from rotcal_ros.extensions.history.outlook import expected_curve
 from rotcal_ros.extensions.history.trend import fit
+from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.planning.check_rule import CheckRule

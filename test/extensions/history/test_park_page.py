@@ -12,8 +12,8 @@ from simulated_park import Table, measured
 
 from rotcal_ros.extensions.history import page as park_page
 from rotcal_ros.extensions.history.database import ParkHistory
+from rotcal_ros.extensions.history.outlook import park
 from rotcal_ros.extensions.history.page import write_park
-from rotcal_ros.extensions.history.park import park
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.language import speaking
 

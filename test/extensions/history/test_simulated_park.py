@@ -8,8 +8,7 @@ from chances import most
 from simulated_park import Table, drawn, measured
 
 from rotcal_ros.extensions.history.database import ParkHistory
-from rotcal_ros.extensions.history.outlook import urgent
-from rotcal_ros.extensions.history.park import park
+from rotcal_ros.extensions.history.outlook import park
 from rotcal_ros.extensions.history.settings import HistorySettings
 
 YEARS = np.linspace(0.0, 5.0, 11)
@@ -45,7 +44,7 @@ def test_the_right_tables_are_named(tmp_path, count):
         outlooks = park(history, HistorySettings())
         again = park(history, HistorySettings())
     assert outlooks == again
-    named = {o.serial: {f.kind for f in urgent(o)} for o in outlooks if urgent(o)}
+    named = {o.serial: {f.kind for f in o.urgent} for o in outlooks if o.urgent}
     words = {o.serial: o.reason for o in outlooks}
     mishaps = {f"T{number:04}" for number in (CRASHED, WORN, *SWAPPED)}
     assert mishaps <= named.keys()
@@ -68,7 +67,7 @@ def test_an_event_explains_a_jump(tmp_path):
     assert [found.kind for found in before.findings] == ["jump"] + ["drift"] * (
         len(before.findings) - 1
     )
-    assert not urgent(after)
+    assert not after.urgent
     assert after.due_ns > before.due_ns
 
 
@@ -81,6 +80,6 @@ def test_after_an_event_a_table_has_to_be_measured(tmp_path, what):
         (before,) = park(history, HistorySettings())
         history.add_event("HIT", "C", what, before.last_ns + 1, "")
         (after,) = park(history, HistorySettings())
-    assert not urgent(before)
+    assert not before.urgent
     assert after.due_ns == before.last_ns + 1
     assert f"{what} on 2026-01-01, after the newest result: measure again" in after.reason

@@ -1,13 +1,11 @@
-"""``rotcal plan check``: the fewest lengths with which a tracer checks an earlier result."""
+"""``rotcal plan check``: the fewest lengths or balls that check an earlier result."""
 
 from __future__ import annotations
 
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
-import numpy as np
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import rule_of, rule_options, set_option
@@ -15,6 +13,7 @@ from rotcal_ros.extensions.design.goal import goal_settings
 from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.dates import today
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -22,6 +21,7 @@ from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
+    from rotcal_ros.extensions.design.check_balls import BallCheckPlan
     from rotcal_ros.extensions.design.check_plan import CheckPlan
     from rotcal_ros.foundation.results import Result
 
@@ -32,7 +32,10 @@ EXPECTED: Final = "expected.json"
 @click.command("check")
 @click.argument("earlier", type=path_type, metavar="EARLIER|SERIAL")
 @click.option(
-    "--setup", type=path_type, required=True, help="Configuration of the laser tracer (.yaml)."
+    "--setup",
+    type=path_type,
+    required=True,
+    help="Configuration of the laser tracer or the ball plate (.yaml).",
 )
 @rule_options
 @click.option(
@@ -89,7 +92,9 @@ def check(
     day: str | None,
     **asked: Any,
 ) -> int:
-    """Plan the fewest lengths of a laser tracer that check the EARLIER result (ECC).
+    """Plan the fewest lengths of a laser tracer that check the EARLIER result (ECC), or balls.
+
+    Of a ball plate these are the fewest CMM positions at which all its balls are measured.
 
     A table that has only aged as stated will be found still valid with a probability of 1 less
     the risk of a false alarm. The folder of -o is ready for 'rotcal run FOLDER/check.yaml', and
@@ -102,7 +107,7 @@ def check(
     expected = None
     if database is not None:
         keeper = plugins.extension(plugins.HISTORIES, "history", "a plan from a history")
-        day = day or datetime.now(timezone.utc).date().isoformat()
+        day = day or today()
         expected, room = keeper.expected(database, str(earlier), axis, day)
         if asked["within"] is None and room <= 0.0:
             raise PlanError(
@@ -116,8 +121,7 @@ def check(
     if as_json:
         print_json(plan.to_dict())
     else:
-        _print_angles(plan)
-        _print_checks(plan, asked["every"], asked["least_redundancy"])
+        _print_plan(plan, asked["every"], asked["least_redundancy"])
     if output is not None:
         say(f"written: {plan.write(output).absolute()}")
         if expected is not None:
@@ -139,20 +143,29 @@ def _check_plan(
     every: int,
     least_redundancy: float,
     **rule: Any,
-) -> CheckPlan:
+) -> CheckPlan | BallCheckPlan:
     """Return the plan that the options ask for; ``rule`` are those of :func:`rule_options`."""
+    from rotcal_ros.extensions.design.check_balls import plan_ball_check
     from rotcal_ros.extensions.design.check_plan import plan_check
     from rotcal_ros.foundation.curves.measured import measured_curve
     from rotcal_ros.methods import changed, read_configuration
+    from rotcal_ros.methods.ball_plate.solver.result import METHOD
     from rotcal_ros.methods.tracer.table import read_targets
     from rotcal_ros.recordings.result_sources import read_curve
 
     configuration = changed(read_configuration(setup), changes)
+    curve = measured_curve(expected) if expected is not None else read_curve(earlier, "ECC")
+    if configuration.method.name == METHOD:
+        if candidates or volume or limits or every > 1:
+            raise click.UsageError(
+                "--candidates, --volume, --volume-set and --every are for a laser tracer"
+            )
+        return plan_ball_check(configuration, curve, rule_of(ARCSEC, **rule))
     room = goal_settings(configuration, volume, limits) if volume or limits else None
     with progress("targets") as shown:
         return plan_check(
             configuration,
-            measured_curve(expected) if expected is not None else read_curve(earlier, "ECC"),
+            curve,
             rule_of(ARCSEC, **rule),
             every=every,
             offered=() if candidates is None else read_targets(candidates),
@@ -162,17 +175,29 @@ def _check_plan(
         )
 
 
-def _print_angles(plan: CheckPlan) -> None:
-    lengths = np.bincount(plan.pairs[:, 0], minlength=len(plan.angles))
+def _print_plan(plan: CheckPlan | BallCheckPlan, every: int, least_redundancy: float) -> None:
+    from rotcal_ros.extensions.design.check_plan import CheckPlan
+
     print_table(
         [
             Column("angle/deg", plan.angles / DEGREE, ".4f"),
-            Column("lengths", lengths),
+            Column("lengths" if isinstance(plan, CheckPlan) else "balls", plan.at_each_angle),
             Column(
                 f"U (k = {COVERAGE_FACTOR:g})/arcsec", COVERAGE_FACTOR * plan.std / ARCSEC, ".3f"
             ),
             Column("valid up to/arcsec", plan.acceptance / ARCSEC, ".3f"),
         ]
+    )
+    if isinstance(plan, CheckPlan):
+        _print_checks(plan, every, least_redundancy)
+    else:
+        print_words(
+            f"{plan.at_each_angle.sum()} ball centres at {len(plan.positions)} CMM positions (of "
+            f"{len(plan.angles)}), {plan.seconds / 60.0:.1f} min"
+        )
+    print_words(
+        f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
+        f"arcsec with a probability of at least {100 * plan.assurance:.3g} %"
     )
 
 
@@ -193,7 +218,3 @@ def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
             "warning: some lengths are hardly checked: an error in one of them may reverse "
             "the verdict"
         )
-    print_words(
-        f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
-        f"arcsec with a probability of at least {100 * plan.assurance:.3g} %"
-    )

@@ -12,9 +12,8 @@ from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from rotcal_ros.extensions.history.database import ParkHistory, day_of
-from rotcal_ros.extensions.history.outlook import Outlook, urgent
-from rotcal_ros.extensions.history.park import park
+from rotcal_ros.extensions.history.database import ParkHistory
+from rotcal_ros.extensions.history.outlook import Outlook, park
 from rotcal_ros.extensions.history.settings import HistorySettings
 from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -30,14 +29,14 @@ def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]
     found = []
     for view in outlooks:
         late = DiagnosticStatus.WARN if view.due_ns <= now_ns else DiagnosticStatus.OK
-        level = DiagnosticStatus.ERROR if urgent(view) else late
+        level = DiagnosticStatus.ERROR if view.urgent else late
         values = {
             "axis": view.axis,
             "verdict": view.verdict,
             "verdict_line": view.verdict_line,
-            "due": day_of(view.due_ns),
+            "due": view.due,
             "due_ns": str(view.due_ns),
-            "last": day_of(view.last_ns),
+            "last": view.last,
             "table_in_force": view.measured_on,
         }
         status = DiagnosticStatus(level=level, name=view.title, message=view.reason)

@@ -1,13 +1,13 @@
-"""The first form: that of ``schema``, of which no row ever changes.
+"""The first form: that of ``database``, of which no row ever changes.
 
-Whoever changes ``schema`` first copies its tables here, as they are released.
+Whoever changes its tables first copies them here, as they are released.
 """
 
 from __future__ import annotations
 
 from alembic import op
 
-from rotcal_ros.extensions.history.schema import METADATA, TABLES
+from rotcal_ros.extensions.history.database import METADATA, TABLES
 
 revision = "1"
 down_revision = None
