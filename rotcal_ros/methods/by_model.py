@@ -70,6 +70,18 @@ class Statement:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
+class CurveModel:
+    """A model, and which of its outputs are deviations: rows (m, p) of each of the ``curves``.
+
+    At the commanded ``angles`` (m,) rad.
+    """
+
+    model: Model
+    angles: Floats
+    curves: Mapping[str, Floats]
+
+
 @dataclass(frozen=True)
 class ByModel:
     """A method with the ``name``, by its ``model`` of readings.
@@ -103,12 +115,11 @@ class ByModel:
         """Return the result of accepted observations."""
         found, read = self._adjusted(configuration, observations), Readings.of(observations)
         statement = self.states(configuration, found)
-        components = self.components(configuration)
-        count = (len(found.value) - self.further(configuration)) // len(components)
+        parts, count = self._parts(configuration, found.model)
         result = found.result(
             self.name,
             np.array(plan.table_angles[:count]),
-            {c: slice(k * count, (k + 1) * count) for k, c in enumerate(components)},
+            parts,
             (read.position % count, read.target),
             counts_from=self.counts_from,
             coordinates=self.coordinates(configuration),
@@ -123,6 +134,26 @@ class ByModel:
             )
         arrivals = self.arrivals(configuration)
         return result if arrivals is None else mean_of_runs(result, arrivals)
+
+    def of_curves(
+        self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+    ) -> CurveModel | None:
+        """Return what accepted observations tell of the curves, to be solved with others.
+
+        None where the table comes to its angles more than once: how it scatters, the result knows.
+        """
+        if self.arrivals(configuration) is not None:
+            return None
+        model = self.model(configuration, Readings.of(observations))
+        parts, count = self._parts(configuration, model)
+        curves = {name: model.outputs[part] for name, part in parts.items()}
+        return CurveModel(model, np.array(plan.table_angles[:count]), curves)
+
+    def _parts(self, configuration: Configuration, model: Model) -> tuple[dict[str, slice], int]:
+        """Return which outputs are the deviations of which component, and how many each has."""
+        components = self.components(configuration)
+        count = (len(model.outputs) - self.further(configuration)) // len(components)
+        return {c: slice(k * count, (k + 1) * count) for k, c in enumerate(components)}, count
 
     def trials(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
@@ -178,6 +209,7 @@ class ByModel:
         return Method(
             name=self.name,
             solve=self.solve,
+            of_curves=self.of_curves,
             trials=self.trials,
             disturbances=Disturbances(tuple(disturbances), self.measure),
             **{**usual, **more},

@@ -1,0 +1,425 @@
+"""One solution of what several instruments observed of one table.
+
+The deviations at all angles are unknowns that every instrument shares. An instrument whose method
+has a :class:`~rotcal_ros.adjust.model.Model` brings its observations, with unknowns, noise,
+effects and groups of its own. Of any other its result stands for them: values with all their
+covariance, free of the zeros that it leaves open. That is exact for a linear method; what it left
+out stays left out.
+
+The zeros of every instrument are unknown: an offset of each component and what turns with the
+table. Two measurements of one angle that contradict each other are found by closures: what
+chi-squared falls by if every instrument had a curve of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import block_diag, null_space
+
+from rotcal_ros.adjust.causes import seen_by
+from rotcal_ros.adjust.effects import EffectTest, effect_test
+from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
+from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.model import Disturbing, Model, Unit, linear
+from rotcal_ros.adjust.stacking import reparametrised, stacked, whitened
+from rotcal_ros.evaluation.combination import (
+    Combination,
+    CombinationInput,
+    result_of,
+    wanted_groups,
+)
+from rotcal_ros.evaluation.compare import SURE
+from rotcal_ros.evaluation.component_groups import (
+    FLOOR,
+    SAME,
+    ComponentGroup,
+    Layout,
+    Pooled,
+    SeenCurves,
+    laid_out,
+    links_of,
+    part_of,
+    unknown,
+    with_open,
+)
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Rejection, Result
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, TURN
+from rotcal_ros.methods.by_model import CurveModel
+
+WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
+LARGEST: Final = {ARCSEC: 1000.0 * ARCSEC, MICROMETRE: 1000.0 * MICROMETRE}
+"""Difference of two instruments that nobody would overlook, by the unit of a deviation."""
+NONE: Final = 1e-9
+"""Share of a direction that is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instrument:
+    """One measurement of the table: the result that it gives alone, and its observations.
+
+    ``model`` is None where the result stands for them.
+    """
+
+    name: str
+    result: Result
+    model: CurveModel | None = None
+
+    @cached_property
+    def alone(self) -> CombinationInput:
+        """It as an input of a combination; raises DataError for a result that cannot be one."""
+        return CombinationInput.of(self.name, self.result)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """A ``layout`` of each group of components, its unknowns one after the other.
+
+    ``inputs``: the curves of each instrument alone, by its name. ``left``: what all of them leave
+    open of a group, beside what no method knows.
+    """
+
+    inputs: Sequence[CombinationInput]
+    layouts: Sequence[Layout]
+    parts: Sequence[Mapping[str, SeenCurves]]
+    left: Sequence[Floats]
+
+    @classmethod
+    def of(cls, instruments: Sequence[Instrument]) -> _Shared:
+        """Return what the instruments share; DataError where nothing joins them."""
+        inputs = [each.alone for each in instruments]
+        layouts, every, left = [], [], []
+        for group in wanted_groups(inputs):
+            curves = {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
+            layout = laid_out(group, curves)
+            if layout.between:
+                raise DataError(
+                    f"{', '.join(group)} of {', '.join(layout.between)}: fewer than two angles in "
+                    "common with the others: nothing joins their zeros; measure at common angles "
+                    "(rotcal combine reads between angles, and says so)"
+                )
+            parts = {name: part_of(name, curves, layout) for name in curves}
+            seen = [own.part for own in parts.values()]
+            layouts.append(layout)
+            every.append(parts)
+            left.append(with_open(seen, layout.common, [False] * len(seen))[1])
+        return cls(inputs, layouts, every, left)
+
+    @cached_property
+    def places(self) -> list[slice]:
+        """Which of the unknowns (s,) are those of each group."""
+        ends = np.cumsum([0, *(len(layout.common) for layout in self.layouts)]).tolist()
+        return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """Which of the unknowns (s,) are those of each component."""
+        return {
+            c: slice(place.start + own.start, place.start + own.stop)
+            for layout, place in zip(self.layouts, self.places, strict=True)
+            for c, own in layout.columns.items()
+        }
+
+    @property
+    def size(self) -> int:
+        """The number s of unknowns."""
+        return self.places[-1].stop
+
+    @property
+    def blocks(self) -> dict[str, int]:
+        """The unknowns by component."""
+        return {c: own.stop - own.start for c, own in self.columns.items()}
+
+    @property
+    def outputs(self) -> Floats:
+        """Rows (s, s): the deviations without what is known to nobody."""
+        known = (
+            np.hstack([layout.common, left])
+            for layout, left in zip(self.layouts, self.left, strict=True)
+        )
+        return np.eye(self.size) - block_diag(*(own @ own.T for own in known))
+
+    def angles_of(self, component: str) -> tuple[Floats, float]:
+        """Return the angles (n,) rad of a component, and after which they come again."""
+        joined = next(o.joined[component] for o in self.layouts if component in o.joined)
+        return joined.angles, joined.period
+
+    def at(self, component: str, angles: Floats) -> Floats:
+        """Return rows (m, s): the deviation of a component at ``angles`` (m,), which it has."""
+        nodes, period = self.angles_of(component)
+        gap = angles[:, None] - nodes
+        if period:
+            gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
+        rows = np.zeros((len(angles), self.size))
+        rows[:, self.columns[component]] = np.abs(gap) <= SAME
+        return rows
+
+
+def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
+    """Return the observations of an instrument over the shared unknowns and its own.
+
+    Its outputs C x are the shared curve, from a zero of its own: x = C+ (curve + zero) + what the
+    outputs do not feel.
+    """
+    model, curves = curve_model.model, curve_model.curves
+    rows = np.concatenate(list(curves.values()))
+    seen = np.concatenate([shared.at(c, curve_model.angles) for c in curves])
+    zeros = unknown(dict.fromkeys(curves, curve_model.angles))
+    inverse = np.linalg.pinv(rows, rcond=NONE)
+    beyond = np.eye(len(rows)) - rows @ inverse
+    # The zero that brings the shared curve to where the outputs count from.
+    fixed = np.linalg.pinv(beyond @ zeros, rcond=NONE) @ beyond
+    if np.abs(beyond @ (seen - zeros @ (fixed @ seen))).max() > NONE:
+        raise DataError("the outputs of a model cannot be any curve: its result has to do")
+    felt = (rows != 0.0).any(axis=0)
+    unfelt = np.eye(len(felt))[:, ~felt]
+    inner = np.zeros((len(felt), 0))
+    if felt.any():
+        inner = np.eye(len(felt))[:, felt] @ null_space(rows[:, felt], rcond=NONE)
+    free = inverse @ zeros @ null_space(beyond @ zeros, rcond=NONE)
+    to = np.hstack([inverse @ (seen - zeros @ (fixed @ seen)), free, inner, unfelt])
+    blocks = {**shared.blocks, "zero": free.shape[1], "unknown": inner.shape[1]}
+    blocks |= _remaining(model, felt.tolist())
+    return whitened(reparametrised(model, to, blocks))
+
+
+def _remaining(model: Model, felt: Sequence[bool]) -> dict[str, int]:
+    """Return the blocks of the unknowns that are not ``felt`` by the curves."""
+    ends = np.cumsum([0, *model.blocks.values()]).tolist()
+    return {
+        name: ends[k + 1] - ends[k] - sum(felt[ends[k] : ends[k + 1]])
+        for k, name in enumerate(model.blocks)
+    }
+
+
+def _by_result(shared: _Shared, name: str) -> Model:
+    """Return the result of an instrument as observations of the shared unknowns, not judged.
+
+    In the space of what it knows, along the axes of its covariance.
+    """
+    parts = [
+        (group[name], place)
+        for group, place in zip(shared.parts, shared.places, strict=True)
+        if name in group
+    ]
+    values = np.concatenate([own.part.values for own, _ in parts])
+    design = np.zeros((len(values), shared.size))
+    first = 0
+    for own, place in parts:
+        design[first : first + len(own.part.values), place] = own.part.design
+        first += len(own.part.values)
+    (curves,) = (m.curves for m in shared.inputs if m.name == name)
+    rows = {c: taken for own, _ in parts for c, taken in own.rows.items()}
+    covariance = block_diag(*(own.part.covariance for own, _ in parts))
+    influences = {c: curves[c].raw_data.influence for c in rows}
+    if all(found is not None for found in influences.values()):
+        felt = [next(iter(influences[c].deviations.values()))[rows[c]] for c in rows]
+        alone = [curves[c].covariance[np.ix_(rows[c], rows[c])] for c in rows]
+        together = np.concatenate(felt)
+        covariance = together @ together.T + block_diag(
+            *(own - part @ part.T for own, part in zip(alone, felt, strict=True))
+        )
+    scale = np.concatenate([
+        np.full(len(taken), np.sqrt(curves[c].covariance.diagonal().mean()))
+        for c, taken in rows.items()
+    ])  # fmt: skip
+    open_ = block_diag(*(own.part.free for own, _ in parts)) / scale[:, None]
+    known = null_space(open_.T).T
+    size, axes = np.linalg.eigh(known @ (covariance / np.outer(scale, scale)) @ known.T)
+    white = (axes / np.sqrt(np.maximum(size, FLOOR * size.mean()))).T @ known / scale
+    return Model(
+        blocks=shared.blocks,
+        observed=white @ values,
+        std=np.ones(len(white)),
+        equations=linear(white @ design),
+        outputs=np.zeros((0, shared.size)),
+        words=WORDS,
+        components=("the result",),
+        judged=np.zeros(len(white), dtype=np.bool_),
+        row_names=[f"combination {k}" for k in range(len(white))],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Views:
+    """The models of all instruments, over the shared unknowns, and all of them as one."""
+
+    shared: _Shared
+    models: Mapping[str, Model]
+
+    @classmethod
+    def of(cls, instruments: Sequence[Instrument]) -> _Views:
+        shared = _Shared.of(instruments)
+        models = {
+            each.name: _by_result(shared, each.name)
+            if each.model is None
+            else _by_observations(shared, each.model)
+            for each in instruments
+        }
+        return cls(shared, models)
+
+    @cached_property
+    def whole(self) -> Model:
+        """What all observed, with what the instruments may differ in."""
+        model = stacked(self.models, self.shared.blocks, self.shared.outputs, WORDS)
+        return replace(model, effects=[*model.effects, *self._differences()])
+
+    @cached_property
+    def rows(self) -> dict[str, slice]:
+        """Which observations are those of each instrument."""
+        ends = np.cumsum([0, *(m.size[0] for m in self.models.values())]).tolist()
+        return {
+            name: slice(a, b) for name, a, b in zip(self.models, ends[:-1], ends[1:], strict=True)
+        }
+
+    def own_curve(self, name: str, curves: Floats) -> Floats:
+        """Return what is observed (n, k) if an instrument alone sees other ``curves`` (s, k)."""
+        model = self.models[name]
+        derivatives = model.equations(model.first)[1]
+        found = np.zeros((self.rows_in_all, curves.shape[1]))
+        found[self.rows[name]] = derivatives[:, : self.shared.size] @ curves
+        return found
+
+    @property
+    def rows_in_all(self) -> int:
+        """The number n of observations."""
+        return max(rows.stop for rows in self.rows.values())
+
+    def _differences(self) -> Iterator[Disturbing]:
+        """Yield that an instrument sees a part of a curve that comes once in a turn otherwise."""
+        for m in self.shared.inputs:
+            for c in m.curves:
+                if sum(c in other.curves for other in self.shared.inputs) < 2:
+                    continue
+                angles, unit = self.shared.angles_of(c)[0], unit_of(c)
+                once = np.zeros((self.shared.size, 2))
+                once[self.shared.columns[c]] = np.column_stack([np.cos(angles), np.sin(angles)])
+                yield Disturbing(
+                    "gauge",
+                    f"{c} of {m.name} differs from that of the others by a part that comes once in "
+                    "a turn (cosine, sine)",
+                    self.own_curve(m.name, once),
+                    LARGEST[unit[0]],
+                    Unit(unit[1].replace("µ", "u"), unit[0]),
+                )
+
+    def closing(self, group: int, name: str) -> Floats:
+        """Return what is observed (n, k) if an instrument has a curve of its own in a group."""
+        return self.own_curve(name, np.eye(self.shared.size)[:, self.shared.places[group]])
+
+    def members(self, group: int) -> list[str]:
+        """Return the instruments that measured any component of a group."""
+        return list(self.shared.parts[group])
+
+
+def solve_together(instruments: Sequence[Instrument]) -> Combination:
+    """Return the solution of all that the ``instruments`` observed, and how they agree by group.
+
+    Components count from their means, and the pairs have no part that turns with the table. If
+    instruments contradict each other (closures, 1 % over all groups of components) the
+    uncertainties are enlarged (Birge) and the verdict is suspect. Raises DataError for inputs that
+    cannot be joined, ObservabilityError where they leave deviations open that none says it does.
+    """
+    views = _Views.of(instruments)
+    found = adjust(views.whole)
+    tested = sum(len(views.members(k)) > 1 for k in range(len(views.shared.layouts)))
+    groups = [
+        _group(views, found, k, SURE / max(tested, 1)) for k in range(len(views.shared.layouts))
+    ]
+    return Combination(_result(views, found, groups, instruments), tuple(groups))
+
+
+def _group(views: _Views, found: Adjusted, k: int, level: float) -> ComponentGroup:
+    """Return the components of group ``k`` with their closures, tested at ``level``."""
+    shared, names, members = views.shared, list(views.models), views.members(k)
+    layout, place = shared.layouts[k], shared.places[k]
+    rest = None if found.freedom == np.inf else (found.fit.chi2, found.freedom)
+
+    def closed(closing: Sequence[str]) -> EffectTest:
+        columns = [views.closing(k, name) for name in closing]
+        return effect_test(seen_by(found.fit, np.hstack(columns)), rest)
+
+    squares, rank, chance = 0.0, 0, 1.0
+    if len(members) > 1:
+        _, _, squares, rank, chance, _, _ = closed(members[1:])
+    share = found.fit.response[place] ** 2
+    parts = np.array([share[:, views.rows[name]].sum(axis=1) for name in names])
+    variances = np.maximum(parts.sum(axis=0), np.finfo(np.float64).tiny)
+    curves = {m.name: m.curves for m in shared.inputs if m.name in members}
+    group = ComponentGroup(
+        inputs=tuple(names),
+        members=tuple((name,) for name in names),
+        joined=layout.joined,
+        columns=layout.columns,
+        pooled=Pooled(
+            found.value[place], found.covariance[place, place], parts / variances, squares, rank
+        ),
+        chi2=squares,
+        dof=rank,
+        p_value=chance,
+        consistent=chance >= level,
+        chi2_of_noise=squares,
+        open=shared.left[k],
+    )
+    if not group.consistent:
+        alone = {name: closed([name]).squares for name in members}
+        farthest = max(alone, key=alone.__getitem__) if len(members) > 2 else ""
+        factor = max(float(np.sqrt(squares / rank)), 1.0)
+        group = replace(group, enlargement="birge", factor=factor, farthest=farthest)
+    parts_of_curves = [own.part for own in shared.parts[k].values()]
+    return replace(group, links=tuple(links_of(group, curves, parts_of_curves)))
+
+
+def _result(
+    views: _Views,
+    found: Adjusted,
+    groups: Sequence[ComponentGroup],
+    instruments: Sequence[Instrument],
+) -> Result:
+    """Return the result of all groups, with what the engine found and doubts."""
+    result = result_of(groups, views.shared.inputs)
+    details: dict[str, Any] = {**result.details, **found.details()}
+    joint = replace(
+        result,
+        sigma0=found.sigma0,
+        dof=found.fit.dof,
+        n_observations=sum(each.result.n_observations for each in instruments),
+        rejected=tuple(Rejection(row, why) for row, why in sorted(found.why.items())),
+        warnings=(*found.doubts, *result.warnings),
+        details=details,
+    )
+    if found.verdict == "failed":
+        return replace(joint, verdict="failed", zeros=replace(joint.zeros, within="failed"))
+    return joint if found.verdict == "ok" else joint.doubted()
+
+
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """What a solution together would state: the largest std of each component, m or rad.
+
+    ``left`` are components whose zeros are open between parts.
+    """
+
+    std: Mapping[str, float]
+    left: tuple[str, ...]
+
+
+def predicted_together(instruments: Sequence[Instrument]) -> Addition:
+    """Return what ``instruments`` would give together; what they observed does not matter."""
+    views = _Views.of(instruments)
+    std = predicted(views.whole).std
+    left = [
+        c
+        for layout, open_ in zip(views.shared.layouts, views.shared.left, strict=True)
+        for c, own in layout.columns.items()
+        if np.abs(open_[own]).max(initial=0.0) > NONE
+    ]
+    largest = {c: float(std[own].max()) for c, own in views.shared.columns.items()}
+    return Addition(largest, tuple(left))
