@@ -21,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import block_diag, null_space
 
+from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
@@ -36,6 +37,7 @@ from rotcal_ros.evaluation.combination import (
 from rotcal_ros.evaluation.compare import SURE
 from rotcal_ros.evaluation.component_groups import (
     FLOOR,
+    GROUPS,
     SAME,
     ComponentGroup,
     Layout,
@@ -57,6 +59,8 @@ from rotcal_ros.methods.by_model import CurveModel
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
 LARGEST: Final = {ARCSEC: 1000.0 * ARCSEC, MICROMETRE: 1000.0 * MICROMETRE}
 """Difference of two instruments that nobody would overlook, by the unit of a deviation."""
+CURVES: Final = "deviations"
+"""The block of unknowns that all instruments share."""
 NONE: Final = 1e-9
 """Share of a direction that is rounding."""
 
@@ -127,24 +131,14 @@ class _Shared:
             for c, own in layout.columns.items()
         }
 
-    @property
-    def size(self) -> int:
-        """The number s of unknowns."""
-        return self.places[-1].stop
+    @cached_property
+    def basis(self) -> Floats:
+        """Orthonormal columns (s, q) of all that can be known of the deviations.
 
-    @property
-    def blocks(self) -> dict[str, int]:
-        """The unknowns by component."""
-        return {c: own.stop - own.start for c, own in self.columns.items()}
-
-    @property
-    def outputs(self) -> Floats:
-        """Rows (s, s): the deviations without what is known to nobody."""
-        known = (
-            np.hstack([layout.common, left])
-            for layout, left in zip(self.layouts, self.left, strict=True)
-        )
-        return np.eye(self.size) - block_diag(*(own @ own.T for own in known))
+        They are the unknowns: what no method knows, and what all leave open, is left out.
+        """
+        known = zip(self.layouts, self.left, strict=True)
+        return block_diag(*(null_space(np.hstack([o.common, left]).T) for o, left in known))
 
     def angles_of(self, component: str) -> tuple[Floats, float]:
         """Return the angles (n,) rad of a component, and after which they come again."""
@@ -152,14 +146,12 @@ class _Shared:
         return joined.angles, joined.period
 
     def at(self, component: str, angles: Floats) -> Floats:
-        """Return rows (m, s): the deviation of a component at ``angles`` (m,), which it has."""
+        """Return rows (m, q): the deviation of a component at ``angles`` (m,), which it has."""
         nodes, period = self.angles_of(component)
         gap = angles[:, None] - nodes
         if period:
             gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
-        rows = np.zeros((len(angles), self.size))
-        rows[:, self.columns[component]] = np.abs(gap) <= SAME
-        return rows
+        return np.asarray((np.abs(gap) <= SAME) @ self.basis[self.columns[component]])
 
 
 def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
@@ -171,32 +163,26 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     model, curves = curve_model.model, curve_model.curves
     rows = np.concatenate(list(curves.values()))
     seen = np.concatenate([shared.at(c, curve_model.angles) for c in curves])
-    zeros = unknown(dict.fromkeys(curves, curve_model.angles))
+    groups = [dict.fromkeys(c for c in group if c in curves) for group in GROUPS]
+    zeros = block_diag(*(unknown(dict.fromkeys(g, curve_model.angles)) for g in groups if g))
     inverse = np.linalg.pinv(rows, rcond=NONE)
     beyond = np.eye(len(rows)) - rows @ inverse
     # The zero that brings the shared curve to where the outputs count from.
     fixed = np.linalg.pinv(beyond @ zeros, rcond=NONE) @ beyond
-    if np.abs(beyond @ (seen - zeros @ (fixed @ seen))).max() > NONE:
+    curve = seen - zeros @ (fixed @ seen)
+    if np.abs(beyond @ curve).max() > NONE:
         raise DataError("the outputs of a model cannot be any curve: its result has to do")
-    felt = (rows != 0.0).any(axis=0)
-    unfelt = np.eye(len(felt))[:, ~felt]
-    inner = np.zeros((len(felt), 0))
-    if felt.any():
-        inner = np.eye(len(felt))[:, felt] @ null_space(rows[:, felt], rcond=NONE)
-    free = inverse @ zeros @ null_space(beyond @ zeros, rcond=NONE)
-    to = np.hstack([inverse @ (seen - zeros @ (fixed @ seen)), free, inner, unfelt])
-    blocks = {**shared.blocks, "zero": free.shape[1], "unknown": inner.shape[1]}
-    blocks |= _remaining(model, felt.tolist())
+    own = np.hstack([inverse @ zeros @ null_space(beyond @ zeros, rcond=NONE), null_space(rows)])
+    # Of its own unknowns those that its observations tell, each as well as any other.
+    felt = dense(model.equations(model.first)[1]) @ own / model.std[:, None]
+    scale = np.linalg.norm(felt, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    _, size, ways = np.linalg.svd(felt / scale, full_matrices=False)
+    told = size > NONE * size.max(initial=0.0)
+    own = own / scale @ (ways[told].T / size[told])
+    to = np.hstack([inverse @ curve, own])
+    blocks = {CURVES: curve.shape[1], "own unknown": own.shape[1]}
     return whitened(reparametrised(model, to, blocks))
-
-
-def _remaining(model: Model, felt: Sequence[bool]) -> dict[str, int]:
-    """Return the blocks of the unknowns that are not ``felt`` by the curves."""
-    ends = np.cumsum([0, *model.blocks.values()]).tolist()
-    return {
-        name: ends[k + 1] - ends[k] - sum(felt[ends[k] : ends[k + 1]])
-        for k, name in enumerate(model.blocks)
-    }
 
 
 def _by_result(shared: _Shared, name: str) -> Model:
@@ -210,11 +196,7 @@ def _by_result(shared: _Shared, name: str) -> Model:
         if name in group
     ]
     values = np.concatenate([own.part.values for own, _ in parts])
-    design = np.zeros((len(values), shared.size))
-    first = 0
-    for own, place in parts:
-        design[first : first + len(own.part.values), place] = own.part.design
-        first += len(own.part.values)
+    design = np.concatenate([own.part.design @ shared.basis[place] for own, place in parts])
     (curves,) = (m.curves for m in shared.inputs if m.name == name)
     rows = {c: taken for own, _ in parts for c, taken in own.rows.items()}
     covariance = block_diag(*(own.part.covariance for own, _ in parts))
@@ -235,11 +217,11 @@ def _by_result(shared: _Shared, name: str) -> Model:
     size, axes = np.linalg.eigh(known @ (covariance / np.outer(scale, scale)) @ known.T)
     white = (axes / np.sqrt(np.maximum(size, FLOOR * size.mean()))).T @ known / scale
     return Model(
-        blocks=shared.blocks,
+        blocks={CURVES: shared.basis.shape[1]},
         observed=white @ values,
         std=np.ones(len(white)),
         equations=linear(white @ design),
-        outputs=np.zeros((0, shared.size)),
+        outputs=np.zeros((0, shared.basis.shape[1])),
         words=WORDS,
         components=("the result",),
         judged=np.zeros(len(white), dtype=np.bool_),
@@ -268,7 +250,8 @@ class _Views:
     @cached_property
     def whole(self) -> Model:
         """What all observed, with what the instruments may differ in."""
-        model = stacked(self.models, self.shared.blocks, self.shared.outputs, WORDS)
+        basis = self.shared.basis
+        model = stacked(self.models, {CURVES: basis.shape[1]}, basis, WORDS)
         return replace(model, effects=[*model.effects, *self._differences()])
 
     @cached_property
@@ -283,8 +266,8 @@ class _Views:
         """Return what is observed (n, k) if an instrument alone sees other ``curves`` (s, k)."""
         model = self.models[name]
         derivatives = model.equations(model.first)[1]
-        found = np.zeros((self.rows_in_all, curves.shape[1]))
-        found[self.rows[name]] = derivatives[:, : self.shared.size] @ curves
+        basis, found = self.shared.basis, np.zeros((self.rows_in_all, curves.shape[1]))
+        found[self.rows[name]] = derivatives[:, : basis.shape[1]] @ (basis.T @ curves)
         return found
 
     @property
@@ -299,7 +282,7 @@ class _Views:
                 if sum(c in other.curves for other in self.shared.inputs) < 2:
                     continue
                 angles, unit = self.shared.angles_of(c)[0], unit_of(c)
-                once = np.zeros((self.shared.size, 2))
+                once = np.zeros((len(self.shared.basis), 2))
                 once[self.shared.columns[c]] = np.column_stack([np.cos(angles), np.sin(angles)])
                 yield Disturbing(
                     "gauge",
@@ -312,7 +295,7 @@ class _Views:
 
     def closing(self, group: int, name: str) -> Floats:
         """Return what is observed (n, k) if an instrument has a curve of its own in a group."""
-        return self.own_curve(name, np.eye(self.shared.size)[:, self.shared.places[group]])
+        return self.own_curve(name, np.eye(len(self.shared.basis))[:, self.shared.places[group]])
 
     def members(self, group: int) -> list[str]:
         """Return the instruments that measured any component of a group."""
