@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -40,6 +41,7 @@ from rotcal_ros.evaluation.component_groups import (
     GROUPS,
     SAME,
     ComponentGroup,
+    Joined,
     Layout,
     Pooled,
     SeenCurves,
@@ -49,16 +51,18 @@ from rotcal_ros.evaluation.component_groups import (
     unknown,
     with_open,
 )
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection, Result
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, TURN
+from rotcal_ros.foundation.units import TURN
 from rotcal_ros.methods.by_model import CurveModel
 
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
-LARGEST: Final = {ARCSEC: 1000.0 * ARCSEC, MICROMETRE: 1000.0 * MICROMETRE}
-"""Difference of two instruments that nobody would overlook, by the unit of a deviation."""
+ORDERS: Final = (1, 2, 3)
+"""What an instrument, its mount or an artefact errs by, it errs by mostly so often in a turn."""
+LARGEST: Final = 1000.0
+"""Difference of two instruments, in um or arcsec, that nobody would overlook."""
 CURVES: Final = "deviations"
 """The block of unknowns that all instruments share."""
 NONE: Final = 1e-9
@@ -140,18 +144,17 @@ class _Shared:
         known = zip(self.layouts, self.left, strict=True)
         return block_diag(*(null_space(np.hstack([o.common, left]).T) for o, left in known))
 
-    def angles_of(self, component: str) -> tuple[Floats, float]:
-        """Return the angles (n,) rad of a component, and after which they come again."""
-        joined = next(o.joined[component] for o in self.layouts if component in o.joined)
-        return joined.angles, joined.period
+    def joined(self, component: str) -> Joined:
+        """Return the angles of a component."""
+        return next(o.joined[component] for o in self.layouts if component in o.joined)
 
-    def at(self, component: str, angles: Floats) -> Floats:
-        """Return rows (m, q): the deviation of a component at ``angles`` (m,), which it has."""
-        nodes, period = self.angles_of(component)
-        gap = angles[:, None] - nodes
-        if period:
+    def meets(self, component: str, angles: Floats) -> Bools:
+        """Return which (m, n) of the angles of a component each of ``angles`` (m,) rad is."""
+        joined = self.joined(component)
+        gap = angles[:, None] - joined.angles
+        if joined.period:
             gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
-        return np.asarray((np.abs(gap) <= SAME) @ self.basis[self.columns[component]])
+        return np.asarray(np.abs(gap) <= SAME)
 
 
 def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
@@ -160,11 +163,13 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     Its outputs C x are the shared curve, from a zero of its own: x = C+ (curve + zero) + what the
     outputs do not feel.
     """
-    model, curves = curve_model.model, curve_model.curves
-    rows = np.concatenate(list(curves.values()))
-    seen = np.concatenate([shared.at(c, curve_model.angles) for c in curves])
-    groups = [dict.fromkeys(c for c in group if c in curves) for group in GROUPS]
-    zeros = block_diag(*(unknown(dict.fromkeys(g, curve_model.angles)) for g in groups if g))
+    model, angles = curve_model.model, curve_model.angles
+    meets = {c: shared.meets(c, angles) for c in curve_model.curves if c in shared.columns}
+    there = {c: found.any(axis=1) for c, found in meets.items()}
+    rows = np.concatenate([curve_model.curves[c][there[c]] for c in meets])
+    seen = np.concatenate([meets[c][there[c]] @ shared.basis[shared.columns[c]] for c in meets])
+    groups = [{c: angles[there[c]] for c in meets if c in group} for group in GROUPS]
+    zeros = block_diag(*(unknown(group) for group in groups if group))
     inverse = np.linalg.pinv(rows, rcond=NONE)
     beyond = np.eye(len(rows)) - rows @ inverse
     # The zero that brings the shared curve to where the outputs count from.
@@ -252,7 +257,8 @@ class _Views:
         """What all observed, with what the instruments may differ in."""
         basis = self.shared.basis
         model = stacked(self.models, {CURVES: basis.shape[1]}, basis, WORDS)
-        return replace(model, effects=[*model.effects, *self._differences()])
+        design = dense(model.equations(model.first)[1])
+        return replace(model, effects=[*model.effects, *self._differences(design)])
 
     @cached_property
     def rows(self) -> dict[str, slice]:
@@ -262,40 +268,32 @@ class _Views:
             name: slice(a, b) for name, a, b in zip(self.models, ends[:-1], ends[1:], strict=True)
         }
 
-    def own_curve(self, name: str, curves: Floats) -> Floats:
-        """Return what is observed (n, k) if an instrument alone sees other ``curves`` (s, k)."""
-        model = self.models[name]
-        derivatives = model.equations(model.first)[1]
-        basis, found = self.shared.basis, np.zeros((self.rows_in_all, curves.shape[1]))
-        found[self.rows[name]] = derivatives[:, : basis.shape[1]] @ (basis.T @ curves)
+    def own_curve(self, design: Floats, name: str, curves: Floats) -> Floats:
+        """Return what is observed (n, k) if an instrument alone sees other ``curves`` (s, k).
+
+        ``design`` (n, p): the derivatives of all observations.
+        """
+        basis, rows = self.shared.basis, self.rows[name]
+        found = np.zeros((len(design), curves.shape[1]))
+        found[rows] = design[rows, : basis.shape[1]] @ (basis.T @ curves)
         return found
 
-    @property
-    def rows_in_all(self) -> int:
-        """The number n of observations."""
-        return max(rows.stop for rows in self.rows.values())
-
-    def _differences(self) -> Iterator[Disturbing]:
-        """Yield that an instrument sees a part of a curve that comes once in a turn otherwise."""
-        for m in self.shared.inputs:
-            for c in m.curves:
-                if sum(c in other.curves for other in self.shared.inputs) < 2:
-                    continue
-                angles, unit = self.shared.angles_of(c)[0], unit_of(c)
-                once = np.zeros((len(self.shared.basis), 2))
-                once[self.shared.columns[c]] = np.column_stack([np.cos(angles), np.sin(angles)])
-                yield Disturbing(
-                    "gauge",
-                    f"{c} of {m.name} differs from that of the others by a part that comes once in "
-                    "a turn (cosine, sine)",
-                    self.own_curve(m.name, once),
-                    LARGEST[unit[0]],
-                    Unit(unit[1].replace("µ", "u"), unit[0]),
-                )
-
-    def closing(self, group: int, name: str) -> Floats:
-        """Return what is observed (n, k) if an instrument has a curve of its own in a group."""
-        return self.own_curve(name, np.eye(len(self.shared.basis))[:, self.shared.places[group]])
+    def _differences(self, design: Floats) -> Iterator[Disturbing]:
+        """Yield what one instrument may see otherwise than the others, by orders of a curve."""
+        names = [(m.name, c) for m in self.shared.inputs for c in m.curves]
+        several = [(name, c) for name, c in names if sum(c == other for _, other in names) > 1]
+        for (name, c), order in product(several, ORDERS):
+            turned = order * self.shared.joined(c).angles
+            curves = np.zeros((len(self.shared.basis), 2))
+            curves[self.shared.columns[c]] = np.column_stack([np.cos(turned), np.sin(turned)])
+            factor, label = unit_of(c)
+            yield Disturbing(
+                "gauge",
+                f"order {order} of {c} (cosine, sine) is another for {name} than for the others",
+                self.own_curve(design, name, curves),
+                LARGEST * factor,
+                Unit(label.replace("µ", "u"), factor),
+            )
 
     def members(self, group: int) -> list[str]:
         """Return the instruments that measured any component of a group."""
@@ -326,7 +324,8 @@ def _group(views: _Views, found: Adjusted, k: int, level: float) -> ComponentGro
     rest = None if found.freedom == np.inf else (found.fit.chi2, found.freedom)
 
     def closed(closing: Sequence[str]) -> EffectTest:
-        columns = [views.closing(k, name) for name in closing]
+        curves = np.eye(len(shared.basis))[:, place]
+        columns = [views.own_curve(found.fit.design, name, curves) for name in closing]
         return effect_test(seen_by(found.fit, np.hstack(columns)), rest)
 
     squares, rank, chance = 0.0, 0, 1.0

@@ -72,9 +72,9 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class CurveModel:
-    """A model, and which of its outputs are deviations: rows (m, p) of each of the ``curves``.
+    """A model, and what of its unknowns are deviations: rows (m, p) of each of the ``curves``.
 
-    At the commanded ``angles`` (m,) rad.
+    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell.
     """
 
     model: Model
@@ -88,7 +88,8 @@ class ByModel:
 
     The first observations of a model are the readings, in their order, of as many ``coordinates``
     each. Its outputs are the deviations at the first table positions of the plan, one of the
-    ``components`` after the other; ``further`` outputs below them count in every test.
+    ``components`` after the other; ``further`` outputs below them count in every test. Rows of
+    ``untold`` deviations are of those that the model has, and other instruments may tell.
     ``states`` tells what the engine cannot know; all that every method lists has to be said.
     ``counts_from``: what they count from, see :class:`~rotcal_ros.foundation.results.Zeros`.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
@@ -106,6 +107,7 @@ class ByModel:
     )
     coordinates: Callable[[Configuration], int] = lambda _configuration: 1
     further: Callable[[Configuration], int] = lambda _configuration: 0
+    untold: Callable[[Configuration], Mapping[str, Floats]] = lambda _configuration: {}
     counts_from: str = "first angle"
     wrong: Mapping[str, Effect] = field(default_factory=dict)
 
@@ -147,6 +149,7 @@ class ByModel:
         model = self.model(configuration, Readings.of(observations))
         parts, count = self._parts(configuration, model)
         curves = {name: model.outputs[part] for name, part in parts.items()}
+        curves |= self.untold(configuration)
         return CurveModel(model, np.array(plan.table_angles[:count]), curves)
 
     def _parts(self, configuration: Configuration, model: Model) -> tuple[dict[str, slice], int]:
