@@ -8,8 +8,9 @@ everything else belongs to its instrument and bears its name.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -36,7 +37,7 @@ def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model
         equations=equations,
         outputs=model.outputs @ to,
         also={name: rows @ to for name, rows in model.also.items()},
-        start=np.linalg.lstsq(to, model.first, rcond=None)[0],
+        start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
     )
 
 
@@ -72,8 +73,8 @@ def stacked(
     those of all. What each tells besides is told beside its name.
     """
     width, parts = sum(shared.values()), list(models.values())
-    rows = _slices([m.size[0] for m in parts])
-    own = _slices([m.size[1] - width for m in parts], width)
+    rows = places_of([m.size[0] for m in parts])
+    own = places_of([m.size[1] - width for m in parts], width)
     n, p = rows[-1].stop, own[-1].stop
     blocks = dict(shared)
     for name, model in models.items():
@@ -128,9 +129,10 @@ def stacked(
     )
 
 
-def _slices(sizes: Sequence[int], first: int = 0) -> list[slice]:
+def places_of(sizes: Iterable[int], first: int = 0) -> list[slice]:
+    """Return where parts of such ``sizes`` are that stand one after the other."""
     ends = np.cumsum([first, *sizes]).tolist()
-    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(ends)]
 
 
 def _spread(rows: Floats, columns: Floats, unknowns: int) -> Floats:

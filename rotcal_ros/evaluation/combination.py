@@ -131,7 +131,8 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
         )
     present = wanted_groups(inputs)
     owners = [
-        {m.name: m.curves for m in inputs if any(c in m.curves for c in group)} for group in present
+        {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
+        for group in present
     ]
     tests = max(1, sum(len(own) > 1 for own in owners))
     groups = [
@@ -155,8 +156,13 @@ def wanted_groups(inputs: Sequence[CombinationInput]) -> list[list[str]]:
     _require_one_table(inputs)
     _require_different(inputs)
     found = {c for measured in inputs for c in measured.curves}
-    wanted = [[c for c in group if c in found] for group in GROUPS]
+    wanted: list[list[str]] = [[c for c in group if c in found] for group in GROUPS]
     return [group for group in wanted if group]
+
+
+def owners_of(group: Sequence[str], inputs: Sequence[CombinationInput]) -> dict[str, Curves]:
+    """Return the curves of those inputs, by name, that measured any component of a ``group``."""
+    return {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
 
 
 def _require_one_table(inputs: Sequence[CombinationInput]) -> None:

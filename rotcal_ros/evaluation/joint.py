@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import combinations, product
 from typing import Any, Final
 
 import numpy as np
@@ -28,10 +28,11 @@ from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Disturbing, Model, Unit, linear
-from rotcal_ros.adjust.stacking import reparametrised, stacked, whitened
+from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
 from rotcal_ros.evaluation.combination import (
     Combination,
     CombinationInput,
+    owners_of,
     result_of,
     wanted_groups,
 )
@@ -41,6 +42,7 @@ from rotcal_ros.evaluation.component_groups import (
     GROUPS,
     SAME,
     ComponentGroup,
+    Curves,
     Joined,
     Layout,
     Pooled,
@@ -103,9 +105,10 @@ class _Shared:
     def of(cls, instruments: Sequence[Instrument]) -> _Shared:
         """Return what the instruments share; DataError where nothing joins them."""
         inputs = [each.alone for each in instruments]
+        _require_own_observations(inputs)
         layouts, every, left = [], [], []
         for group in wanted_groups(inputs):
-            curves = {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
+            curves = owners_of(group, inputs)
             layout = laid_out(group, curves)
             if layout.between:
                 raise DataError(
@@ -123,8 +126,7 @@ class _Shared:
     @cached_property
     def places(self) -> list[slice]:
         """Which of the unknowns (s,) are those of each group."""
-        ends = np.cumsum([0, *(len(layout.common) for layout in self.layouts)]).tolist()
-        return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return places_of(len(layout.common) for layout in self.layouts)
 
     @cached_property
     def columns(self) -> dict[str, slice]:
@@ -142,7 +144,12 @@ class _Shared:
         They are the unknowns: what no method knows, and what all leave open, is left out.
         """
         known = zip(self.layouts, self.left, strict=True)
-        return block_diag(*(null_space(np.hstack([o.common, left]).T) for o, left in known))
+        each = [null_space(np.hstack([o.common, left]).T) for o, left in known]
+        return np.asarray(block_diag(*each), dtype=np.float64)
+
+    def curves_of(self, name: str) -> Curves:
+        """Return the curves of an instrument alone."""
+        return next(m.curves for m in self.inputs if m.name == name)
 
     def joined(self, component: str) -> Joined:
         """Return the angles of a component."""
@@ -155,6 +162,17 @@ class _Shared:
         if joined.period:
             gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
         return np.asarray(np.abs(gap) <= SAME)
+
+
+def _require_own_observations(inputs: Sequence[CombinationInput]) -> None:
+    """Raise DataError for inputs that rest on the same observations."""
+    for first, second in combinations(inputs, 2):
+        here, _ = first.raw_data.shared_with(second.raw_data)
+        if len(here):
+            raise DataError(
+                f"{first.name} and {second.name} share {len(here)} observations: solve one of "
+                "them with the others (rotcal combine weighs results of the same data)"
+            )
 
 
 def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
@@ -202,36 +220,52 @@ def _by_result(shared: _Shared, name: str) -> Model:
     ]
     values = np.concatenate([own.part.values for own, _ in parts])
     design = np.concatenate([own.part.design @ shared.basis[place] for own, place in parts])
-    (curves,) = (m.curves for m in shared.inputs if m.name == name)
-    rows = {c: taken for own, _ in parts for c, taken in own.rows.items()}
-    covariance = block_diag(*(own.part.covariance for own, _ in parts))
-    influences = {c: curves[c].raw_data.influence for c in rows}
-    if all(found is not None for found in influences.values()):
-        felt = [next(iter(influences[c].deviations.values()))[rows[c]] for c in rows]
-        alone = [curves[c].covariance[np.ix_(rows[c], rows[c])] for c in rows]
-        together = np.concatenate(felt)
-        covariance = together @ together.T + block_diag(
-            *(own - part @ part.T for own, part in zip(alone, felt, strict=True))
-        )
+    covariance = _whole_covariance([own for own, _ in parts], shared.curves_of(name))
+    # Lengths and angles are compared in their own mean uncertainties.
     scale = np.concatenate([
-        np.full(len(taken), np.sqrt(curves[c].covariance.diagonal().mean()))
-        for c, taken in rows.items()
+        np.full(len(rows), np.sqrt(shared.curves_of(name)[c].covariance.diagonal().mean()))
+        for own, _ in parts
+        for c, rows in own.rows.items()
     ])  # fmt: skip
     open_ = block_diag(*(own.part.free for own, _ in parts)) / scale[:, None]
     known = null_space(open_.T).T
     size, axes = np.linalg.eigh(known @ (covariance / np.outer(scale, scale)) @ known.T)
     white = (axes / np.sqrt(np.maximum(size, FLOOR * size.mean()))).T @ known / scale
     return Model(
-        blocks={CURVES: shared.basis.shape[1]},
+        blocks={CURVES: design.shape[1]},
         observed=white @ values,
         std=np.ones(len(white)),
         equations=linear(white @ design),
-        outputs=np.zeros((0, shared.basis.shape[1])),
+        outputs=np.zeros((0, design.shape[1])),
         words=WORDS,
         components=("the result",),
         judged=np.zeros(len(white), dtype=np.bool_),
-        row_names=[f"combination {k}" for k in range(len(white))],
+        row_names=[f"value {k}" for k in range(len(white))],
     )
+
+
+def _whole_covariance(parts: Sequence[SeenCurves], curves: Curves) -> Floats:
+    """Return the covariance (m, m) of all values of a result.
+
+    Between components by the influences of its observations; where they are not known, as in a
+    combination.
+    """
+    rows = {c: taken for own in parts for c, taken in own.rows.items()}
+    influences = [curves[c].raw_data.influence for c in rows]
+    felt = [
+        matrix[taken]
+        for found, taken in zip(influences, rows.values(), strict=True)
+        if found is not None
+        for matrix in found.deviations.values()
+    ]
+    if len(felt) < len(rows):
+        return np.asarray(block_diag(*(own.part.covariance for own in parts)))
+    rest = [
+        curves[c].covariance[np.ix_(taken, taken)] - own @ own.T
+        for (c, taken), own in zip(rows.items(), felt, strict=True)
+    ]
+    together = np.concatenate(felt)
+    return np.asarray(together @ together.T + block_diag(*rest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,10 +297,8 @@ class _Views:
     @cached_property
     def rows(self) -> dict[str, slice]:
         """Which observations are those of each instrument."""
-        ends = np.cumsum([0, *(m.size[0] for m in self.models.values())]).tolist()
-        return {
-            name: slice(a, b) for name, a, b in zip(self.models, ends[:-1], ends[1:], strict=True)
-        }
+        places = places_of(m.size[0] for m in self.models.values())
+        return dict(zip(self.models, places, strict=True))
 
     def own_curve(self, design: Floats, name: str, curves: Floats) -> Floats:
         """Return what is observed (n, k) if an instrument alone sees other ``curves`` (s, k).
@@ -383,25 +415,28 @@ def _result(
 
 
 @dataclass(frozen=True, eq=False)
-class Addition:
+class Expected:
     """What a solution together would state: the largest std of each component, m or rad.
 
-    ``left`` are components whose zeros are open between parts.
+    Of the components ``open`` the zeros differ between parts, in which the std holds.
     """
 
     std: Mapping[str, float]
-    left: tuple[str, ...]
+    open: tuple[str, ...]
 
 
-def predicted_together(instruments: Sequence[Instrument]) -> Addition:
-    """Return what ``instruments`` would give together; what they observed does not matter."""
+def predicted_together(instruments: Sequence[Instrument]) -> Expected:
+    """Return what ``instruments`` would give together; what they observed does not matter.
+
+    Raises as :func:`solve_together`.
+    """
     views = _Views.of(instruments)
-    std = predicted(views.whole).std
-    left = [
+    shared, std = views.shared, predicted(views.whole).std
+    open_ = [
         c
-        for layout, open_ in zip(views.shared.layouts, views.shared.left, strict=True)
+        for layout, left in zip(shared.layouts, shared.left, strict=True)
         for c, own in layout.columns.items()
-        if np.abs(open_[own]).max(initial=0.0) > NONE
+        if np.abs(left[own]).max(initial=0.0) > NONE
     ]
-    largest = {c: float(std[own].max()) for c, own in views.shared.columns.items()}
-    return Addition(largest, tuple(left))
+    largest = {c: float(std[own].max()) for c, own in shared.columns.items()}
+    return Expected(largest, tuple(open_))

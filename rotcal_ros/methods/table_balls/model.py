@@ -471,7 +471,9 @@ def _by_tilt(balls: BallsOnTable, tilting: Tilting) -> dict[str, Floats]:
 
 def untold_of(balls: BallsOnTable) -> dict[str, Floats]:
     """Return rows (p, u) of the deviations that are no results."""
-    return {name: _deviation(balls, name) for name in COMPONENTS if name not in components_of(balls)}
+    return {
+        name: _deviation(balls, name) for name in COMPONENTS if name not in components_of(balls)
+    }
 
 
 def components_of(balls: BallsOnTable) -> tuple[str, ...]:
