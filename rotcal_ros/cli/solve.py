@@ -27,7 +27,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.foundation.results import Result
@@ -122,7 +122,7 @@ def command(
     if explain:
         return 0
     if len(every) > 1:
-        return _show_together(dict(zip(map(str, sources), every, strict=True)), output, as_json)
+        return _show_together(sources, every, output, as_json)
     (source,), (data,) = sources, every
     if not (balls or coarser or groups):
         return _show(data.solve(), output, as_json)
@@ -152,13 +152,17 @@ def _setups(sources: Sequence[Path], setups: Sequence[Path]) -> list[Path | None
 
 
 def _show_together(
-    every: Mapping[str, Recording | Measurements], output: Path | None, as_json: bool
+    sources: Sequence[Path],
+    every: Sequence[Recording | Measurements],
+    output: Path | None,
+    as_json: bool,
 ) -> int:
     """Solve several sources together and show the result."""
     from rotcal_ros.evaluation.joint import solve_together
     from rotcal_ros.recordings.result_sources import instrument_of
 
-    found = solve_together([instrument_of(name, data) for name, data in every.items()])
+    measured = zip(map(str, sources), every, strict=True)
+    found = solve_together([instrument_of(name, data) for name, data in measured])
     if not as_json:
         from rotcal_ros.report.terminal.tables import say_groups
 

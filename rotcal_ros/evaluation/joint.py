@@ -27,7 +27,7 @@ from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Model, Unit, linear
+from rotcal_ros.adjust.model import Disturbing, Fit, Model, Unit, linear
 from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
 from rotcal_ros.evaluation.combination import (
     Combination,
@@ -342,53 +342,66 @@ def solve_together(instruments: Sequence[Instrument]) -> Combination:
     """
     views = _Views.of(instruments)
     found = adjust(views.whole)
-    tested = sum(len(views.members(k)) > 1 for k in range(len(views.shared.layouts)))
-    groups = [
-        _group(views, found, k, SURE / max(tested, 1)) for k in range(len(views.shared.layouts))
+    # Closures are judged by the noise of each alone: in that of all together they would hide.
+    by_name = {each.name: each.result.details.get("noise") for each in instruments if each.model}
+    factors = [
+        (by_name.get(name) or {}).get(component, 1.0)
+        for name, model in views.models.items()
+        for component in model.components
     ]
+    alone = found.diagnosis.fitted(np.array(factors), found.fit.x)
+    count = len(views.shared.layouts)
+    tested = sum(len(views.members(k)) > 1 for k in range(count))
+    groups = [_group(views, found, alone, k, SURE / max(tested, 1)) for k in range(count)]
     return Combination(_result(views, found, groups, instruments), tuple(groups))
 
 
-def _group(views: _Views, found: Adjusted, k: int, level: float) -> ComponentGroup:
-    """Return the components of group ``k`` with their closures, tested at ``level``."""
+def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> ComponentGroup:
+    """Return the components of group ``k`` with their closures, tested at ``level``.
+
+    ``alone`` is the solution with the noise that each instrument has alone; it is the result where
+    they contradict each other.
+    """
     shared, names, members = views.shared, list(views.models), views.members(k)
     layout, place = shared.layouts[k], shared.places[k]
-    rest = None if found.freedom == np.inf else (found.fit.chi2, found.freedom)
 
     def closed(closing: Sequence[str]) -> EffectTest:
         curves = np.eye(len(shared.basis))[:, place]
-        columns = [views.own_curve(found.fit.design, name, curves) for name in closing]
-        return effect_test(seen_by(found.fit, np.hstack(columns)), rest)
+        columns = [views.own_curve(alone.design, name, curves) for name in closing]
+        return effect_test(seen_by(alone, np.hstack(columns)))
 
     squares, rank, chance = 0.0, 0, 1.0
     if len(members) > 1:
         _, _, squares, rank, chance, _, _ = closed(members[1:])
-    share = found.fit.response[place] ** 2
-    parts = np.array([share[:, views.rows[name]].sum(axis=1) for name in names])
+    consistent = chance >= level
+    fit = found.fit if consistent else alone
+    response = fit.response[place]
+    covariance = found.covariance[place, place] if consistent else response @ response.T
+    parts = np.array([(response[:, views.rows[name]] ** 2).sum(axis=1) for name in names])
     variances = np.maximum(parts.sum(axis=0), np.finfo(np.float64).tiny)
-    curves = {m.name: m.curves for m in shared.inputs if m.name in members}
     group = ComponentGroup(
         inputs=tuple(names),
         members=tuple((name,) for name in names),
         joined=layout.joined,
         columns=layout.columns,
-        pooled=Pooled(
-            found.value[place], found.covariance[place, place], parts / variances, squares, rank
-        ),
+        pooled=Pooled(fit.value[place], covariance, parts / variances, squares, rank),
         chi2=squares,
         dof=rank,
         p_value=chance,
-        consistent=chance >= level,
+        consistent=consistent,
         chi2_of_noise=squares,
         open=shared.left[k],
     )
-    if not group.consistent:
-        alone = {name: closed([name]).squares for name in members}
-        farthest = max(alone, key=alone.__getitem__) if len(members) > 2 else ""
-        factor = max(float(np.sqrt(squares / rank)), 1.0)
+    if not consistent:
+        by_name = {name: closed([name]).squares for name in members}
+        farthest = max(by_name, key=by_name.__getitem__) if len(members) > 2 else ""
+        factor = float(np.sqrt(squares / rank))
         group = replace(group, enlargement="birge", factor=factor, farthest=farthest)
-    parts_of_curves = [own.part for own in shared.parts[k].values()]
-    return replace(group, links=tuple(links_of(group, curves, parts_of_curves)))
+    curves = {name: shared.curves_of(name) for name in members}
+    return replace(
+        group,
+        links=tuple(links_of(group, curves, [own.part for own in shared.parts[k].values()])),
+    )
 
 
 def _result(

@@ -1,4 +1,4 @@
-"""Models of two instruments as one: a level in arcsec, a length gauge in um, the same five places."""
+"""Two instruments as one model: a level in arcsec and a length gauge in um at the same places."""
 
 import numpy as np
 import pytest

@@ -11,7 +11,7 @@ from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[1] / "config"
 BALLS_NOISE, POLYGON_NOISE = 1e-6, 0.05 * ARCSEC
 
 
