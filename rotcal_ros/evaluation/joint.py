@@ -67,6 +67,8 @@ LARGEST: Final = 1000.0
 """Difference of two instruments, in um or arcsec, that nobody would overlook."""
 CURVES: Final = "deviations"
 """The block of unknowns that all instruments share."""
+RESULT: Final = "the result"
+"""The component of noise of what is no observation."""
 NONE: Final = 1e-9
 """Share of a direction that is rounding."""
 
@@ -196,16 +198,19 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     if np.abs(beyond @ curve).max() > NONE:
         raise DataError("the outputs of a model cannot be any curve: its result has to do")
     own = np.hstack([inverse @ zeros @ null_space(beyond @ zeros, rcond=NONE), null_space(rows)])
-    # Of its own unknowns those that its observations tell, each as well as any other.
+    to = np.hstack([inverse @ curve, own @ _told(model, own)])
+    blocks = {CURVES: curve.shape[1], "own unknown": to.shape[1] - curve.shape[1]}
+    return whitened(reparametrised(model, to, blocks))
+
+
+def _told(model: Model, own: Floats) -> Floats:
+    """Return columns (q, r): what observations tell of unknowns ``own`` (p, q), each as well."""
     felt = dense(model.equations(model.first)[1]) @ own / model.std[:, None]
     scale = np.linalg.norm(felt, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     _, size, ways = np.linalg.svd(felt / scale, full_matrices=False)
     told = size > NONE * size.max(initial=0.0)
-    own = own / scale @ (ways[told].T / size[told])
-    to = np.hstack([inverse @ curve, own])
-    blocks = {CURVES: curve.shape[1], "own unknown": own.shape[1]}
-    return whitened(reparametrised(model, to, blocks))
+    return np.asarray((ways[told].T / size[told]) / scale[:, None])
 
 
 def _by_result(shared: _Shared, name: str) -> Model:
@@ -238,7 +243,7 @@ def _by_result(shared: _Shared, name: str) -> Model:
         equations=linear(white @ design),
         outputs=np.zeros((0, design.shape[1])),
         words=WORDS,
-        components=("the result",),
+        components=(RESULT,),
         judged=np.zeros(len(white), dtype=np.bool_),
         row_names=[f"value {k}" for k in range(len(white))],
     )
@@ -327,10 +332,6 @@ class _Views:
                 Unit(label.replace("µ", "u"), factor),
             )
 
-    def members(self, group: int) -> list[str]:
-        """Return the instruments that measured any component of a group."""
-        return list(self.shared.parts[group])
-
 
 def solve_together(instruments: Sequence[Instrument]) -> Combination:
     """Return the solution of all that the ``instruments`` observed, and how they agree by group.
@@ -350,9 +351,9 @@ def solve_together(instruments: Sequence[Instrument]) -> Combination:
         for component in model.components
     ]
     alone = found.diagnosis.fitted(np.array(factors), found.fit.x)
-    count = len(views.shared.layouts)
-    tested = sum(len(views.members(k)) > 1 for k in range(count))
-    groups = [_group(views, found, alone, k, SURE / max(tested, 1)) for k in range(count)]
+    tested = sum(len(parts) > 1 for parts in views.shared.parts)
+    level = SURE / max(tested, 1)
+    groups = [_group(views, found, alone, k, level) for k in range(len(views.shared.parts))]
     return Combination(_result(views, found, groups, instruments), tuple(groups))
 
 
@@ -362,7 +363,7 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
     ``alone`` is the solution with the noise that each instrument has alone; it is the result where
     they contradict each other.
     """
-    shared, names, members = views.shared, list(views.models), views.members(k)
+    shared, names, members = views.shared, list(views.models), list(views.shared.parts[k])
     layout, place = shared.layouts[k], shared.places[k]
 
     def closed(closing: Sequence[str]) -> EffectTest:
@@ -376,7 +377,7 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
     consistent = chance >= level
     fit = found.fit if consistent else alone
     response = fit.response[place]
-    covariance = found.covariance[place, place] if consistent else response @ response.T
+    covariance = _covariance(found)[place, place] if consistent else response @ response.T
     parts = np.array([(response[:, views.rows[name]] ** 2).sum(axis=1) for name in names])
     variances = np.maximum(parts.sum(axis=0), np.finfo(np.float64).tiny)
     group = ComponentGroup(
@@ -402,6 +403,19 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
         group,
         links=tuple(links_of(group, curves, [own.part for own in shared.parts[k].values()])),
     )
+
+
+def _covariance(found: Adjusted) -> Floats:
+    """Return the covariance (s, s) of the deviations.
+
+    A result that agrees with the others better than it says keeps what it says: its scatter there
+    tells nothing of what it alone knows.
+    """
+    model, response = found.model, found.fit.response[: len(found.model.outputs)]
+    of_result = np.array([name.startswith(RESULT) for name in model.components])
+    factors = np.where(of_result, np.minimum(found.diagnosis.noise.factors, 1.0), 1.0)
+    more = (1.0 / factors**2 - 1.0)[model.of_component]
+    return np.asarray(found.covariance + (response * more) @ response.T)
 
 
 def _result(

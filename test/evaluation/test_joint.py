@@ -193,6 +193,25 @@ def test_what_one_instrument_tells_of_a_component_helps_the_other_with_the_rest(
     assert BALLS_NOISE == 1e-6
 
 
+@pytest.mark.slow
+def test_a_result_that_agrees_well_keeps_its_uncertainty_where_it_is_alone():
+    """The plate's ECC came out 0.8 of its uncertainty off; EZC no other instrument tells."""
+    rng = np.random.default_rng(12)
+    world = drawn(rng)
+    world.motions[3:5] = 0.0
+    problem = plate_problem(
+        range(GRID), world.motions[5], world.motions[:3].T, noise=2e-7, sigma=2e-7
+    )
+    plate = Instrument("plate", solve(problem))
+    together = solve_together([instrument("balls", balls(world, rng)), plate])
+    found, noise = together.result, together.result.details["noise"]
+    assert noise["the result of plate"] < 0.9
+    assert (found.std["EZC"] > 0.98 * plate.result.std["EZC"]).all()
+    for c in found.components:
+        error = found.deviations[c] - truth(world)[c] * (c not in ("EAC", "EBC"))
+        assert np.abs(error).max() < 4.0 * found.std[c].max()
+
+
 def test_the_same_plan_once_more_divides_the_uncertainty_by_the_root_of_two():
     once, again = as_instruments(
         (two_polygons(8)[0], polygon(ALTERNATING, np.random.default_rng(9), shifts=SHIFTS))
