@@ -26,7 +26,7 @@ from rotcal_ros.adjust.model import Model, fitted
 from rotcal_ros.methods.table_balls.model import model_of
 from rotcal_ros.methods.table_balls.settings import BallsPlanSettings
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "methods"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from ball_world import THREE, World
 
 SIGMA_M, TRIALS = 1e-6, 1000

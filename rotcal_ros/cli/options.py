@@ -40,11 +40,14 @@ set_option = click.option(
 )
 
 
+targets_option: Final = click.option(
+    "--targets", type=path_type, help="Target positions of a tracer table."
+)
+
+
 def setup_options(function: Function) -> Function:
     """Add ``--setup`` and ``--targets``."""
-    function = click.option(
-        "--targets", type=path_type, help="Target positions of a tracer table."
-    )(function)
+    function = targets_option(function)
     return click.option(
         "--setup",
         type=path_type,

@@ -1,4 +1,4 @@
-"""``rotcal plan``: the order of a ball plate's plan, and what any plan could hide."""
+"""``rotcal plan``: the order of a ball plate's plan, what any could hide, and what it brings."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ import click
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import configurations, set_option, shown_option
 from rotcal_ros.foundation import plugins
-from rotcal_ros.foundation.components import SHOWN_IN
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, SHOWN_IN, unit_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rotcal_ros.evaluation.joint import Expected, Instrument
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.methods import Calibration
     from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
@@ -62,7 +65,7 @@ def _refuse(error: ConfigurationError) -> None:
 
 @click.group(cls=PlanGroup)
 def command() -> None:
-    """Plan what to measure, in what order, and what it could hide: lengths, plates, checks."""
+    """Plan what to measure, in what order, what it could hide, and what another would bring."""
 
 
 @command.command()
@@ -167,11 +170,102 @@ def reliability(
     return 0
 
 
-def _predicted_observations(calibration: Calibration) -> tuple[Observation, ...]:
+@command.command()
+@click.argument("additions", nargs=-1, required=True, metavar="METHOD|CONFIG [...]")
+@click.option(
+    "--to",
+    "present",
+    multiple=True,
+    type=path_type,
+    metavar="BAG|RESULT|CONFIG",
+    help="What there is already, or is planned as well; several times for several.",
+)
+@json_option
+def add(additions: tuple[str, ...], present: tuple[Path, ...], as_json: bool) -> int:
+    """Print what each addition would bring to a table's calibration, before it is measured.
+
+    For every METHOD (with its default settings) or CONFIG: the time that its plan takes, and the
+    largest expanded uncertainty (k = 2) of each deviation when it is solved together with what
+    there is (--to). A star: its zeros stay open between parts.
+    """
+    from rotcal_ros.evaluation.joint import predicted_together
+    from rotcal_ros.methods.dry_run import DryRun
+
+    have = [_present(path, NOISE_SEED + 2 + k) for k, path in enumerate(present)]
+    rows = [("as it is", 0.0, predicted_together(have))] if have else []
+    for name in additions:
+        calibration = _planned(name)
+        seconds, _ = DryRun(calibration, calibration.plan.table_angles[0]).taking()
+        more = _expected(f"addition {name}", calibration, NOISE_SEED + 1)
+        rows.append((name, seconds, predicted_together([*have, more])))
+    if as_json:
+        found = [
+            {"plan": name, "duration_s": seconds, "std": dict(e.std), "open": list(e.open)}
+            for name, seconds, e in rows
+        ]
+        print_json({"additions": found})
+    else:
+        _print_additions(rows)
+    return 0
+
+
+def _planned(name: str) -> Calibration:
+    """Return the plan of a configuration, or of a method with its default settings."""
+    from rotcal_ros.methods import method_names, parse_configuration, prepare_whole
+    from rotcal_ros.methods.configuration import read_configuration
+
+    if name not in method_names():
+        return prepare_whole(read_configuration(Path(name)))
+    return prepare_whole(
+        parse_configuration(f"/**: {{ros__parameters: {{method: {name}}}}}", name)
+    )
+
+
+def _expected(name: str, calibration: Calibration, seed: int) -> Instrument:
+    """Return what a plan would give as an instrument; what it reads does not matter."""
+    from rotcal_ros.evaluation.joint import Instrument
+
+    alone = calibration.of_distances
+    observations = _predicted_observations(alone, seed)
+    return Instrument(name, alone.solve(observations), alone.of_curves(observations))
+
+
+def _present(path: Path, seed: int) -> Instrument:
+    """Return what there is: a result, a bag, or a configuration that is planned."""
+    from rotcal_ros.evaluation.joint import Instrument
+    from rotcal_ros.recordings.inputs import Input
+    from rotcal_ros.recordings.result_sources import instrument_of, read_source
+
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        return _expected(str(path), _planned(str(path)), seed)
+    if path.suffix == ".json":
+        return Instrument(str(path), read_source(path).result)
+    return instrument_of(str(path), Input(path).read())
+
+
+def _print_additions(rows: Sequence[tuple[str, float, Expected]]) -> None:
+    told = [c for c in COMPONENTS if any(c in found.std for _, _, found in rows)]
+    columns = [Column("plan", [name for name, _, _ in rows])]
+    columns.append(Column("time/min", [seconds / 60.0 for _, seconds, _ in rows], ".0f"))
+    for c in told:
+        unit, label = unit_of(c)
+        cells = [
+            f"{COVERAGE_FACTOR * found.std[c] / unit:.3g}{'*' * (c in found.open)}"
+            if c in found.std
+            else ""
+            for _, _, found in rows
+        ]
+        columns.append(Column(f"U({c})/{label}", cells))
+    print_table(columns, "largest U (k = 2), solved together with what there is")
+
+
+def _predicted_observations(
+    calibration: Calibration, seed: int = NOISE_SEED
+) -> tuple[Observation, ...]:
     """Return observations of the plan with their stated noise; exact ones if none is known."""
     if calibration.method.disturbances is None:
         return calibration.nominal_observations()
-    return calibration.measured({}, NOISE_SEED).observations
+    return calibration.measured({}, seed).observations
 
 
 def _print_reliability(data: dict[str, Any]) -> None:

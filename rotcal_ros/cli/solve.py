@@ -17,19 +17,36 @@ from rotcal_ros.cli.console import (
     result_option,
     show_result,
 )
-from rotcal_ros.cli.options import announcer, explain_option, set_option, setup_options
+from rotcal_ros.cli.options import (
+    announcer,
+    configurations,
+    explain_option,
+    set_option,
+    targets_option,
+)
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.methods.method import Measurements
     from rotcal_ros.recordings.replay import Recording
 
 
 @click.command()
-@click.argument("source", type=path_type, metavar="BAG|TABLE")
-@setup_options
+@click.argument("sources", nargs=-1, required=True, type=path_type, metavar="BAG|TABLE [...]")
+@click.option(
+    "--setup",
+    "setups",
+    multiple=True,
+    type=path_type,
+    shell_complete=configurations,
+    help="Configuration; needed for a table, a bag has its own. Of several, one for each table "
+    "or one for each source, in their order.",
+)
+@targets_option
 @set_option
 @click.option(
     "--from",
@@ -62,8 +79,8 @@ if TYPE_CHECKING:
 @explain_option
 @json_option
 def command(
-    source: Path,
-    setup: Path | None,
+    sources: tuple[Path, ...],
+    setups: tuple[Path, ...],
     targets: Path | None,
     changes: tuple[str, ...],
     taken_from: Any,
@@ -80,16 +97,31 @@ def command(
     The bag's raw streams go through the same capture and solver as in the live run, so the
     result is the same to the last bit. A cut-off or damaged bag is read as far as possible.
     --balls and --coarser may be given several times: the same data are then evaluated in all
-    combinations and compared with the first; --groups holds for all of them. The exit code is 0
-    for the verdict ok and 1 for suspect or failed.
+    combinations and compared with the first; --groups holds for all of them.
+
+    Several sources, measured on the same table by any methods, are solved together: one curve of
+    each deviation, one verdict, and a test of the instruments against each other. The exit code is
+    0 for the verdict ok and 1 for suspect or failed.
     """
     from rotcal_ros.recordings.inputs import Input
 
     announce = announcer(explain=explain)
+    if len(sources) > 1 and (targets or changes or balls or coarser or groups):
+        raise click.UsageError(
+            "--targets, --set, --balls, --coarser and --groups are for one source: of several "
+            "state it in their set-ups (--setup); a table of targets is found beside its table"
+        )
+    inputs = [
+        Input(source, setup, targets, changes, taken_from, namespace, announce)
+        for source, setup in zip(sources, _setups(sources, setups), strict=True)
+    ]
     with progress("reading") as shown:
-        data = Input(source, setup, targets, changes, taken_from, namespace, announce).read(shown)
+        every = [each.read(shown) for each in inputs]
     if explain:
         return 0
+    if len(every) > 1:
+        return _show_together(sources, every, output, as_json)
+    (source,), (data,) = sources, every
     if not (balls or coarser or groups):
         return show_result(data.solve(), output, as_json=as_json)
     from rotcal_ros.evaluation.ways import ways
@@ -99,6 +131,41 @@ def command(
     if len(evaluations) == 1:
         return show_result(evaluations[0].result, output, as_json=as_json)
     return _show_evaluations(evaluations, output, as_json)
+
+
+def _setups(sources: Sequence[Path], setups: Sequence[Path]) -> list[Path | None]:
+    """Return the set-up of each source: one for each, or one for each table; UsageError."""
+    from rotcal_ros.foundation.tables import is_table
+
+    if len(setups) == len(sources):
+        return [*setups]
+    tables = [is_table(source) for source in sources]
+    if setups and sum(tables) != len(setups):
+        raise click.UsageError(
+            f"{len(setups)} set-ups (--setup) for {len(sources)} sources, {sum(tables)} of them "
+            "tables: give one for each source, or one for each table"
+        )
+    given = iter(setups)
+    return [next(given, None) if table else None for table in tables]
+
+
+def _show_together(
+    sources: Sequence[Path],
+    every: Sequence[Recording | Measurements],
+    output: Path | None,
+    as_json: bool,
+) -> int:
+    """Solve several sources together and show the result."""
+    from rotcal_ros.evaluation.joint import solve_together
+    from rotcal_ros.recordings.result_sources import instrument_of
+
+    measured = zip(map(str, sources), every, strict=True)
+    found = solve_together([instrument_of(name, data) for name, data in measured])
+    if not as_json:
+        from rotcal_ros.report.terminal.tables import say_groups
+
+        say_groups(found.groups)
+    return _show(found.result, output, as_json)
 
 
 def _evaluated(

@@ -129,6 +129,24 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
         raise ConfigurationError(
             f"enlargement {enlarge!r}: expected one of {', '.join(ENLARGEMENTS)}"
         )
+    present = wanted_groups(inputs)
+    owners = [
+        {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
+        for group in present
+    ]
+    tests = max(1, sum(len(own) > 1 for own in owners))
+    groups = [
+        combine_group(group, own, enlarge, SURE / tests)
+        for group, own in zip(present, owners, strict=True)
+    ]
+    return Combination(result_of(groups, inputs), tuple(groups))
+
+
+def wanted_groups(inputs: Sequence[CombinationInput]) -> list[list[str]]:
+    """Return the components of each group that any of ``inputs`` measured.
+
+    Raises DataError where these are not different measurements of one table.
+    """
     names = [measured.name for measured in inputs]
     if not names or len(set(names)) < len(names):
         raise DataError(
@@ -137,20 +155,14 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
         )
     _require_one_table(inputs)
     _require_different(inputs)
-    curves = {measured.name: measured.curves for measured in inputs}
-    found = {c for own in curves.values() for c in own}
-    wanted = [[c for c in group if c in found] for group in GROUPS]
-    present = [group for group in wanted if group]
-    owners = [
-        {name: own for name, own in curves.items() if any(c in own for c in group)}
-        for group in present
-    ]
-    tests = max(1, sum(len(own) > 1 for own in owners))
-    groups = [
-        combine_group(group, own, enlarge, SURE / tests)
-        for group, own in zip(present, owners, strict=True)
-    ]
-    return Combination(_result(groups, inputs), tuple(groups))
+    found = {c for measured in inputs for c in measured.curves}
+    wanted: list[list[str]] = [[c for c in group if c in found] for group in GROUPS]
+    return [group for group in wanted if group]
+
+
+def owners_of(group: Sequence[str], inputs: Sequence[CombinationInput]) -> dict[str, Curves]:
+    """Return the curves of those inputs, by name, that measured any component of a ``group``."""
+    return {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
 
 
 def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
@@ -177,7 +189,7 @@ def _require_different(inputs: Sequence[CombinationInput]) -> None:
                 )
 
 
-def _result(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> Result:
+def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> Result:
     """Put the groups together: one set of angles, one verdict."""
     joined = {c: own for group in groups for c, own in group.joined.items()}
     angles = union([own.angles for own in joined.values()], any(o.period for o in joined.values()))

@@ -152,23 +152,13 @@ def combine_group(
     They are consistent if chance gives a larger chi-square more often than ``level``; if not,
     the uncertainties are enlarged. Raises DataError for inputs that cannot be joined.
     """
-    joined = {c: join_angles([inputs[name][c] for name in _with(c, inputs)]) for c in components}
-    columns, start = {}, 0
-    for c in components:
-        columns[c] = slice(start, start + len(joined[c].angles))
-        start = columns[c].stop
-    between = tuple(
-        name
-        for c in components
-        for name, far in zip(_with(c, inputs), joined[c].interpolated, strict=True)
-        if far
-    )
-    common = unknown({c: joined[c].angles for c in components})
+    layout = laid_out(components, inputs)
+    joined, columns, between, common = layout
     far = [name in between for name in inputs]
 
     def weighed_with(curves: Mapping[str, Curves]) -> _Weighed:
-        seen = {name: _part(name, curves, joined, columns) for name in curves}
-        parts, left = _with_open([own.part for own in seen.values()], common, far)
+        seen = {name: part_of(name, curves, layout) for name in curves}
+        parts, left = with_open([own.part for own in seen.values()], common, far)
         return _Weighed(parts, left, *_clustered(seen, parts, curves))
 
     parts, left, members, weighed = weighed_with(inputs)
@@ -196,7 +186,37 @@ def combine_group(
     )
     if not group.consistent:
         group = _enlarged(group, weighed, gauge, enlarge)
-    return replace(group, links=tuple(_links(group, inputs, parts)))
+    return replace(group, links=tuple(links_of(group, inputs, parts)))
+
+
+class Layout(NamedTuple):
+    """What the inputs of a group measured where.
+
+    ``joined``: the angles of each component; ``columns``: its place among the n unknowns;
+    ``between``: inputs that are read between their angles; ``common`` (n, g): what no method
+    knows.
+    """
+
+    joined: dict[str, Joined]
+    columns: dict[str, slice]
+    between: tuple[str, ...]
+    common: Floats
+
+
+def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> Layout:
+    """Return the unknowns of ``components``; DataError for angles that cannot be joined."""
+    joined = {c: join_angles([inputs[name][c] for name in _with(c, inputs)]) for c in components}
+    columns, start = {}, 0
+    for c in components:
+        columns[c] = slice(start, start + len(joined[c].angles))
+        start = columns[c].stop
+    between = tuple(
+        name
+        for c in components
+        for name, far in zip(_with(c, inputs), joined[c].interpolated, strict=True)
+        if far
+    )
+    return Layout(joined, columns, between, unknown({c: joined[c].angles for c in components}))
 
 
 class _Weighed(NamedTuple):
@@ -221,7 +241,7 @@ def _of_observations_alone(
     }
 
 
-def _with_open(
+def with_open(
     parts: Sequence[ComponentInput], common: Floats, between: Sequence[bool]
 ) -> tuple[list[ComponentInput], Floats]:
     """Return the parts, and an orthonormal basis (m, q) of what they leave open together.
@@ -247,7 +267,7 @@ def _with_open(
     ], left
 
 
-def _links(
+def links_of(
     group: ComponentGroup, inputs: Mapping[str, Curves], parts: Sequence[ComponentInput]
 ) -> Iterator[Link]:
     """Yield offsets of single components that the group knows and one input leaves open."""
@@ -318,7 +338,7 @@ def _with(component: str, inputs: Mapping[str, Curves]) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class SeenCurves:
     """One input as a ``part``, and how its curves went into it, by component.
 
     ``rows``: the values of the curve; ``grow``: the matrix they are multiplied by; ``place``:
@@ -331,13 +351,9 @@ class _Seen:
     place: Mapping[str, int]
 
 
-def _part(
-    name: str,
-    inputs: Mapping[str, Curves],
-    joined: Mapping[str, Joined],
-    columns: Mapping[str, slice],
-) -> _Seen:
+def part_of(name: str, inputs: Mapping[str, Curves], layout: Layout) -> SeenCurves:
     """Return what one input says about the unknowns of a group."""
+    joined, columns, _, _ = layout
     own = {c: inputs[name][c] for c in joined if c in inputs[name]}
     width = max(column.stop for column in columns.values())
     angles: dict[str, Floats] = {}
@@ -364,11 +380,11 @@ def _part(
         free=_orthonormal(np.hstack([(common := unknown(angles)), open_zeros])),
         known=common.shape[1],
     )
-    return _Seen(part, rows, grow, place)
+    return SeenCurves(part, rows, grow, place)
 
 
 def _clustered(
-    seen: Mapping[str, _Seen], parts: Sequence[ComponentInput], inputs: Mapping[str, Curves]
+    seen: Mapping[str, SeenCurves], parts: Sequence[ComponentInput], inputs: Mapping[str, Curves]
 ) -> tuple[tuple[tuple[str, ...], ...], list[ComponentInput]]:
     """Return the names of each part; inputs that share observations are one part together.
 
@@ -401,7 +417,7 @@ def _shared(first: str, second: str, inputs: Mapping[str, Curves]) -> dict[str, 
 
 
 def _together(
-    seen: Sequence[_Seen],
+    seen: Sequence[SeenCurves],
     names: Sequence[str],
     shared: Mapping[tuple[str, str], Mapping[str, Floats]],
 ) -> ComponentInput:

@@ -70,13 +70,26 @@ class Statement:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
+class CurveModel:
+    """A model, and what of its unknowns are deviations: rows (m, p) of each of the ``curves``.
+
+    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell.
+    """
+
+    model: Model
+    angles: Floats
+    curves: Mapping[str, Floats]
+
+
 @dataclass(frozen=True)
 class ByModel:
     """A method with the ``name``, by its ``model`` of readings.
 
     The first observations of a model are the readings, in their order, of as many ``coordinates``
     each. Its outputs are the deviations at the first table positions of the plan, one of the
-    ``components`` after the other; ``further`` outputs below them count in every test.
+    ``components`` after the other; ``further`` outputs below them count in every test. Rows of
+    ``untold`` deviations are of those that the model has, and other instruments may tell.
     ``states`` tells what the engine cannot know; all that every method lists has to be said.
     ``counts_from``: what they count from, see :class:`~rotcal_ros.foundation.results.Zeros`.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
@@ -94,6 +107,7 @@ class ByModel:
     )
     coordinates: Callable[[Configuration], int] = lambda _configuration: 1
     further: Callable[[Configuration], int] = lambda _configuration: 0
+    untold: Callable[[Configuration], Mapping[str, Floats]] = lambda _configuration: {}
     counts_from: str = "first angle"
     wrong: Mapping[str, Effect] = field(default_factory=dict)
 
@@ -103,12 +117,11 @@ class ByModel:
         """Return the result of accepted observations."""
         found, read = self._adjusted(configuration, observations), Readings.of(observations)
         statement = self.states(configuration, found)
-        components = self.components(configuration)
-        count = (len(found.value) - self.further(configuration)) // len(components)
+        parts, count = self._parts(configuration, found.model)
         result = found.result(
             self.name,
             np.array(plan.table_angles[:count]),
-            {c: slice(k * count, (k + 1) * count) for k, c in enumerate(components)},
+            parts,
             (read.position % count, read.target),
             counts_from=self.counts_from,
             coordinates=self.coordinates(configuration),
@@ -123,6 +136,27 @@ class ByModel:
             )
         arrivals = self.arrivals(configuration)
         return result if arrivals is None else mean_of_runs(result, arrivals)
+
+    def of_curves(
+        self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+    ) -> CurveModel | None:
+        """Return what accepted observations tell of the curves, to be solved with others.
+
+        None where the table comes to its angles more than once: how it scatters, the result knows.
+        """
+        if self.arrivals(configuration) is not None:
+            return None
+        model = self.model(configuration, Readings.of(observations))
+        parts, count = self._parts(configuration, model)
+        curves = {name: model.outputs[part] for name, part in parts.items()}
+        curves |= self.untold(configuration)
+        return CurveModel(model, np.array(plan.table_angles[:count]), curves)
+
+    def _parts(self, configuration: Configuration, model: Model) -> tuple[dict[str, slice], int]:
+        """Return which outputs are the deviations of which component, and how many each has."""
+        components = self.components(configuration)
+        count = (len(model.outputs) - self.further(configuration)) // len(components)
+        return {c: slice(k * count, (k + 1) * count) for k, c in enumerate(components)}, count
 
     def trials(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
@@ -180,6 +214,7 @@ class ByModel:
         return Method(
             name=self.name,
             solve=self.solve,
+            of_curves=self.of_curves,
             trials=self.trials,
             disturbances=Disturbances(tuple(disturbances), self.measure),
             **{**usual, **more},

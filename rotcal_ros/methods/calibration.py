@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import dist
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from threadpoolctl import threadpool_limits
 
@@ -32,6 +32,9 @@ from rotcal_ros.methods.frame_conflicts import frame_conflicts
 from rotcal_ros.methods.method import Adaptive, Method, Stations, Trials
 from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL, AsListed, Policy
 from rotcal_ros.planning.plan import Plan, Point, Step
+
+if TYPE_CHECKING:
+    from rotcal_ros.methods.by_model import CurveModel
 
 _DATED_NS: Final = 10**17
 """A stamp before 1973 counts from the start of something: it is no date."""
@@ -191,6 +194,17 @@ class Calibration:
             raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
         used = self.refraction.corrected(self._that_count(observations))
         return self.method.trials(self.configuration, self.plan, used)
+
+    def of_curves(self, observations: Iterable[Observation]) -> CurveModel | None:
+        """Return the observations that count as a model, to be solved with other instruments.
+
+        None where only the result tells all: for a method with an algebra of its own, and where
+        air or clocks add to its uncertainty.
+        """
+        find = self.method.of_curves
+        if find is None or self.refraction.equation is not None or self.arrival_std():
+            return None
+        return find(self.configuration, self.plan, self._that_count(observations))
 
     def policy(self, continuation: Continuation) -> Policy:
         """Return the policy of the configuration, ready to choose what ``continuation`` leaves.

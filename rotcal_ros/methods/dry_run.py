@@ -140,17 +140,14 @@ class DryRun:
         found = f"{shortest / MILLIMETRE:.0f} to {longest / MILLIMETRE:.0f} mm"
         yield CheckLine(PART, "beams", state, f"{found} from where the instrument stands", todo)
 
-    def _time(self) -> CheckLine:
-        """Say how long it takes, and what that rests on."""
+    def taking(self) -> tuple[float, str]:
+        """Return the time (s) of the plan, and what it rests on; DataError where none is known."""
         configuration = self.calibration.configuration
         planner, least = configuration.planner, self._window_s()
         length_s = max(planner.step_s, least)
         first_turn = abs(self._steps[0].table_angle - self.start) > 1e-9
         if "table_adapter" in configuration.given:
-            try:
-                turns_s, turning = self._ways_s(), "turns as table_adapter moves the table"
-            except DataError:
-                return CheckLine(PART, "time", "open", "not known: the table cannot go there")
+            turns_s, turning = self._ways_s(), "turns as table_adapter moves the table"
             turn_s = 0.0
         else:
             turn_s = planner.turn_s
@@ -158,11 +155,15 @@ class DryRun:
             turning = f"{turn_s:g} s for a turn (planner.turn_s)"
         seconds = plan_seconds(stated_time(turn_s, length_s), self._steps) + length_s + turns_s
         window = f", of which settling and readings {least:.2g} s" if least else ""
-        found = (
-            f"about {in_words(seconds)}, with {turning} and {length_s:g} s for a step "
-            f"(planner.step_s{window})"
-        )
-        return CheckLine(PART, "time", "note", found)
+        return seconds, f"{turning} and {length_s:g} s for a step (planner.step_s{window})"
+
+    def _time(self) -> CheckLine:
+        """Say how long it takes, and what that rests on."""
+        try:
+            seconds, why = self.taking()
+        except DataError:
+            return CheckLine(PART, "time", "open", "not known: the table cannot go there")
+        return CheckLine(PART, "time", "note", f"about {in_words(seconds)}, with {why}")
 
     def _window_s(self) -> float:
         """Return how long the capture needs at a step at least; 0 where nobody knows it."""

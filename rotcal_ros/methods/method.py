@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.foundation.results import Result
     from rotcal_ros.foundation.tables import Header, Table
+    from rotcal_ros.methods.by_model import CurveModel
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances
@@ -151,6 +152,9 @@ class Method:
     measured. ``plan_files`` are files that stand for lists of the group ``plan``, by the settings
     that name them.
 
+    ``of_curves`` returns accepted observations as the model of a solution with other instruments;
+    without it, or for None, the result stands for them.
+
     ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
     says in words what the observations so far tell about a person's work (see
@@ -176,6 +180,7 @@ class Method:
     stations: Callable[[Configuration], Stations] | None = None
     gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
     joins_runs: bool = False
+    of_curves: Callable[[Configuration, Plan, Observed], CurveModel | None] | None = None
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
     adaptive: Callable[[Configuration, Plan], Adaptive] | None = None

@@ -16,6 +16,7 @@ from rotcal_ros.evaluation.iso230 import (
     read_runs,
     require_runs,
 )
+from rotcal_ros.evaluation.joint import Instrument
 from rotcal_ros.evaluation.reference import (
     COLUMNS,
     read_deviations,
@@ -32,6 +33,7 @@ from rotcal_ros.foundation.tables import is_table, own_table
 from rotcal_ros.foundation.untrusted import load_json, read_bytes, reading, why
 from rotcal_ros.foundation.untrusted import read_text as text_of_file
 from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.replay import Recording
@@ -118,6 +120,14 @@ def solved(measured: Recording | Measurements) -> ResultSource:
     """Return the solution of a bag or a table."""
     axis = measured.configuration.cell.axis
     return ResultSource(measured.solve(), measured.sha256, axis)
+
+
+def instrument_of(name: str, measured: Recording | Measurements) -> Instrument:
+    """Return a bag or a table, ready to be solved together with others."""
+    model = None
+    if isinstance(measured, Recording | PlannedMeasurements):
+        model = measured.calibration.of_curves(measured.observations)
+    return Instrument(name, measured.solve(), model)
 
 
 def read_repeated_runs(

@@ -53,6 +53,7 @@ from rotcal_ros.methods.table_balls.model import (
     BallsOnTable,
     components_of,
     model_of,
+    untold_of,
 )
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
@@ -572,6 +573,7 @@ BY_MODEL: Final = ByModel(
     model,
     states,
     components=lambda configuration: components_of(balls_of(configuration)),
+    untold=lambda configuration: untold_of(balls_of(configuration)),
     nominal=nominal,
     coordinates=lambda configuration: balls_of(configuration).coordinates,
     further=lambda configuration: (

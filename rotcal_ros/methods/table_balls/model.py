@@ -496,6 +496,13 @@ def _by_tilt(balls: BallsOnTable, tilting: Tilting) -> dict[str, Floats]:
     return found | {name: block_rows(blocks, name) for name in tilting.motions}
 
 
+def untold_of(balls: BallsOnTable) -> dict[str, Floats]:
+    """Return rows (p, u) of the deviations that are no results."""
+    return {
+        name: _deviation(balls, name) for name in COMPONENTS if name not in components_of(balls)
+    }
+
+
 def components_of(balls: BallsOnTable) -> tuple[str, ...]:
     """Return the deviations that are results: ECC, and what else the balls tell."""
     return tuple(name for name in COMPONENTS if name == "ECC" or name in balls.shown)

@@ -1,0 +1,167 @@
+"""Models of several instruments that see the same, as one model.
+
+Each instrument's model is brought to unknowns of which the first are those that all share
+(:func:`reparametrised`) and to observations in their stated noise (:func:`whitened`), for one
+reads lengths and another angles. :func:`stacked` puts them together: what all share stands once,
+everything else belongs to its instrument and bears its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.arrow import Design, dense
+from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit
+from rotcal_ros.foundation.arrays import Floats
+
+IN_NOISE: Final = Unit("standard deviations", 1.0)
+"""In which people read the observations of several instruments."""
+
+
+def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model:
+    """Return the model of unknowns in ``blocks`` (q,) that ``to`` (p, q) takes to its own."""
+
+    def equations(x: Floats) -> tuple[Floats, Design]:
+        computed, design = model.equations(to @ x)
+        return computed, dense(design) @ to
+
+    return replace(
+        model,
+        blocks=blocks,
+        equations=equations,
+        outputs=model.outputs @ to,
+        also={name: rows @ to for name, rows in model.also.items()},
+        start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
+    )
+
+
+def whitened(model: Model) -> Model:
+    """Return the model of observations that are divided by their stated noise."""
+    std = model.std
+
+    def equations(x: Floats) -> tuple[Floats, Design]:
+        computed, design = model.equations(x)
+        return computed / std, dense(design) / std[:, None]
+
+    def divided(effect: Disturbing) -> Disturbing:
+        if callable(effect.columns):
+            return replace(effect, columns=lambda read: effect.at(read * std) / std[:, None])
+        return replace(effect, columns=effect.columns / std[:, None])
+
+    return replace(
+        model,
+        observed=model.observed / std,
+        std=np.ones(len(std)),
+        equations=equations,
+        unit=IN_NOISE,
+        effects=[divided(effect) for effect in model.effects],
+    )
+
+
+def stacked(
+    models: Mapping[str, Model], shared: Mapping[str, int], outputs: Floats, words: Words
+) -> Model:
+    """Return the :func:`whitened` models of several instruments, by their names, as one.
+
+    The first unknowns of each are those in the blocks ``shared`` (s,); ``outputs`` (o, s) are
+    those of all. What each tells besides is told beside its name.
+    """
+    width, parts = sum(shared.values()), list(models.values())
+    rows = places_of([m.size[0] for m in parts])
+    own = places_of([m.size[1] - width for m in parts], width)
+    n, p = rows[-1].stop, own[-1].stop
+    blocks = dict(shared)
+    for name, model in models.items():
+        of_its_own = list(model.blocks.items())[len(shared) :]
+        blocks |= {f"{block} of {name}": size for block, size in of_its_own}
+
+    def columns_of(unknowns: slice) -> Floats:
+        return np.append(np.arange(width), np.arange(unknowns.start, unknowns.stop))
+
+    columns = [columns_of(unknowns) for unknowns in own]
+
+    def equations(x: Floats) -> tuple[Floats, Design]:
+        computed, design = np.zeros(n), np.zeros((n, p))
+        for model, at, mine in zip(parts, rows, columns, strict=True):
+            computed[at], derivatives = model.equations(x[mine])
+            design[at, mine] = dense(derivatives)
+        return computed, design
+
+    every = list(zip(models.items(), rows, columns, strict=True))
+    firsts = np.cumsum([0, *(len(m.components) for m in parts)])
+    start = np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)])
+    return Model(
+        blocks=blocks,
+        observed=np.concatenate([m.observed for m in parts]),
+        std=np.ones(n),
+        equations=equations,
+        outputs=np.pad(outputs, ((0, 0), (0, p - width))),
+        words=words,
+        unit=IN_NOISE,
+        start=start,
+        also={
+            f"{what} of {name}": _spread(told, mine, p)
+            for (name, model), _, mine in every
+            for what, told in model.also.items()
+        },
+        components=[f"{c} of {name}" for name, m in models.items() for c in m.components],
+        component=np.concatenate(
+            [m.of_component + first for m, first in zip(parts, firsts, strict=False)]
+        ),
+        judged=np.concatenate([m.may_go for m in parts]),
+        groupings=[
+            _grouping(name, grouping, at, n)
+            for (name, model), at, _ in every
+            for grouping in model.groupings
+        ],
+        effects=[
+            _disturbing(name, effect, at, n)
+            for (name, model), at, _ in every
+            for effect in model.effects
+        ],
+        row_names=[f"{row} of {name}" for name, m in models.items() for row in m.names],
+    )
+
+
+def places_of(sizes: Iterable[int], first: int = 0) -> list[slice]:
+    """Return where parts of such ``sizes`` are that stand one after the other."""
+    ends = np.cumsum([first, *sizes]).tolist()
+    return [slice(a, b) for a, b in pairwise(ends)]
+
+
+def _spread(rows: Floats, columns: Floats, unknowns: int) -> Floats:
+    """Return ``rows`` (k, q) of some unknowns as those of all, (k, p)."""
+    found = np.zeros((len(rows), unknowns))
+    found[:, columns] = rows
+    return found
+
+
+def _grouping(name: str, grouping: Grouping, at: slice, n: int) -> Grouping:
+    number = np.full(n, -1)
+    number[at] = grouping.number
+    along = None if grouping.along is None else np.zeros(n)
+    if along is not None:
+        along[at] = grouping.along
+    return Grouping(f"{name}, {grouping.kind}", number, along)
+
+
+def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
+    """Return the effect on the rows ``at`` of n, which says in whose observations it is."""
+
+    def spread(columns: Floats) -> Floats:
+        return np.pad(columns, ((at.start, n - at.stop), (0, 0)))
+
+    columns = effect.columns
+    return replace(
+        effect,
+        what=f"in {name} {effect.what}",
+        columns=(lambda computed: spread(columns(computed[at])))
+        if callable(columns)
+        else spread(columns),
+    )

@@ -1,0 +1,86 @@
+"""``rotcal solve`` of several tables, and ``rotcal plan add``."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from joint_world import polygon
+from two_groups import ALTERNATING
+
+from rotcal_ros.cli.main import rotcal
+
+SHIFTS = ((0.0, -30.0, -150.0), (0.0, -60.0, -90.0))
+
+
+def run(*arguments):
+    return CliRunner().invoke(rotcal, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """Two tables of readings with their set-ups: (readings, set-up) of each polygon."""
+    folder, rng, found = tmp_path_factory.mktemp("polygons"), np.random.default_rng(1), []
+    for number, shifts in enumerate(SHIFTS):
+        measured = polygon(ALTERNATING, rng, shifts=shifts)
+        rows = [f"{o.table_position},{o.station},{o.mean[0]!r}" for o in measured.observations]
+        table, setup = folder / f"{number}.csv", folder / f"{number}.yaml"
+        table.write_text("\n".join(["position,setting,reading_rad", *rows, ""]))
+        setup.write_text(measured.configuration.text)
+        found.append((table, setup))
+    return found
+
+
+def test_two_tables_are_solved_together(tables, tmp_path):
+    (first, its), (second, others) = tables
+    best = tmp_path / "best.json"
+    ran = run("solve", first, second, "--setup", its, "--setup", others, "--json", "-o", best)
+    assert ran.exit_code == 0, ran.output
+    data = json.loads(ran.stdout)
+    assert list(data["details"]["inputs"]) == [str(first), str(second)]
+    assert (data["method"], data["n_observations"]) == ("combination", 78)
+    each = [json.loads(run("solve", t, "--setup", s, "--json").stdout) for t, s in tables]
+    together = max(data["std"]["ECC"])
+    assert all(together < 0.9 * max(alone["std"]["ECC"]) for alone in each)
+    words = run("solve", first, second, "--setup", its, "--setup", others)
+    assert "ECC: chi-square" in words.stderr
+    assert "measurement: ok" in words.stderr
+    assert run("report", best, "-o", tmp_path / "page.html").exit_code == 0
+
+
+def test_what_is_of_one_source_only_is_refused(tables):
+    (first, its), (second, others) = tables
+    setups = ("--setup", its, "--setup", others)
+    ran = run("solve", first, second, *setups, "--set", "solver.sigma_arcsec=1")
+    assert ran.exit_code == 2
+    assert "are for one source" in ran.stderr
+    ran = run("solve", first, second, "--setup", its)
+    assert ran.exit_code == 2
+    assert "1 set-ups (--setup) for 2 sources, 2 of them tables" in ran.stderr
+    ran = run("solve", first, first, "--setup", its, "--setup", its)
+    assert ran.exit_code == 3
+    assert "share 39 observations" in ran.stderr
+
+
+def test_the_same_plan_once_more_is_told_to_divide_by_the_root_of_two(tables, tmp_path):
+    (_, setup), (_, other) = tables
+    ran = run("plan", "add", "--to", setup, setup, other, "--json")
+    assert ran.exit_code == 0, ran.output
+    now, again, more = json.loads(ran.stdout)["additions"]
+    assert (now["plan"], now["duration_s"]) == ("as it is", 0.0)
+    assert again["std"]["ECC"] == pytest.approx(now["std"]["ECC"] / np.sqrt(2.0), rel=1e-6)
+    assert more["plan"] == str(other)
+    assert more["std"]["ECC"] < now["std"]["ECC"]
+    assert more["duration_s"] > 60.0
+    assert now["open"] == more["open"] == []
+
+
+def test_a_method_is_planned_with_its_defaults():
+    ran = run("plan", "add", "angle_comparison")
+    assert ran.exit_code == 0, ran.output
+    heading, row = ran.stdout.splitlines()
+    assert heading == "plan,time/min,U(ECC)/arcsec"
+    assert row.startswith("angle_comparison,")
+    ran = run("plan", "add", "ball_plate")
+    assert ran.exit_code == 2
+    assert "setting 'plate' is missing" in ran.stderr
