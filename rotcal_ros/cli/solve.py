@@ -165,7 +165,7 @@ def _show_together(
         from rotcal_ros.report.terminal.tables import say_groups
 
         say_groups(found.groups)
-    return _show(found.result, output, as_json)
+    return show_result(found.result, output, as_json=as_json)
 
 
 def _evaluated(

@@ -373,7 +373,8 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
 
     squares, rank, chance = 0.0, 0, 1.0
     if len(members) > 1:
-        _, _, squares, rank, chance, _, _ = closed(members[1:])
+        test = closed(members[1:])
+        squares, rank, chance = test.squares, test.rank, test.probability
     consistent = chance >= level
     fit = found.fit if consistent else alone
     response = fit.response[place]
