@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from ball_world import LEVEL, NAMES, World
 
-from rotcal_ros.evaluation.joint import Instrument
+from rotcal_ros.evaluation.joint import JointInput
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
@@ -26,7 +26,7 @@ def measured(name, changes, values):
 def instrument(name, measurements):
     """Return measurements as an instrument: its result and its model."""
     model = measurements.calibration.of_curves(measurements.observations)
-    return Instrument(name, measurements.solve(), model)
+    return JointInput(name, measurements.solve(), model)
 
 
 def balls(world, rng):

@@ -19,7 +19,7 @@ from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rotcal_ros.evaluation.joint import Expected, Instrument
+    from rotcal_ros.evaluation.joint import Expected, JointInput
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.methods import Calibration
     from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
@@ -221,25 +221,25 @@ def _planned(name: str) -> Calibration:
     )
 
 
-def _expected(name: str, calibration: Calibration, seed: int) -> Instrument:
+def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
     """Return what a plan would give as an instrument; what it reads does not matter."""
-    from rotcal_ros.evaluation.joint import Instrument
+    from rotcal_ros.evaluation.joint import JointInput
 
     alone = calibration.of_distances
     observations = _predicted_observations(alone, seed)
-    return Instrument(name, alone.solve(observations), alone.of_curves(observations))
+    return JointInput(name, alone.solve(observations), alone.of_curves(observations))
 
 
-def _present(path: Path, seed: int) -> Instrument:
+def _present(path: Path, seed: int) -> JointInput:
     """Return what there is: a result, a bag, or a configuration that is planned."""
-    from rotcal_ros.evaluation.joint import Instrument
+    from rotcal_ros.evaluation.joint import JointInput
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import instrument_of, read_source
 
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return _expected(str(path), _planned(str(path)), seed)
     if path.suffix == ".json":
-        return Instrument(str(path), read_source(path).result)
+        return JointInput(str(path), read_source(path).result)
     return instrument_of(str(path), Input(path).read())
 
 

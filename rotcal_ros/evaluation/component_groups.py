@@ -189,7 +189,7 @@ def combine_group(
     return replace(group, links=tuple(links_of(group, inputs, parts)))
 
 
-class Layout(NamedTuple):
+class GroupLayout(NamedTuple):
     """What the inputs of a group measured where.
 
     ``joined``: the angles of each component; ``columns``: its place among the n unknowns;
@@ -203,7 +203,7 @@ class Layout(NamedTuple):
     common: Floats
 
 
-def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> Layout:
+def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> GroupLayout:
     """Return the unknowns of ``components``; DataError for angles that cannot be joined."""
     joined = {c: join_angles([inputs[name][c] for name in _with(c, inputs)]) for c in components}
     columns, start = {}, 0
@@ -216,7 +216,9 @@ def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> Layout:
         for name, far in zip(_with(c, inputs), joined[c].interpolated, strict=True)
         if far
     )
-    return Layout(joined, columns, between, unknown({c: joined[c].angles for c in components}))
+    return GroupLayout(
+        joined, columns, between, unknown({c: joined[c].angles for c in components})
+    )
 
 
 class _Weighed(NamedTuple):
@@ -351,7 +353,7 @@ class SeenCurves:
     place: Mapping[str, int]
 
 
-def part_of(name: str, inputs: Mapping[str, Curves], layout: Layout) -> SeenCurves:
+def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> SeenCurves:
     """Return what one input says about the unknowns of a group."""
     joined, columns, _, _ = layout
     own = {c: inputs[name][c] for c in joined if c in inputs[name]}

@@ -43,8 +43,8 @@ from rotcal_ros.evaluation.component_groups import (
     SAME,
     ComponentGroup,
     Curves,
+    GroupLayout,
     Joined,
-    Layout,
     Pooled,
     SeenCurves,
     laid_out,
@@ -74,7 +74,7 @@ NONE: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class JointInput:
     """One measurement of the table: the result that it gives alone, and its observations.
 
     ``model`` is None where the result stands for them.
@@ -99,12 +99,12 @@ class _Shared:
     """
 
     inputs: Sequence[CombinationInput]
-    layouts: Sequence[Layout]
+    layouts: Sequence[GroupLayout]
     parts: Sequence[Mapping[str, SeenCurves]]
     left: Sequence[Floats]
 
     @classmethod
-    def of(cls, instruments: Sequence[Instrument]) -> _Shared:
+    def of(cls, instruments: Sequence[JointInput]) -> _Shared:
         """Return what the instruments share; DataError where nothing joins them."""
         inputs = [each.alone for each in instruments]
         _require_own_observations(inputs)
@@ -281,7 +281,7 @@ class _Views:
     models: Mapping[str, Model]
 
     @classmethod
-    def of(cls, instruments: Sequence[Instrument]) -> _Views:
+    def of(cls, instruments: Sequence[JointInput]) -> _Views:
         shared = _Shared.of(instruments)
         models = {
             each.name: _by_result(shared, each.name)
@@ -333,7 +333,7 @@ class _Views:
             )
 
 
-def solve_together(instruments: Sequence[Instrument]) -> Combination:
+def solve_together(instruments: Sequence[JointInput]) -> Combination:
     """Return the solution of all that the ``instruments`` observed, and how they agree by group.
 
     Components count from their means, and the pairs have no part that turns with the table. If
@@ -423,7 +423,7 @@ def _result(
     views: _Views,
     found: Adjusted,
     groups: Sequence[ComponentGroup],
-    instruments: Sequence[Instrument],
+    instruments: Sequence[JointInput],
 ) -> Result:
     """Return the result of all groups, with what the engine found and doubts."""
     result = result_of(groups, views.shared.inputs)
@@ -453,7 +453,7 @@ class Expected:
     open: tuple[str, ...]
 
 
-def predicted_together(instruments: Sequence[Instrument]) -> Expected:
+def predicted_together(instruments: Sequence[JointInput]) -> Expected:
     """Return what ``instruments`` would give together; what they observed does not matter.
 
     Raises as :func:`solve_together`.

@@ -16,7 +16,7 @@ from rotcal_ros.evaluation.iso230 import (
     read_runs,
     require_runs,
 )
-from rotcal_ros.evaluation.joint import Instrument
+from rotcal_ros.evaluation.joint import JointInput
 from rotcal_ros.evaluation.reference import (
     COLUMNS,
     read_deviations,
@@ -122,12 +122,12 @@ def solved(measured: Recording | Measurements) -> ResultSource:
     return ResultSource(measured.solve(), measured.sha256, axis)
 
 
-def instrument_of(name: str, measured: Recording | Measurements) -> Instrument:
+def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
     """Return a bag or a table, ready to be solved together with others."""
     model = None
     if isinstance(measured, Recording | PlannedMeasurements):
         model = measured.calibration.of_curves(measured.observations)
-    return Instrument(name, measured.solve(), model)
+    return JointInput(name, measured.solve(), model)
 
 
 def read_repeated_runs(

@@ -9,7 +9,7 @@ from joint_world import BALLS_NOISE, POLYGON_NOISE, balls, drawn, instrument, po
 from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 
 from rotcal_ros.evaluation.combination import combine
-from rotcal_ros.evaluation.joint import Instrument, predicted_together, solve_together
+from rotcal_ros.evaluation.joint import JointInput, predicted_together, solve_together
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate.solver import solve
@@ -84,7 +84,7 @@ def test_it_is_the_combination_where_that_is_exact(stand):
 
 def test_readings_join_the_two_groups_of_a_plate():
     """Six balls leave open by how much the odd positions are off; readings tell."""
-    six = Instrument("six", solve(plate_problem()))
+    six = JointInput("six", solve(plate_problem()))
     assert six.result.zeros.of("ECC", GRID).any()
     readings = instrument("polygon", polygon(ALTERNATING, np.random.default_rng(3)))
     found = solve_together([six, readings]).result
@@ -202,7 +202,7 @@ def test_a_result_that_agrees_well_keeps_its_uncertainty_where_it_is_alone():
     problem = plate_problem(
         range(GRID), world.motions[5], world.motions[:3].T, noise=2e-7, sigma=2e-7
     )
-    plate = Instrument("plate", solve(problem))
+    plate = JointInput("plate", solve(problem))
     together = solve_together([instrument("balls", balls(world, rng)), plate])
     found, noise = together.result, together.result.details["noise"]
     assert noise["the result of plate"] < 0.9
@@ -222,8 +222,8 @@ def test_the_same_plan_once_more_divides_the_uncertainty_by_the_root_of_two():
 
 
 def test_what_stays_open_is_said_before_it_is_measured():
-    six = Instrument("six", solve(plate_problem()))
-    again = Instrument("again", solve(plate_problem(seed=5)))
+    six = JointInput("six", solve(plate_problem()))
+    again = JointInput("again", solve(plate_problem(seed=5)))
     assert set(predicted_together([six, again]).open) == set(six.result.components)
     readings = instrument("polygon", polygon(ALTERNATING, np.random.default_rng(3)))
     assert "ECC" not in predicted_together([six, readings]).open
