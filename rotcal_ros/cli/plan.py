@@ -214,11 +214,15 @@ def _planned(name: str) -> Calibration:
     from rotcal_ros.methods import method_names, parse_configuration, prepare_whole
     from rotcal_ros.methods.configuration import read_configuration
 
-    if name not in method_names():
-        return prepare_whole(read_configuration(Path(name)))
-    return prepare_whole(
-        parse_configuration(f"/**: {{ros__parameters: {{method: {name}}}}}", name)
-    )
+    if name in method_names():
+        text = f"/**: {{ros__parameters: {{method: {name}}}}}"
+        return prepare_whole(parse_configuration(text, name))
+    if not (path := Path(name)).exists():
+        raise ConfigurationError(
+            f"{name} is neither the file of a configuration nor one of the methods "
+            f"{', '.join(method_names())}; give one of these"
+        )
+    return prepare_whole(read_configuration(path))
 
 
 def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:

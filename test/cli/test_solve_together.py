@@ -84,3 +84,12 @@ def test_a_method_is_planned_with_its_defaults():
     ran = run("plan", "add", "ball_plate")
     assert ran.exit_code == 2
     assert "setting 'plate' is missing" in ran.stderr
+
+
+def test_an_addition_that_is_neither_method_nor_file_is_refused_with_the_methods():
+    ran = run("plan", "add", "ball_plates")
+    assert ran.exit_code == 2
+    assert (
+        "ball_plates is neither the file of a configuration nor one of the methods" in ran.stderr
+    )
+    assert "angle_comparison, ball_plate," in ran.stderr
