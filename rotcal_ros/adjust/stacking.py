@@ -106,9 +106,9 @@ def stacked(
         unit=IN_NOISE,
         start=start,
         also={
-            f"{what} of {name}": _spread(told, mine, p)
+            f"{what} of {name}": _spread(further, mine, p)
             for (name, model), _, mine in every
-            for what, told in model.also.items()
+            for what, further in model.also.items()
         },
         components=[f"{c} of {name}" for name, m in models.items() for c in m.components],
         component=np.concatenate(

@@ -248,10 +248,10 @@ def _present(path: Path, seed: int) -> JointInput:
 
 
 def _print_additions(rows: Sequence[tuple[str, float, Expected]]) -> None:
-    told = [c for c in COMPONENTS if any(c in found.std for _, _, found in rows)]
+    components = [c for c in COMPONENTS if any(c in found.std for _, _, found in rows)]
     columns = [Column("plan", [name for name, _, _ in rows])]
     columns.append(Column("time/min", [seconds / 60.0 for _, seconds, _ in rows], ".0f"))
-    for c in told:
+    for c in components:
         unit, label = unit_of(c)
         cells = [
             f"{COVERAGE_FACTOR * found.std[c] / unit:.3g}{'*' * (c in found.open)}"

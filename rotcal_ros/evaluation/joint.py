@@ -198,19 +198,19 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     if np.abs(beyond @ curve).max() > NONE:
         raise DataError("the outputs of a model cannot be any curve: its result has to do")
     own = np.hstack([inverse @ zeros @ null_space(beyond @ zeros, rcond=NONE), null_space(rows)])
-    to = np.hstack([inverse @ curve, own @ _told(model, own)])
+    to = np.hstack([inverse @ curve, own @ _observable(model, own)])
     blocks = {CURVES: curve.shape[1], "own unknown": to.shape[1] - curve.shape[1]}
     return whitened(reparametrised(model, to, blocks))
 
 
-def _told(model: Model, own: Floats) -> Floats:
+def _observable(model: Model, own: Floats) -> Floats:
     """Return columns (q, r): what observations tell of unknowns ``own`` (p, q), each as well."""
     felt = dense(model.equations(model.first)[1]) @ own / model.std[:, None]
     scale = np.linalg.norm(felt, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     _, size, ways = np.linalg.svd(felt / scale, full_matrices=False)
-    told = size > NONE * size.max(initial=0.0)
-    return np.asarray((ways[told].T / size[told]) / scale[:, None])
+    seen = size > NONE * size.max(initial=0.0)
+    return np.asarray((ways[seen].T / size[seen]) / scale[:, None])
 
 
 def _by_result(shared: _Shared, name: str) -> Model:
