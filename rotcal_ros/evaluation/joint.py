@@ -67,8 +67,6 @@ LARGEST: Final = 1000.0
 """Difference of two instruments, in um or arcsec, that nobody would overlook."""
 CURVES: Final = "deviations"
 """The block of unknowns that all instruments share."""
-RESULT: Final = "the result"
-"""The component of noise of what is no observation."""
 NONE: Final = 1e-9
 """Share of a direction that is rounding."""
 
@@ -243,7 +241,7 @@ def _by_result(shared: _Shared, name: str) -> Model:
         equations=linear(white @ design),
         outputs=np.zeros((0, design.shape[1])),
         words=WORDS,
-        components=(RESULT,),
+        components=("the result",),
         judged=np.zeros(len(white), dtype=np.bool_),
         row_names=[f"value {k}" for k in range(len(white))],
     )
@@ -279,6 +277,8 @@ class _Views:
 
     shared: _Shared
     models: Mapping[str, Model]
+    results: frozenset[str]
+    """Names of the instruments whose results stand for them."""
 
     @classmethod
     def of(cls, instruments: Sequence[JointInput]) -> _Views:
@@ -289,7 +289,14 @@ class _Views:
             else _by_observations(shared, each.model)
             for each in instruments
         }
-        return cls(shared, models)
+        results = frozenset(each.name for each in instruments if each.model is None)
+        return cls(shared, models, results)
+
+    @cached_property
+    def of_results(self) -> Bools:
+        """Which observations (n,) are those of results."""
+        each = [np.full(m.size[0], name in self.results) for name, m in self.models.items()]
+        return np.concatenate(each)
 
     @cached_property
     def whole(self) -> Model:
@@ -344,13 +351,11 @@ def solve_together(instruments: Sequence[JointInput]) -> Combination:
     views = _Views.of(instruments)
     found = adjust(views.whole)
     # Closures are judged by the noise of each alone: in that of all together they would hide.
-    by_name = {each.name: each.result.details.get("noise") for each in instruments if each.model}
     factors = [
-        (by_name.get(name) or {}).get(component, 1.0)
-        for name, model in views.models.items()
-        for component in model.components
+        np.ones(1) if each.model is None else adjust(each.model.model).diagnosis.noise.factors
+        for each in instruments
     ]
-    alone = found.diagnosis.fitted(np.array(factors), found.fit.x)
+    alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)
     tested = sum(len(parts) > 1 for parts in views.shared.parts)
     level = SURE / max(tested, 1)
     groups = [_group(views, found, alone, k, level) for k in range(len(views.shared.parts))]
@@ -378,7 +383,8 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
     consistent = chance >= level
     fit = found.fit if consistent else alone
     response = fit.response[place]
-    covariance = _covariance(found)[place, place] if consistent else response @ response.T
+    stated = _covariance(views, found)[place, place]
+    covariance = stated if consistent else response @ response.T
     parts = np.array([(response[:, views.rows[name]] ** 2).sum(axis=1) for name in names])
     variances = np.maximum(parts.sum(axis=0), np.finfo(np.float64).tiny)
     group = ComponentGroup(
@@ -406,16 +412,15 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
     )
 
 
-def _covariance(found: Adjusted) -> Floats:
+def _covariance(views: _Views, found: Adjusted) -> Floats:
     """Return the covariance (s, s) of the deviations.
 
     A result that agrees with the others better than it says keeps what it says: its scatter there
     tells nothing of what it alone knows.
     """
     model, response = found.model, found.fit.response[: len(found.model.outputs)]
-    of_result = np.array([name.startswith(RESULT) for name in model.components])
-    factors = np.where(of_result, np.minimum(found.diagnosis.noise.factors, 1.0), 1.0)
-    more = (1.0 / factors**2 - 1.0)[model.of_component]
+    smaller = np.minimum(found.diagnosis.noise.factors, 1.0)[model.of_component]
+    more = np.where(views.of_results, 1.0 / smaller**2 - 1.0, 0.0)
     return np.asarray(found.covariance + (response * more) @ response.T)
 
 
