@@ -8,7 +8,7 @@ everything else belongs to its instrument and bears its name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final
@@ -86,13 +86,6 @@ def stacked(
 
     columns = [columns_of(unknowns) for unknowns in own]
 
-    def equations(x: Floats) -> tuple[Floats, Design]:
-        computed, design = np.zeros(n), np.zeros((n, p))
-        for model, at, mine in zip(parts, rows, columns, strict=True):
-            computed[at], derivatives = model.equations(x[mine])
-            design[at, mine] = dense(derivatives)
-        return computed, design
-
     every = list(zip(models.items(), rows, columns, strict=True))
     firsts = np.cumsum([0, *(len(m.components) for m in parts)])
     start = np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)])
@@ -100,7 +93,7 @@ def stacked(
         blocks=blocks,
         observed=np.concatenate([m.observed for m in parts]),
         std=np.ones(n),
-        equations=equations,
+        equations=_together(parts, rows, columns, p),
         outputs=np.pad(outputs, ((0, 0), (0, p - width))),
         words=words,
         unit=IN_NOISE,
@@ -127,6 +120,22 @@ def stacked(
         ],
         row_names=[f"{row} of {name}" for name, m in models.items() for row in m.names],
     )
+
+
+def _together(
+    models: Sequence[Model], rows: Sequence[slice], columns: Sequence[Floats], unknowns: int
+) -> Callable[[Floats], tuple[Floats, Design]]:
+    """Return the equations of all models: their ``rows``, of their ``columns`` of the unknowns."""
+    n = rows[-1].stop
+
+    def equations(x: Floats) -> tuple[Floats, Design]:
+        computed, design = np.zeros(n), np.zeros((n, unknowns))
+        for model, at, mine in zip(models, rows, columns, strict=True):
+            computed[at], derivatives = model.equations(x[mine])
+            design[at, mine] = dense(derivatives)
+        return computed, design
+
+    return equations
 
 
 def places_of(sizes: Iterable[int], first: int = 0) -> list[slice]:

@@ -92,10 +92,15 @@ def require_one_table(stated: Mapping[str, Mapping[str, str]]) -> None:
 
 def _coincide(angles: Floats, curve: MeasuredCurve) -> Bools:
     """Return which of ``angles`` (n,) rad ``curve`` was measured at."""
-    gap = angles[:, None] - curve.angles[None, :]
-    if curve.period:
+    return np.asarray(same_angles(angles, curve.angles, curve.period).any(axis=1))
+
+
+def same_angles(angles: Floats, others: Floats, period: float) -> Bools:
+    """Return which of ``others`` (n,) rad each of ``angles`` (m,) is, (m, n); 0: no period."""
+    gap = angles[:, None] - others
+    if period:
         gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
-    return np.asarray(np.min(np.abs(gap), axis=1) <= 1e3 * SAME_ANGLE, dtype=np.bool_)
+    return np.asarray(np.abs(gap) <= 1e3 * SAME_ANGLE, dtype=np.bool_)
 
 
 def _common(first: MeasuredCurve, second: MeasuredCurve) -> tuple[Floats, NDArray[np.intp]]:

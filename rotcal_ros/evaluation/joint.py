@@ -36,11 +36,11 @@ from rotcal_ros.evaluation.combination import (
     result_of,
     wanted_groups,
 )
+from rotcal_ros.evaluation.common_angles import same_angles
 from rotcal_ros.evaluation.compare import SURE
 from rotcal_ros.evaluation.component_groups import (
     FLOOR,
     GROUPS,
-    SAME,
     ComponentGroup,
     Curves,
     GroupLayout,
@@ -57,7 +57,6 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection, Result
-from rotcal_ros.foundation.units import TURN
 from rotcal_ros.methods.by_model import CurveModel
 
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
@@ -158,10 +157,7 @@ class _Shared:
     def meets(self, component: str, angles: Floats) -> Bools:
         """Return which (m, n) of the angles of a component each of ``angles`` (m,) rad is."""
         joined = self.joined(component)
-        gap = angles[:, None] - joined.angles
-        if joined.period:
-            gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
-        return np.asarray(np.abs(gap) <= SAME)
+        return same_angles(angles, joined.angles, joined.period)
 
 
 def _require_own_observations(inputs: Sequence[CombinationInput]) -> None:
