@@ -19,6 +19,7 @@ import resource
 import signal
 import sys
 import time
+import traceback
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import suppress
@@ -40,9 +41,9 @@ ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "mutants"
 MARKERS = "not slow and not ros and not linuxcnc"
 ENOUGH_S = 20.0
-"""Processor seconds that the tests of one mutant may need without it."""
+"""Processor seconds that the tests of one mutant may need without it, unless told otherwise."""
 LONGEST_S = 20.0
-"""Seconds that one test may take under the meter."""
+"""Processor seconds that one test may take under the meter."""
 FILE_S = 0.1
 """Processor seconds to collect a file of tests."""
 PATIENCE_S, PATIENCE = 10.0, 5.0
@@ -106,12 +107,12 @@ class Meter(Repeatable):
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self) -> Generator[None, Any, Any]:
         """End a test that takes too long."""
-        signal.signal(signal.SIGALRM, lambda *_: pytest.fail("takes too long"))
-        signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+        signal.signal(signal.SIGPROF, lambda *_: pytest.fail("takes too long"))
+        signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
         try:
             return (yield)
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Forget a test that fails."""
@@ -223,11 +224,19 @@ class Folder:
         }
 
 
+def measure(folders: Iterable[str]) -> None:
+    """See to it that what the tests of these folders run is known."""
+    os.chdir(ROOT)
+    for name in folders:
+        Folder(name)
+
+
 class Suite:
     """All tests, and which of them notice a mutant."""
 
-    def __init__(self, folders: Iterable[str]) -> None:
+    def __init__(self, folders: Iterable[str], enough_s: float = ENOUGH_S) -> None:
         os.chdir(ROOT)
+        self.enough_s = enough_s
         self.folders = [Folder(name) for name in folders]
         self.parts = {test: parts for f in self.folders for test, parts in f.parts.items()}
         self.seconds = {part: s for f in self.folders for part, s in f.seconds.items()}
@@ -254,7 +263,7 @@ class Suite:
         for test in sorted(tests, key=lambda test: (test != first, *self._far(path, test))):
             file = test.split("::")[0]
             trusted = self.trusted.get(test, True) and self.trusted.get(file, True)
-            if trusted and self._needs(parts) < ENOUGH_S:
+            if trusted and self._needs(parts) < self.enough_s:
                 chosen.append(test)
                 parts |= {file, *self.parts[test]}
         return chosen
@@ -283,7 +292,7 @@ class Suite:
         return "untested", "", 0
 
     def _try(self, path: Path, source: str, tests: list[str]) -> tuple[str, str]:
-        killer = KEPT / "killer"
+        killer = KEPT / f"{os.getpid()}.killer"
         killer.write_text("")
 
         def trial() -> int:
@@ -294,9 +303,11 @@ class Suite:
 
         parts = {part for test in tests for part in self.parts.get(test, ())}
         needs = self._needs(parts.union(files_of(tests)))
-        code, late = in_fork(trial, PATIENCE_S + PATIENCE * needs, KEPT / "trial.log")
+        code, late = in_fork(trial, PATIENCE_S + PATIENCE * needs, KEPT / f"{os.getpid()}.log")
         passed = code in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
-        return "timeout" if late else "survived" if passed else "killed", killer.read_text()
+        by = killer.read_text()
+        killer.unlink()
+        return "timeout" if late else "survived" if passed else "killed", by
 
 
 def files_of(tests: Sequence[str]) -> list[str]:
@@ -327,6 +338,34 @@ def run_pytest(paths: Sequence[str], plugin: object, *options: str) -> int:
     """Run tests."""
     options = ("-q", "-p", "no:cacheprovider", "-m", MARKERS, "--tb=short", *options)
     return int(pytest.main([*options, *paths], plugins=[plugin]))
+
+
+def side_by_side(jobs: int, work: Callable[[int], None]) -> None:
+    """Run ``work`` in so many forked processes, each with its number.
+
+    Raises
+    ------
+    SystemExit
+        If one of them failed; what it printed tells why.
+
+    """
+    children = []
+    for number in range(jobs):
+        child = os.fork()
+        if child == 0:
+            code = 1
+            try:
+                work(number)
+                code = 0
+            except Exception:
+                traceback.print_exc()
+            finally:
+                sys.stdout.flush()
+                os._exit(code)
+        children.append(child)
+    codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
+    if any(codes):
+        raise SystemExit(f"processes ended with {codes}")
 
 
 def in_fork(work: Callable[[], int], limit_s: float, log: Path) -> tuple[int, bool]:

@@ -14,6 +14,7 @@ import argparse
 import difflib
 import json
 import math
+import os
 import random
 import re
 import time
@@ -26,7 +27,7 @@ from typing import Any
 import libcst as cst
 import libcst.matchers as m
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutant_trials import PACKAGE, ROOT, Suite
+from mutant_trials import ENOUGH_S, PACKAGE, ROOT, Suite, measure, side_by_side
 from mutmut.mutation.file_mutation import MutationVisitor, deep_replace
 from mutmut.mutation.mutators import mutation_operators
 from mutmut.mutation.pragma_handling import IgnoredCode
@@ -170,25 +171,28 @@ def main() -> None:
     parser.add_argument("--again", type=Path, help="try the mutants of this report instead")
     parser.add_argument("--survivors", type=Path, help="try those that survived in this report")
     parser.add_argument("--minutes", type=float, help="stop the sample after so long")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument(
+        "--enough-s", type=float, default=ENOUGH_S, help="of tests for each mutant"
+    )
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "mutants.json")
     given = parser.parse_args()
     rooms, former = given.room or ROOMS, given.again or given.survivors
     killers = None if former is None else killers_of(former, survivors_only=not given.again)
     total, chosen = choose(rooms, given.seed, given.sample, killers)
     print(f"{total} mutants, {len(chosen)} of them are tried", flush=True)
-    suite = Suite(folders_for(rooms))
-    start = time.monotonic()
-    tried: list[dict[str, Any]] = []
-    for mutant in chosen:
-        if given.minutes and time.monotonic() - start > 60.0 * given.minutes:
-            break
-        killer = (killers or {}).get(mutant.key, "")
-        outcome, by, tests = suite.outcome(mutant.path, mutant.line, mutant.mutated(), killer)
-        place = f"{mutant.key[0]}:{mutant.line}"
-        entry = {"room": mutant.room, "place": place, "outcome": outcome, "by": by}
-        tried.append({**entry, "tests": tests, "diff": mutant.diff(), "key": mutant.key})
-        if outcome in ("survived", "untested"):
-            print(f"{place}  met {tests} tests\n{mutant.diff()}", flush=True)
+    folders, start = folders_for(rooms), time.monotonic()
+    side_by_side(given.jobs, lambda number: measure(folders[number :: given.jobs]))
+    suite = Suite(folders, given.enough_s)
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    notes = given.output.with_suffix(".jsonl")
+    end = start + 60.0 * (given.minutes or math.inf)
+    rest = left(chosen, notes)
+    side_by_side(
+        given.jobs, lambda number: attempt(suite, rest[number :: given.jobs], killers, end, notes)
+    )
+    wanted = {mutant.key for mutant in chosen}
+    tried = [entry for entry in read(notes) if tuple(entry["key"]) in wanted]
     of_room = {room: [entry for entry in tried if entry["room"] == room] for room in rooms}
     report = {
         "seed": given.seed,
@@ -198,11 +202,46 @@ def main() -> None:
         "overall": share(tried),
         "tried": tried,
     }
-    given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(json.dumps(report, indent=1))
+    notes.unlink()
     for name, row in [*report["rooms"].items(), ("overall", report["overall"])]:
         print(f"{name:18}", *(f"{key} {value:<6}" for key, value in row.items()))
     print(f"{report['seconds']} s; every mutant stands in {given.output}")
+
+
+def left(chosen: Sequence[Mutant], notes: Path) -> list[Mutant]:
+    """Return the mutants that an interrupted run of the same output has not tried."""
+    known = {tuple(entry["key"]) for entry in read(notes)}
+    if known:
+        print(f"goes on after {len(known)} that {notes} holds", flush=True)
+    return [mutant for mutant in chosen if mutant.key not in known]
+
+
+def read(notes: Path) -> list[dict[str, Any]]:
+    """Return what has been tried so far."""
+    return [json.loads(line) for line in notes.read_text().splitlines()] if notes.exists() else []
+
+
+def attempt(
+    suite: Suite,
+    mutants: Sequence[Mutant],
+    killers: dict[tuple[str, ...], str] | None,
+    end: float,
+    notes: Path,
+) -> None:
+    """Try mutants until the time is over and note each one at once, for a run that is stopped."""
+    for mutant in mutants:
+        if time.monotonic() > end:
+            break
+        killer = (killers or {}).get(mutant.key, "")
+        outcome, by, tests = suite.outcome(mutant.path, mutant.line, mutant.mutated(), killer)
+        place = f"{mutant.key[0]}:{mutant.line}"
+        entry = {"room": mutant.room, "place": place, "outcome": outcome, "by": by}
+        entry |= {"tests": tests, "diff": mutant.diff(), "key": mutant.key}
+        with notes.open("a") as file:
+            file.write(json.dumps(entry) + "\n")
+        if outcome in ("survived", "untested"):
+            print(f"{place}  met {tests} tests\n{mutant.diff()}", flush=True)
 
 
 def killers_of(report: Path, survivors_only: bool) -> dict[tuple[str, ...], str]:

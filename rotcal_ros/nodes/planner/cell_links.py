@@ -27,7 +27,7 @@ from rotcal_ros.foundation.node_state import STOPS, Reason
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.accepted_publishers import APART, HEARS, digest
-from rotcal_ros.nodes.runtime.announced_plan import RUN
+from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN, RUN
 from rotcal_ros.nodes.runtime.beat_values import LISTENS, show
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -285,6 +285,12 @@ class CellLinks:
             for name in nodes
             if self.health.values(name).get(RUN) != run
         ]
+
+    def refused_plan(self, run: str, nodes: Sequence[str] = ("capture", "solver")) -> list[str]:
+        """Return which nodes cannot take the plan of this run, and why."""
+        told = ((name, self.health.values(name).get(REFUSED_RUN, "")) for name in nodes)
+        split = ((name, *text.partition(" ")) for name, text in told)
+        return [f"node {name} refuses the plan: {why}" for name, of, _, why in split if of == run]
 
     def _observed(self, message: msg.Observation) -> None:
         self.observations[message.step, message.attempt] = messages.observation(message)

@@ -204,7 +204,9 @@ class GoalRun:
         run = self._run = run_name(message)
         links.health.beat()  # names the run: without it the others ignore the plan
         links.announce(message)
-        await self.watch.have(lambda: links.missing_plan(run), Codes.NODE_LOST)
+        await self.watch.have(
+            lambda: links.missing_plan(run), Codes.NODE_LOST, lambda: links.refused_plan(run)
+        )
         self.watch.begin_run(run)
 
     async def _solve(self) -> FinishCalibration.Response:

@@ -247,10 +247,19 @@ class GoalWatch:
         health.clock.look()
         return health.clock.watch.count + jumps_told(map(health.values, health.others))
 
-    async def have(self, missing: Callable[[], list[str]], code: int) -> None:
-        """Wait until nothing is missing; after the time of a preflight GoalError names what is."""
-        if not await self.wait(_rarely(lambda: not missing()), self.patience_s):
-            raise GoalError(code, "; ".join(missing()) or "preflight timed out")
+    async def have(
+        self,
+        missing: Callable[[], list[str]],
+        code: int,
+        in_vain: Callable[[], list[str]] = lambda: [],
+    ) -> None:
+        """Wait until nothing is missing; after the time of a preflight GoalError names what is.
+
+        It does so at once when ``in_vain`` tells why to wait would be in vain.
+        """
+        came = await self.wait(_rarely(lambda: not missing() or bool(in_vain())), self.patience_s)
+        if why := in_vain() or ([] if came else missing() or ["preflight timed out"]):
+            raise GoalError(code, "; ".join(why))
 
     async def stands_still(self, look: Callable[[], object]) -> None:
         """Wait until what ``look`` returns has not changed for SETTLED_S, at most patience_s."""

@@ -30,6 +30,8 @@ from rotcal_ros.nodes.runtime.qos import LATCHED
 
 RUN: Final = "run"
 """Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
+REFUSED_RUN: Final = "refused_run"
+"""Value in a beat: the run whose plan the node could not take, a blank, and the reason."""
 
 
 def run_name(message: CalibrationPlan) -> str:
@@ -97,11 +99,15 @@ class PlanSubscription:
             if whose is Whose.A_STRANGERS:
                 self._ignored(message, "is not the planner's and was ignored")
                 continue
-            show(self._node.health, FOREIGN_PLAN, None)
+            for key in (FOREIGN_PLAN, REFUSED_RUN):
+                show(self._node.health, key, None)
             try:
                 self._take(message)
-            except RotcalError as error:
+            except Exception as error:  # the goal must hear of a fault of this program, too
                 if whose is Whose.THE_GOALS:
+                    self._refused(message, error)
+                    raise
+                if not isinstance(error, RotcalError):
                     raise
                 self._ignored(message, f"cannot be used: {error}")
 
@@ -111,6 +117,12 @@ class PlanSubscription:
         if "planner" in health.lost:
             return ""
         return health.values("planner").get(RUN, "") if "planner" in health.others else None
+
+    def _refused(self, message: CalibrationPlan, error: Exception) -> None:
+        """Tell the planner at once, which would wait for this node in vain."""
+        health, why = self._node.health, str(error) or type(error).__name__
+        show(health, REFUSED_RUN, f"{run_name(message)} {why}", alarm=True)
+        health.beat()
 
     def _ignored(self, message: CalibrationPlan, why: str) -> None:
         topic = self._node.resolve_topic_name(names.PLAN)

@@ -12,6 +12,7 @@ from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.nodes.planner import goal_run
 from rotcal_ros.nodes.planner.cell_links import CellLinks
 from rotcal_ros.nodes.planner.goal_watch import GoalError, GoalWatch
+from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN, RUN
 from rotcal_ros.nodes.runtime.beat_values import LISTENS
 
 STOP = "/safety/estop"
@@ -69,6 +70,14 @@ def test_the_recorders_own_word_counts_where_the_graph_does_not_name_it():
     cell = links(publishers=["plc"], recorded=False)
     cell.health = SimpleNamespace(values=lambda name: {LISTENS: f"/other {STOP}"})
     assert cell.missing_topics((), (), STOP) == []
+
+
+def test_a_refusal_counts_for_the_run_that_it_names():
+    cell = links(publishers=[], recorded=True)
+    beats = {"capture": {REFUSED_RUN: "plan@2 other version"}, "solver": {RUN: "plan@2"}}
+    cell.health = SimpleNamespace(values=lambda name: beats[name])
+    assert cell.refused_plan("plan@2") == ["node capture refuses the plan: other version"]
+    assert cell.refused_plan("plan@1") == []
 
 
 def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):

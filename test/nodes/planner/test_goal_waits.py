@@ -117,6 +117,21 @@ def test_who_has_not_been_found_for_long_is_published_anew_once(cell, joined_s, 
     assert cell.published_anew == pytest.approx(anew, abs=2 * TURN_S)
 
 
+def test_what_is_waited_for_in_vain_ends_the_goal_at_once_with_the_reason(cell):
+    refused = []
+    cell.script = {2.0: lambda: refused.append("node capture refuses the plan: no method")}
+    with pytest.raises(GoalError, match=r"^node capture refuses the plan: no method$") as raised:
+        asyncio.run(cell.watch.have(lambda: ["the plan"], Codes.NODE_LOST, lambda: refused))
+    assert raised.value.code == Codes.NODE_LOST
+    assert cell.now_s - 100.0 == pytest.approx(2.0, abs=0.5)
+
+
+def test_what_is_missing_for_too_long_is_named(cell):
+    with pytest.raises(GoalError, match=r"^the plan$"):
+        asyncio.run(cell.watch.have(lambda: ["the plan"], Codes.NODE_LOST))
+    assert cell.now_s - 100.0 == pytest.approx(cell.watch.patience_s, abs=1.0)
+
+
 def test_who_publishes_is_known_when_nobody_new_has_been_found_for_a_while(cell):
     cell.script = {0.3: lambda: cell.publishers.append("second tracer")}
     asyncio.run(cell.watch.stands_still(lambda: [*cell.publishers]))

@@ -13,7 +13,12 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.capture.heard import PATIENCE_S
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.nodes.runtime import announced_plan as plans
-from rotcal_ros.nodes.runtime.announced_plan import RUN, PlanSubscription, run_name
+from rotcal_ros.nodes.runtime.announced_plan import (
+    REFUSED_RUN,
+    RUN,
+    PlanSubscription,
+    run_name,
+)
 from rotcal_ros.nodes.runtime.beat_values import FOREIGN_PLAN
 
 
@@ -24,8 +29,9 @@ class Node(SimpleNamespace):
         health = SimpleNamespace(
             lost={}, concerns={}, alarms={}, others={"planner": object()},
             values=lambda _: {RUN: self.goal} if self.goal else {},
+            beat=lambda: self.beats.append(dict(health.alarms)),
         )  # fmt: skip
-        super().__init__(goal="another run", health=health, warnings=[])
+        super().__init__(goal="another run", health=health, warnings=[], beats=[])
 
     def listen(self, _kind, _topic, handle, _qos):
         self.offer = handle
@@ -152,6 +158,28 @@ def test_the_planners_own_plan_that_cannot_be_used_is_an_error(clock):
     node.goal = run_name(OURS)
     with pytest.raises(ConfigurationError, match="plan ours names no method"):
         node.offer(OURS)
+
+
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [(ConfigurationError("no method"), "no method"), (KeyError(), "KeyError")],
+)
+def test_the_planner_hears_at_once_who_cannot_take_its_plan_until_another_comes(clock, error, why):
+    node, errors = Node(), [error]
+
+    def take(_message):
+        if errors:
+            raise errors.pop()
+
+    PlanSubscription(node, take)
+    node.goal = run_name(OURS)
+    with pytest.raises(type(error)):
+        node.offer(OURS)
+    assert node.beats == [{REFUSED_RUN: f"{run_name(OURS)} {why}"}]
+    later = plan("later")
+    node.goal = run_name(later)
+    node.offer(later)
+    assert node.health.alarms == {}
 
 
 def test_what_came_in_a_goal_is_left_alone_behind_it_too(clock):
