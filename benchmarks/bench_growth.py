@@ -12,11 +12,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import resource
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.angle_comparison.model import model_of, readings_of
+from rotcal_ros.methods.angle_comparison.settings import (
+    ComparisonPlanSettings,
+    ComparisonSolverSettings,
+)
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.tracer import solver as tracer
 
@@ -65,6 +72,21 @@ def plate(grid: int) -> ball_plate.BallPlateProblem:
     return ball_plate.BallPlateProblem(grid, 0.15, table, ball, nominal + noise)
 
 
+def two_circles(angles: int, settings: int) -> None:
+    """Solve a closed circle of so many angles, read in settings one to so many steps apart."""
+    step = 360.0 / angles
+    shifts = tuple(step * (k * (k + 1) // 2) for k in range(settings))
+    plan = ComparisonPlanSettings(
+        table_positions=angles + 1, table_step_deg=step, shifts_deg=shifts
+    )
+    read = readings_of(plan)
+    noise = np.random.default_rng(1).normal(0.0, ARCSEC, len(read.value))
+    model = model_of(plan, ComparisonSolverSettings(sigma_arcsec=1.0), replace(read, value=noise))
+    found = adjust(model)
+    assert found.verdict != "failed"
+    assert len(found.protections())
+
+
 def by_tracer(m: int, n: int, shared: bool, **options: object) -> None:
     """Solve a full circle; ``shared``: one zero for all lengths."""
     segment = {"segment": np.zeros(m * n, dtype=np.int64)} if shared else {}
@@ -93,6 +115,11 @@ PLATES = [(f"ball plate, {grid} positions, 12 balls", partial(by_plate, grid))
           for grid in (72, 720, 3600)]  # fmt: skip
 
 
+CIRCLES = [(f"two circles, {angles} angles, {settings} settings",
+            partial(two_circles, angles, settings))
+           for angles, settings in ((72, 8), (360, 4), (360, 12), (720, 4))]  # fmt: skip
+
+
 def measured(name: str, solve: Callable[[], None]) -> Row:
     """Return the row of one solution, in this process."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -106,7 +133,7 @@ def measured(name: str, solve: Callable[[], None]) -> Row:
 def rows() -> Iterator[Row]:
     """Yield one row per problem."""
     with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
-        for task in (*TRACER, *WHOLE, *PLATES):
+        for task in (*TRACER, *WHOLE, *PLATES, *CIRCLES):
             yield pool.apply(measured, task)
 
 

@@ -44,8 +44,13 @@ class FewEach:
         return FewEach(few, self.known * weight[n:, None])
 
     def times(self, x: Floats) -> Floats:
-        """Return the design times ``x`` (p,)."""
-        return np.append(self.few @ x, self.known @ x)
+        """Return the design times ``x`` (p,) or (p, k)."""
+        return np.asarray(np.concatenate([self.few @ x, self.known @ x]))
+
+    def adjoint(self, y: Floats) -> Floats:
+        """Return the transposed design times ``y`` (n + m,) or (n + m, k)."""
+        n = self.few.shape[0]
+        return np.asarray(self.few.T @ y[:n] + self.known.T @ y[n:])
 
 
 Design: TypeAlias = "Floats | csr_array | FewEach"
@@ -76,6 +81,24 @@ def weighted(design: Design, weight: Floats) -> Floats | FewEach:
         design if isinstance(design, FewEach) else FewEach(design, np.zeros((0, design.shape[1])))
     )
     return few.weighted(weight)
+
+
+def times(design: Floats | FewEach, x: Floats) -> Floats:
+    """Return a design (n, p) times ``x`` (p,) or (p, k)."""
+    return design.times(x) if isinstance(design, FewEach) else np.asarray(design @ x)
+
+
+def adjoint(design: Floats | FewEach, y: Floats) -> Floats:
+    """Return a transposed design (p, n) times ``y`` (n,) or (n, k)."""
+    return design.adjoint(y) if isinstance(design, FewEach) else np.asarray(design.T @ y)
+
+
+def normal(design: Floats | FewEach) -> Floats:
+    """Return the normal matrix (p, p) of a design."""
+    if isinstance(design, FewEach):
+        of_few = (design.few.T @ design.few).toarray()
+        return np.asarray(of_few + design.known.T @ design.known)
+    return np.asarray(design.T @ design)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,12 +16,13 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array, diags_array
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.distributions import normal_isf, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.gathering import Gathering, judged
-from rotcal_ros.adjust.groups import CHECKED, Group, SolutionView
+from rotcal_ros.adjust.groups import CHECKED, Group
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
 from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
@@ -35,6 +36,7 @@ from rotcal_ros.adjust.noise import (
     bent_squares,
     estimate_factors,
 )
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 
@@ -58,6 +60,8 @@ TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
 MOST_RIVALS: Final = 12
 """Other causes that are compared with the best of a kind."""
+WEAK: Final = 1e-4
+"""Information of a size, per that of its errors without the unknowns, below which digits go."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -447,7 +451,7 @@ class Look:
 
     def _effect(self, effect: Disturbing) -> list[Explanation]:
         columns = effect.at(self.fit.computed)
-        seen = seen_by(self.fit, columns)
+        seen = seen_by(self.fit, columns, family=effect.family)
         if not effect.family:
             test = effect_test(seen, self.rest)
             return [self._explanation(effect, columns, seen, test)] if test.rank else []
@@ -486,29 +490,48 @@ class Look:
     def _groups(self) -> list[Group]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model, found = self.fit, self.before.model, list[Group]()
-        view = SolutionView(fit.root @ fit.root.T, fit.outputs)
-        rows = np.where(fit.used[:, None], fit.design / fit.std[:, None], 0.0)
+        basis, response = fit.basis, fit.response
         for grouping in model.groupings:
             for number, members in members_of(grouping, model.may_go).items():
                 kept = members[fit.used[members]]
-                if not 1 < len(kept) < len(rows):
+                if not 1 < len(kept) < len(basis):
                     continue
-                group = view.group(
-                    grouping.kind, f"{grouping.kind} {number}", kept, rows[kept][:, None],
-                    fit.white[kept][:, None], 1.0 / fit.std[kept][:, None],
-                    gathered_of(grouping, kept), len(members) - len(kept),
+                group = Group.of(
+                    grouping.kind, f"{grouping.kind} {number}", kept, fit.white[kept][:, None],
+                    1.0 / fit.std[kept][:, None], basis[kept] @ basis[kept].T,
+                    Sensitivity.whole(response[:, kept]), gathered_of(grouping, kept),
+                    len(members) - len(kept),
                 )  # fmt: skip
                 found.append(group)
         return found
 
 
-def seen_by(fit: Fit, columns: Floats) -> Seen:
-    """Return what a solution makes of ``columns`` (n, k) of errors."""
+def seen_by(fit: Fit, columns: Floats, *, family: bool = False) -> Seen:
+    """Return what a solution makes of ``columns`` (n, k) of errors, of a ``family`` or together.
+
+    Of a family, which may have as many columns as there are observations, neighbours alone.
+    """
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
+    if family:
+        return _family_seen_by(fit, csr_array(white))
     left = fit.left_of(white)
     return Seen(
         (fit.response @ white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0)
     )
+
+
+def _family_seen_by(fit: Fit, white: csr_array) -> Seen:
+    """Return what a solution makes of whitened columns (n, k), most of them zeros."""
+    taken = np.asarray(white.T @ fit.basis)  # (k, rank): what the unknowns take up of them
+    whole = np.asarray((white * white).sum(axis=0))
+    beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
+    beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
+    own = whole - (taken**2).sum(axis=1)
+    weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
+    own[weak] = (fit.left_of(white[:, weak].toarray()) ** 2).sum(axis=0)
+    information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
+    moved = np.asarray(white.T @ fit.response.T)
+    return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
 
 
 def _robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:

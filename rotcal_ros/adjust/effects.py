@@ -17,8 +17,10 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.special import erfc
 
+from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.distributions import chi2_sf, detected, f_sf, noncentrality, normal_isf
 from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
@@ -37,20 +39,19 @@ class Seen:
     """What the solution makes of k columns of errors, each of unit size.
 
     ``moved`` (k, o): what they do to the outputs. ``information`` (k, k): S, what of them is left
-    in the residuals; ``score`` (k,): u; ``whole`` (k,): their squared length before the unknowns
-    took up their part.
+    in the residuals, of a family that of neighbours alone; ``score`` (k,): u; ``whole`` (k,):
+    their squared length before the unknowns took up their part.
     """
 
     moved: Floats
-    information: Floats
+    information: Floats | csr_array
     score: Floats
     whole: Floats
 
     def part(self, which: slice) -> Seen:
         """Return what is seen of some of the columns."""
-        return Seen(
-            self.moved[which], self.information[which, which], self.score[which], self.whole[which]
-        )
+        among = dense(self.information[which, which])
+        return Seen(self.moved[which], among, self.score[which], self.whole[which])
 
 
 class EffectTest(NamedTuple):
@@ -118,7 +119,7 @@ def _axes(seen: Seen, nothing: float = UNSEEN) -> tuple[Floats, Floats, Floats]:
     brought to that scale before its eigenvalues are compared.
     """
     scale = np.sqrt(np.maximum(seen.whole, np.finfo(np.float64).tiny))
-    values, vectors = np.linalg.eigh(seen.information / scale / scale[:, None])
+    values, vectors = np.linalg.eigh(dense(seen.information) / scale / scale[:, None])
     axes, checked = vectors / scale[:, None], values > nothing
     return axes[:, checked], values[checked], axes[:, ~checked]
 
@@ -132,10 +133,10 @@ def _chance(squares: float, rank: int, variance: float, left: float) -> float:
     return f_sf(squares / rank / variance, rank, left)
 
 
-def correlations(information: Floats) -> Floats:
+def correlations(information: Floats | csr_array) -> Floats:
     """Return the correlations (k - 1,) between the scores of neighbours, from S (k, k)."""
     root = np.sqrt(np.maximum(information.diagonal(), np.finfo(np.float64).tiny))
-    return np.asarray(np.diagonal(information, 1) / (root[1:] * root[:-1]))
+    return np.asarray(information.diagonal(1) / (root[1:] * root[:-1]))
 
 
 def above_of_family(u: float, alike: Floats) -> float:

@@ -195,7 +195,7 @@ class Adjusted:
     def seen(self) -> list[tuple[Disturbing, Seen]]:
         """What the solution makes of each declared effect."""
         return [
-            (effect, seen_by(self.fit, effect.at(self.fit.computed)))
+            (effect, seen_by(self.fit, effect.at(self.fit.computed), family=effect.family))
             for effect in self.model.effects
         ]
 
@@ -372,7 +372,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     std = np.linalg.norm(fit.response, axis=1)[: len(model.outputs)]
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _unseen(e, seen_by(fit, e.at(computed)), fit.output_std, each)
+        e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)
         for e in model.effects
         if e.at(computed).any()
     }

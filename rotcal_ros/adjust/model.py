@@ -15,8 +15,19 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.arrow import Arrow, Design, FewEach, beside, dense, weighted
+from rotcal_ros.adjust.arrow import (
+    Arrow,
+    Design,
+    FewEach,
+    adjoint,
+    beside,
+    dense,
+    normal,
+    times,
+    weighted,
+)
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.subsets import runs
@@ -114,7 +125,7 @@ class Disturbing:
         return self.columns(computed) if callable(self.columns) else self.columns
 
 
-def linear(design: Floats) -> Equations:
+def linear(design: Floats | csr_array) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
     return lambda x: (design @ x, design)
 
@@ -304,6 +315,19 @@ class Model:
     def every_output(self) -> Floats:
         """``outputs`` and, below them, all of ``also`` (o + a, p)."""
         return np.concatenate([self.outputs, *self.also.values()])
+
+    @cached_property
+    def held(self) -> Ints:
+        """Unknowns (k,) that may stand still: the others tell what they do, as a zero of all does.
+
+        Those that pivoted Cholesky finds last at the start values. Who leaves them out must check
+        that nothing is lost: it takes what is weak for open, too.
+        """
+        _, jacobian = self.equations(self.first)
+        squares = normal(weighted(jacobian, 1.0 / self.std))
+        length = np.sqrt(np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0))
+        _, pivots, rank, _ = lapack.dpstrf(squares / length / length[:, None], tol=FIRM**2)
+        return np.sort(pivots[rank:] - 1)
 
     @cached_property
     def names(self) -> Sequence[str]:
@@ -520,7 +544,10 @@ def fitted(
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
-            return Fit(model, x, residual, std, used, jacobian)
+            x = x + step  # no more matter, but digits
+            return Fit(
+                model, x, model.observed - _computed(model, x, extra)[0], std, used, jacobian
+            )
         before = left
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
@@ -564,22 +591,55 @@ def _step(
 
     Block by block, or by the normal equations, which are quick, where these are firm.
     """
-    if isinstance(design, FewEach):
-        step = None if arrow is None else arrow.solved(design, white)
-        if step is not None:
-            felt = design.times(step)
-            return step, float(felt @ felt)
-        design = design.dense()
-    normal = design.T @ design
-    scale = np.sqrt(np.where(normal.diagonal() > 0.0, normal.diagonal(), 1.0))
-    normal /= scale * scale[:, None]
-    root, failed = lapack.dpotrf(normal)
-    if failed or lapack.dpocon(root, np.abs(normal).sum(axis=0).max())[0] < FIRM**2:
-        basis, cofactors = _factored(model, design)
+    step = None
+    if isinstance(design, FewEach) and arrow is not None:
+        step = arrow.solved(design, white)
+    if step is not None:
+        felt = times(design, step)
+        return step, float(felt @ felt)
+    squares = normal(design)
+    scale = np.sqrt(np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0))
+    squares /= scale * scale[:, None]
+    moving = _moving(model, len(scale))
+    squares = squares[moving][:, moving]
+    root, failed = lapack.dpotrf(squares)
+    firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
+    if not firm or not _told_by_others(model, design, root, scale):
+        basis, cofactors = _factored(
+            model, design.dense() if isinstance(design, FewEach) else design
+        )
         along = basis.T @ white
         return cofactors @ along, float(along @ along)
-    along = lapack.dtrtrs(root, design.T @ white / scale, trans=1)[0]
-    return lapack.dtrtrs(root, along)[0] / scale, float(along @ along)
+    along = lapack.dtrtrs(root, (adjoint(design, white) / scale)[moving], trans=1)[0]
+    step = np.zeros(len(scale))
+    step[moving] = lapack.dtrtrs(root, along)[0]
+    return step / scale, float(along @ along)
+
+
+def _moving(model: Model, unknowns: int) -> Ints | slice:
+    """Return the unknowns that do not stand still, of so many with effects that were taken up."""
+    if not len(model.held):
+        return slice(None)
+    return np.delete(np.arange(unknowns), model.held)
+
+
+def _told_by_others(model: Model, design: Floats | FewEach, root: Floats, scale: Floats) -> bool:
+    """Whether columns of unknowns that stand still are combinations of those that move.
+
+    ``root``: the upper Cholesky factor of the normal matrix of these, times ``scale`` (p + q,).
+    What it leaves is taken once more, since it squares what is badly conditioned.
+    """
+    held = model.held
+    if not len(held):
+        return True
+    unit = np.zeros((len(scale), len(held)))
+    unit[held, np.arange(len(held))] = 1.0 / scale[held]
+    left, moving = times(design, unit), _moving(model, len(scale))
+    for _ in range(2):
+        part = np.zeros_like(unit)
+        part[moving] = lapack.dpotrs(root, (adjoint(design, left) / scale[:, None])[moving])[0]
+        left = left - times(design, part / scale[:, None])
+    return bool((np.linalg.norm(left, axis=0) <= OPEN).all())
 
 
 def _factored(model: Model, white: Floats) -> tuple[Floats, Floats]:
@@ -590,11 +650,13 @@ def _factored(model: Model, white: Floats) -> tuple[Floats, Floats]:
     """
     scale = np.linalg.norm(white, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    unit = white / scale
-    if len(unit) >= len(scale) and np.isfinite(unit).all():
-        basis, upper = np.linalg.qr(unit)
-        if lapack.dtrcon(upper)[0] > FIRM:
-            return basis, lapack.dtrtri(upper)[0] / scale[:, None]
+    unit, moving = white / scale, _moving(model, len(scale))
+    if len(unit) >= len(scale) - len(model.held) and np.isfinite(unit).all():
+        basis, upper = np.linalg.qr(unit[:, moving])
+        if lapack.dtrcon(upper)[0] > FIRM and _is_open(model, scale, unit, basis, upper):
+            root = np.zeros((len(scale), len(upper)))
+            root[moving] = lapack.dtrtri(upper)[0]
+            return basis, root / scale[:, None]
     try:
         u, s, vt = np.linalg.svd(unit, full_matrices=False)
     except np.linalg.LinAlgError as error:  # the unknowns have run away
@@ -606,6 +668,29 @@ def _factored(model: Model, white: Floats) -> tuple[Floats, Floats]:
     return u[:, determined], vt[determined].T / s[determined] / scale[:, None]
 
 
+def _is_open(model: Model, scale: Floats, unit: Floats, basis: Floats, upper: Floats) -> bool:
+    """Whether the unknowns that stand still are told by nothing, and felt by no output.
+
+    ``unit`` (n, p + q) of unknowns times ``scale`` (p + q,); ``basis`` and ``upper``: the QR
+    decomposition of those that move.
+    """
+    held = unit[:, model.held]
+    along = basis.T @ held
+    if (np.linalg.norm(held - basis @ along, axis=0) > OPEN).any():
+        return False
+    directions = np.zeros((len(scale), len(model.held)))
+    directions[_moving(model, len(scale))] = -lapack.dtrtrs(upper, along)[0]
+    directions[model.held, np.arange(len(model.held))] = 1.0
+    return _is_unfelt(_padded(model.every_output, len(scale)) / scale, directions)
+
+
+def _is_unfelt(outputs: Floats, directions: Floats) -> bool:
+    """Whether ``outputs`` (o, p + q) feel none of the ``directions`` (p + q, k)."""
+    felt = np.abs(outputs @ directions)
+    lengths = np.linalg.norm(directions, axis=0)
+    return bool((felt <= FREE * np.linalg.norm(outputs, axis=1, keepdims=True) * lengths).all())
+
+
 def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) -> None:
     """Raise ObservabilityError where an output feels one of the ``open_`` directions (k, p + q).
 
@@ -613,9 +698,9 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) 
     which. What is open else, such as a zero that all readings share, is no matter.
     """
     outputs = _padded(model.every_output, len(scale)) / scale
-    felt = outputs @ open_.T
-    if (np.abs(felt) <= FREE * np.linalg.norm(outputs, axis=1, keepdims=True)).all():
+    if _is_unfelt(outputs, open_.T):
         return
+    felt = outputs @ open_.T
     size, ways = np.linalg.svd(felt, full_matrices=False)[1:]
     lost = ways[size > FREE * size[0]] @ open_  # what outputs feel of it
     share = np.linalg.norm(lost, axis=0)[: model.size[1]]

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.causes import Limits
+from rotcal_ros.adjust.causes import Limits, seen_by
 from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
@@ -616,3 +617,75 @@ def test_where_nothing_checks_anything_the_verdict_is_not_ok():
 def test_a_block_that_is_not_there_is_named_with_those_that_are():
     with pytest.raises(DataError, match="no block 'plaec': its blocks are place, zero"):
         from_mean({"place": 3, "zero": 2}, "plaec")
+
+
+def ready(design, outputs, noise, **more):
+    """Return a model with one block of the columns of a design."""
+    return Model(
+        blocks={"unknown": design.shape[1]}, observed=noise, std=np.ones(len(noise)),
+        equations=more.pop("equations", linear(design)), outputs=outputs, words=WORDS,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("zeros", [1, 2, 5])
+def test_which_unknown_stands_still_where_nothing_tells_one_is_no_matter(zeros):
+    """Against the pseudoinverse; every open direction holds one unknown."""
+    rng = np.random.default_rng(zeros)
+    telling = rng.standard_normal((60, 12))
+    open_ = np.linalg.qr(rng.standard_normal((12, zeros)))[0]
+    design = telling - telling @ open_ @ open_.T
+    outputs = rng.standard_normal((4, 12))
+    outputs -= outputs @ open_ @ open_.T
+    model = ready(design, outputs, rng.standard_normal(60))
+    found, plain = adjust(model), np.linalg.pinv(design, rcond=1e-9)
+    assert len(model.held) == zeros
+    assert found.value == pytest.approx(outputs @ plain @ model.observed, abs=1e-12)
+    assert found.covariance == pytest.approx(outputs @ plain @ plain.T @ outputs.T, abs=1e-12)
+    assert found.fit.dof == 60 - 12 + zeros
+
+
+def test_what_is_hardly_told_stands_still_for_nobody():
+    """Two columns that differ by a part in ten million: badly conditioned, and yet determined."""
+    rng = np.random.default_rng(4)
+    design = rng.standard_normal((50, 6))
+    apart = rng.standard_normal(50)
+    design[:, 5] = design[:, 2] + 1e-7 * apart
+    outputs, noise = np.eye(6), rng.standard_normal(50)
+    model = ready(design, outputs, noise)
+    split = np.column_stack([design[:, :5], apart])  # in other unknowns it is well conditioned
+    back = np.eye(6)
+    back[5, 5], back[2, 5] = 1e7, -1e7
+    assert model.held.size == 1
+    found = fitted(model, np.ones(50, dtype=bool), model.std, model.first)
+    expected = back @ np.linalg.lstsq(split, noise, rcond=None)[0]
+    spread = back @ np.linalg.inv(split.T @ split) @ back.T
+    assert found.value == pytest.approx(expected, rel=1e-6)
+    assert found.output_std == pytest.approx(np.sqrt(spread.diagonal()), rel=1e-6)
+
+
+def test_sparse_derivatives_give_the_same_where_they_do_not_fall_into_groups():
+    rng = np.random.default_rng(5)
+    row, unknown = np.arange(80), rng.integers(0, 20, (3, 80))
+    design = np.zeros((80, 20))
+    for each in unknown:
+        design[row, each] += rng.standard_normal(80)
+    noise = rng.standard_normal(80)
+    one, other = (
+        adjust(ready(design, np.eye(20), noise, equations=linear(given)))
+        for given in (design, csr_array(design))
+    )
+    assert other.value == pytest.approx(one.value, rel=1e-9)
+    assert other.value == pytest.approx(np.linalg.lstsq(design, noise, rcond=None)[0], rel=1e-9)
+
+
+def test_a_family_is_seen_as_its_columns_one_by_one_are():
+    model = comparison(np.random.default_rng(6))[1]
+    fit = adjust(model).fit
+    columns = model.effects[1].at(fit.computed)
+    together, plain = seen_by(fit, columns, family=True), seen_by(fit, columns)
+    beside = np.abs(np.subtract.outer(*[np.arange(columns.shape[1])] * 2)) < 2
+    expected = np.where(beside, plain.information, 0.0)
+    assert together.information.toarray() == pytest.approx(expected, rel=1e-9, abs=1.0)
+    assert together.moved == pytest.approx(plain.moved)
+    assert together.score == pytest.approx(plain.score, rel=1e-6)
+    assert together.whole == pytest.approx(plain.whole)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
@@ -155,7 +156,7 @@ def model_of(
         blocks=blocks,
         observed=sign * read.value,
         std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
-        equations=linear(design),
+        equations=linear(csr_array(design)),
         outputs=positions - positions[0],
         also=reference,
         words=WORDS,
