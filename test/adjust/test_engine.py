@@ -462,6 +462,10 @@ def test_exact_numbers_of_one_kind_do_not_keep_the_noise_of_another_from_being_e
         ({"also": {"places": np.eye(3)}}, "places of the model: shape"),
         ({"std": np.full(60, np.inf)}, "std of the model: expected finite numbers"),
         ({"start": np.zeros(3)}, "start of the model: shape"),
+        (
+            {"effects": [Disturbing("drift", "it drifts", np.ones((59, 1)), 1e-3, MICRON)]},
+            r"columns of drift of the model: shape \(59, 1\), expected \(60, 'k'\)",
+        ),
         ({"component": np.full(60, 2)}, "component of the model: expected 0 to 0"),
     ],
 )

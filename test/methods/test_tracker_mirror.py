@@ -6,6 +6,7 @@ from mirror_cell import measure, paper_cell, ring_cell
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.plane_mirror.mirror_physics import FlatMirror, TrackerStation
 
 
 def still(n):
@@ -28,6 +29,23 @@ def test_folded_beam_obeys_the_law_of_reflection():
     seen = station.seen(np.array(mirror.centre) + local @ frame.T)
     best = np.min(np.linalg.norm(seen, axis=1) + np.linalg.norm(place - seen, axis=1))
     assert np.linalg.norm(mirrored[0]) == pytest.approx(best, abs=2e-7)
+
+
+@pytest.mark.parametrize("aside", [(0.4, 0.4), (-0.4, 0.4), (0.5, -0.2)])
+def test_glass_that_is_not_flat_folds_the_beam_beside_its_middle_too(aside):
+    """Of all ways over the glass, at the grid of its height, the one to the image is shortest."""
+    mirror = FlatMirror(lean=0.05, sag=2e-5, twist=-3e-5)
+    centre, frame = mirror.pose(np.eye(3))
+    station = TrackerStation((2.0, 0.3, 0.35))
+    spot = centre + frame[:, :2] @ np.array(aside) * 0.05
+    beam = np.array(station.place) - spot
+    place = spot + 2.0 * (beam @ frame[:, 2]) * frame[:, 2] - beam  # at about where it goes to
+    image = mirror.image((centre, frame), station, place, "here")
+    u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.6, 0.6, 481)] * 2))
+    height = mirror.sag * (u**2 + v**2) + mirror.twist * u * v
+    glass = centre + np.column_stack([u * 0.05, v * 0.05, height]) @ frame.T
+    ways = np.linalg.norm(glass - station.place, axis=1) + np.linalg.norm(place - glass, axis=1)
+    assert np.linalg.norm(image - station.place) == pytest.approx(ways.min(), abs=1e-7)
 
 
 def test_mirror_turned_away_is_refused():

@@ -1,12 +1,14 @@
 """Figures from the details of a plane-mirror result, fresh or read back from JSON."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from mirror_cell import measure, paper_cell
 
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.plane_mirror import figures as mirror_figures
 from rotcal_ros.methods.plane_mirror.solver import solve
 from rotcal_ros.report.page import ReportInput, render_report
@@ -76,3 +78,20 @@ def test_the_drift_is_drawn_where_nests_were_measured_again(result: Result) -> N
     assert drawn.startswith("<svg")
     for text in ("azimuth", "tilt y", "tracker station", "range / µm"):
         assert text in drawn
+
+
+def test_a_way_that_finds_more_lies_above_the_one_that_is_used(
+    result: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (way, *_) = result.details["ways"]
+    more = {**way, "ecc_rad": way["ecc_rad"] + 3.0 * ARCSEC}
+    curves = {}
+
+    def drawn(ax: object, _angles: object, curve: np.ndarray, *more: object) -> None:
+        curves.setdefault(more[-1], []).append(curve)
+
+    monkeypatch.setattr(mirror_figures.style, "curve_with_band", drawn)
+    mirror_figures.ways(replace(result, details={**result.details, "ways": [more]}))
+    own, other = curves["difference"]
+    assert own == pytest.approx(0.0)
+    assert other == pytest.approx(3.0)

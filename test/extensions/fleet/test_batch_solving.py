@@ -8,22 +8,28 @@ import sys
 import time
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 
 import deadly_work
+import numpy as np
 import pytest
 import yaml
 from bag_samples import CONFIGURATION as SAMPLE
 from bag_samples import simulate, write_run
 from click.testing import CliRunner
 
+from rotcal_ros.bags import names
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.extensions.fleet import batch_solving, workers
 from rotcal_ros.extensions.fleet.bag_search import find_bags
 from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
 from rotcal_ros.extensions.fleet.workers import on_all_cores, on_cluster
 from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.recordings.replay import read_recording
 
@@ -209,3 +215,17 @@ def test_a_dask_cluster_gives_the_same_and_its_death_loses_nothing(cluster, jobs
     with pytest.raises(BagError, match="went away; what was solved is kept, and"):
         done |= {outcome.source for outcome in running}
     assert done <= {path.name for path in tmp_path.glob("bag_*")}
+
+
+@pytest.mark.parametrize(("recorded", "serial"), [("T-7", "T-7"), ("", "of the set-up")])
+def test_a_result_is_of_the_table_that_its_bag_names(recorded, serial):
+    """One set-up solves the bags of many tables; its tolerance counts for all."""
+    known = Circumstances(identity=Identity(serial="of the set-up", tolerance_arcsec=2.0))
+    result = Result("other", np.arange(3.0), {}, {}, {}, 1.0, 0, 0, circumstances=known)
+    groups = {"identity": {"serial": recorded}, "cell": {"axis": "B"}}
+    recording = SimpleNamespace(
+        solve=lambda: result,
+        attachments={names.CONFIGURATION: dump_configuration("tracer", groups).encode()},
+    )
+    found = batch_solving._of_its_table(recording).circumstances
+    assert (found.identity.serial, found.identity.tolerance_arcsec) == (serial, 2.0)
