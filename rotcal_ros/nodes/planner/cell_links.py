@@ -288,9 +288,12 @@ class CellLinks:
 
     def refused_plan(self, run: str, nodes: Sequence[str] = ("capture", "solver")) -> list[str]:
         """Return which nodes cannot take the plan of this run, and why."""
-        told = ((name, self.health.values(name).get(REFUSED_RUN, "")) for name in nodes)
-        split = ((name, *text.partition(" ")) for name, text in told)
-        return [f"node {name} refuses the plan: {why}" for name, of, _, why in split if of == run]
+        refusals = {name: self.health.values(name).get(REFUSED_RUN, "") for name in nodes}
+        return [
+            f"node {name} refuses the plan: {refusal.removeprefix(f'{run} ')}"
+            for name, refusal in refusals.items()
+            if refusal.startswith(f"{run} ")
+        ]
 
     def _observed(self, message: msg.Observation) -> None:
         self.observations[message.step, message.attempt] = messages.observation(message)
