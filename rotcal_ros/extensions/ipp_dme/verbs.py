@@ -24,15 +24,13 @@ def command() -> None:
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option(
     "--port",
-    default=1294,
-    show_default=True,
     type=click.IntRange(0, 65_535),
-    help="Port to listen on; 0: any free one.",
+    help="Port to listen on, if it is not that of the group dme; 0: any free one.",
 )
 @click.option(
     "--version", default="1.4.3", show_default=True, help="Version that GetDMEVersion() states."
 )
-def serve(configuration: Path, host: str, port: int, version: str) -> None:
+def serve(configuration: Path, host: str, port: int | None, version: str) -> None:
     """Serve the simulated cell of CONFIGURATION until interrupted, without ROS.
 
     One client at a time drives the machine and its table by TCP. There is no password: listen on
@@ -44,7 +42,7 @@ def serve(configuration: Path, host: str, port: int, version: str) -> None:
             f"{configuration} has no group simulation: nothing to serve; add one"
         )
     cell = read.method.simulated_cell(read.simulation, time.time_ns())
-    server = DmeServer(cell, host, port, version)
+    server = DmeServer(cell, host, read.group("dme").port if port is None else port, version)
 
     def listening() -> None:
         click.echo(f"I++ DME {version} at {host}:{server.port}, interrupt with Ctrl-C")
