@@ -327,7 +327,7 @@ class Model:
         squares = normal(weighted(jacobian, 1.0 / self.std))
         length = np.sqrt(np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0))
         _, pivots, rank, _ = lapack.dpstrf(squares / length / length[:, None], tol=FIRM**2)
-        return np.sort(pivots[rank:] - 1)
+        return np.sort(pivots[rank:] - 1) if rank else np.zeros(0, dtype=np.int64)
 
     @cached_property
     def names(self) -> Sequence[str]:

@@ -78,6 +78,7 @@ def test_the_second_round_is_not_worse_than_the_first(tmp_path, rounds, more):
     assert list(rounds) == ["out", "after", "again"]
     assert [made.simulation.run for made in rounds.values()] == [0, 1, 2]  # noise of its own
     assert found.verdict == "ok"
+    assert found.simulated
     std = max(np.max(found.after.std), np.max(found.again.std))
     assert found.after.systematic < found.before.systematic / 30
     assert found.again.systematic <= found.after.systematic + 4 * std
