@@ -17,15 +17,13 @@ P = 1 - A (A'A)^-1 A' and T' P T = E L E' (eigenvalues L), B = P T E. Then
 
     W = (P - B D B') / s^2,        D = 1 / (s^2 + L)
 
-so that one decomposition in the size of the targets serves every s. A length i that is left out is
-one more unknown, of that length alone: W' = W - W i i' W / (i' W i).
+so that one decomposition in the size of the targets serves every s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh, qr
@@ -56,10 +54,6 @@ class Moments(NamedTuple):
     seen: float
 
 
-MomentsAt: TypeAlias = Callable[[float], Moments]
-"""Moments by the variance s^2 of the noise."""
-
-
 class LengthContrasts:
     """k lengths; everything in units of their planned standard deviations.
 
@@ -68,6 +62,7 @@ class LengthContrasts:
     """
 
     def __init__(self, design: Floats, targets: Floats, length: Floats, time: Floats) -> None:
+        self._design, self._given = design, (targets, length, time)
         k, p = design.shape
         sizes = np.linalg.norm(design, axis=0)
         explained = qr(design / sizes, mode="economic", check_finite=False)[0]
@@ -94,7 +89,7 @@ class LengthContrasts:
         return len(self._length)
 
     def moments(self, variance: float) -> Moments:
-        """Return what the likelihood is made of, all lengths taking part."""
+        """Return what the likelihood is made of."""
         known = 1.0 / (variance + self._spread)
         trace = self._plain / variance + known.sum()
         square = self._plain / variance**2 + (known**2).sum()
@@ -104,30 +99,10 @@ class LengthContrasts:
         )
         return Moments(float(trace), float(square), float(left / variance**2))
 
-    def moments_without(self, row: int) -> MomentsAt:
-        """Return the same without the length ``row``, which others check."""
-        free, length, by_target = self._free[row], self._length[row], self._by_target[row]
-        alone, crossed = by_target**2, by_target * self._measured
-
-        def moments(variance: float) -> Moments:
-            known = 1.0 / (variance + self._spread)
-            shrunk = variance * known
-            first, second = known, known * (1.0 + shrunk)
-            third = known * (1.0 + shrunk + shrunk**2)
-            # i'W i, i'W^2 i and i'W^3 i, then i'W y and i'W^2 y: all that leaving row i out takes
-            own = (free - alone @ first) / variance
-            own_2 = (free - alone @ second) / variance**2
-            own_3 = (free - alone @ third) / variance**3
-            pull = (length - crossed @ first) / variance
-            pull_2 = (length - crossed @ second) / variance**2
-            every = self.moments(variance)
-            return Moments(
-                every.trace - own_2 / own,
-                every.square - 2.0 * own_3 / own + (own_2 / own) ** 2,
-                every.seen - 2.0 * pull * pull_2 / own + pull**2 * own_2 / own**2,
-            )
-
-        return moments
+    def without(self, row: int) -> LengthContrasts:
+        """Return the lengths but the one in ``row``, which becomes one more unknown."""
+        alone = np.eye(len(self), 1, -row)
+        return LengthContrasts(np.hstack([self._design, alone]), *self._given)
 
     def checked(self, variance: float) -> Floats:
         """Return the diagonal of W (k,): how much the others check each length."""
@@ -148,7 +123,7 @@ class LengthContrasts:
         return float(value / np.sqrt(variance * weight)) if weight > 0.0 else 0.0
 
 
-def likeliest(moments: MomentsAt) -> float:
+def likeliest(lengths: LengthContrasts) -> float:
     """Return the variance s^2 of the noise of greatest restricted likelihood.
 
     Fisher scoring from 1: y' W^2 y = tr W there (Patterson and Thompson, Biometrika 58 (1971)
@@ -156,7 +131,7 @@ def likeliest(moments: MomentsAt) -> float:
     """
     variance = 1.0
     for _ in range(MAX_ITERATIONS):
-        now = moments(variance)
+        now = lengths.moments(variance)
         better = max(variance + (now.seen - now.trace) / now.square, LEAST_SHARE**2)
         if abs(better - variance) <= SETTLED * variance:
             return better
@@ -164,9 +139,9 @@ def likeliest(moments: MomentsAt) -> float:
     return variance
 
 
-def degrees_of_freedom(moments: MomentsAt, variance: float) -> float:
+def degrees_of_freedom(lengths: LengthContrasts, variance: float) -> float:
     """Return s^4 tr W^2: the number of contrasts where the targets play no part."""
-    return variance**2 * moments(variance).square
+    return variance**2 * lengths.moments(variance).square
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +168,8 @@ def estimated_noise(lengths: LengthContrasts) -> LengthNoise:
     """Return the noise of the lengths; without a contrast 1 with zero degrees of freedom."""
     if lengths.count <= 0:
         return LengthNoise(1.0, 0.0, np.zeros(len(lengths)), 0.0)
-    variance = likeliest(lengths.moments)
-    return _judged(lengths, variance, degrees_of_freedom(lengths.moments, variance))
+    variance = likeliest(lengths)
+    return _judged(lengths, variance, degrees_of_freedom(lengths, variance))
 
 
 def judged_lengths(lengths: LengthContrasts, factor: float) -> LengthNoise:
@@ -227,7 +202,7 @@ def suspect_length(
     for k in np.argsort(-size)[:DOUBTFUL].tolist():
         if size[k] == 0.0 or size[k] < ALIKE * size[worst]:
             break
-        others = lengths.moments_without(k)
+        others = lengths.without(k)
         variance = likeliest(others)
         limit = float(stdtrit(max(degrees_of_freedom(others, variance), 1.0), tail))
         value = float(lengths.pull(variance)[k] / np.sqrt(lengths.checked(variance)[k]))
