@@ -17,15 +17,13 @@ from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, Words
 from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.reliability import hidden
-from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.adjust.subsets import neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.circle import bearing_slopes, table_motion
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM, Grid
-from rotcal_ros.methods.tracer.solver.network import network_of, view_of
+from rotcal_ros.methods.tracer.solver.network import LengthView
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 LEAST_OF_GROUP: Final = 4
@@ -81,26 +79,31 @@ def protection(gathering: Gathering, std: Floats) -> tuple[Protection, ...]:
 
 
 def groups_of(
-    grid: Grid, fit: Adjustment, angles: Floats, order: Ints
+    grid: Grid, fit: Adjustment, view: LengthView, residual: Floats, order: Ints
 ) -> tuple[Group | Undivided, ...]:
-    """Return the groups of a network; outputs are the cumulative angles (m,), rad.
+    """Return the groups of a network, by the ``view`` at it and its ``residual`` (p, n), m.
 
-    ``angles`` (m,): as commanded. ``order`` (k,): when each row of the problem was taken.
+    ``order`` (k,): when each row of the problem was taken. What lies together in no way is judged
+    as a whole only.
     """
-    network = network_of(grid, fit)
-    slopes = bearing_slopes(fit.stations, table_motion(fit.stations, angles)).from_first
-    view = view_of(network, slopes)
     found: list[Group | Undivided] = []
     for places in places_of(grid, fit, order):
         strip, target = places.at.T
-        if len(places.gathered):
-            leverage, sensitivity = view.leverage(strip, target), view.sensitivity(strip, target)
-            found.append(group_at(grid, places, -network.f, leverage, sensitivity))
-        else:
-            unit = 1.0 / grid.length_std[strip, target]
-            residual = -network.f[strip, target] * unit
+        unit = 1.0 / grid.length_std[strip, target]
+        white = residual[strip, target] * unit
+        if not len(places.gathered):
             cofactor = view.cofactor(strip, target, unit)
-            found.append(Undivided(places.kind, places.name, residual, cofactor, places.lost))
+            found.append(Undivided(places.kind, places.name, white, cofactor, places.lost))
+            continue
+        leverage, sensitivity = view.leverage(strip, target), view.sensitivity(strip, target)
+        number = np.ravel_multi_index((strip, target), grid.used.shape)
+        found.append(
+            Group.of(
+                places.kind, places.name, number, white[:, None], unit[:, None],
+                leverage * unit * unit[:, None], sensitivity.weighted(unit), places.gathered,
+                places.lost,
+            )
+        )  # fmt: skip
     return tuple(found)
 
 
@@ -170,26 +173,3 @@ def _stretches(grid: Grid, order: Ints) -> list[Places]:
         gathered = runs(np.arange(len(kept), dtype=np.float64))
         found.append(Places("stretch", name, kept, gathered, len(at) - len(kept)))
     return found
-
-
-def group_at(
-    grid: Grid, places: Places, residual: Floats, leverage: Floats, sensitivity: Sensitivity
-) -> Group:
-    """Return the group of ``places`` with the ``residual`` (p, n) of all lengths, m.
-
-    ``leverage`` (e, e): covariance of the adjusted lengths, m^2. ``sensitivity`` (o, e): what the
-    outputs are off by for a unit of each length over its variance.
-    """
-    strip, target = places.at.T
-    unit = 1.0 / grid.length_std[strip, target]
-    return Group.of(
-        places.kind,
-        places.name,
-        np.ravel_multi_index((strip, target), grid.used.shape),
-        residual[strip, target][:, None] * unit[:, None],
-        unit[:, None],
-        leverage * unit * unit[:, None],
-        sensitivity.weighted(unit),
-        places.gathered,
-        places.lost,
-    )

@@ -22,11 +22,11 @@ from rotcal_ros.methods.tracer.solver.adjustment import (
     ranges,
     stations_covariance,
 )
-from rotcal_ros.methods.tracer.solver.circle import TableMotion, table_motion
+from rotcal_ros.methods.tracer.solver.circle import TableMotion, bearing_slopes, table_motion
 from rotcal_ros.methods.tracer.solver.gathering import groups_of
 from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid, arrange
 from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
-from rotcal_ros.methods.tracer.solver.network import KNOWN
+from rotcal_ros.methods.tracer.solver.network import KNOWN, network_of, view_of
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,
     check_station_spread,
@@ -275,7 +275,10 @@ def _grouping(problem: TracerProblem) -> Grouping:
         if hardly_moved(fit.stations):
             return ()  # refused in words as soon as the lengths are settled
         commanded = problem.table_angles[grid.position_ids]
-        return groups_of(grid, fit, commanded, problem.measuring_order)
+        network = network_of(grid, fit)
+        slopes = bearing_slopes(fit.stations, table_motion(fit.stations, commanded)).from_first
+        view = view_of(network, slopes)
+        return groups_of(grid, fit, view, -network.f, problem.measuring_order)
 
     return grouping
 

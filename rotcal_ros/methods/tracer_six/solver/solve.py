@@ -66,7 +66,7 @@ from rotcal_ros.methods.tracer.solver.zeros import largest_share, step_between
 from rotcal_ros.methods.tracer_six.solver.network import pattern_gradient
 from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, timing
 from rotcal_ros.methods.tracer_six.solver.scatter import Kind
-from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust
+from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust, respond
 
 METHOD = "tracer_six"
 STEEP: Final = 45.0 * DEGREE
@@ -523,13 +523,9 @@ def _worst(solution: SixSolution, patterns: Floats, largest: float) -> Unseen:
 
 def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
     """Return moves of the curves (k, 6, m), and what is left in chi-squared (k,)."""
-    layout, here, k = solution.layout, pattern_gradient(solution.network, patterns), len(patterns)
-    step = here.slope @ solution.fit.posterior.covariance
-    left = (here.weighted * patterns).sum(axis=(1, 2)) - (step * here.slope).sum(axis=1)
-    moved = step[:, layout.size :] @ solution.table.jacobian.T
-    m = len(layout.angles)
-    ordered = moved.reshape(k, 2, m, 3).transpose(0, 1, 3, 2).reshape(k, 6, m)
-    return ordered, np.maximum(left, 0.0)
+    felt, k = respond(solution.fit, solution.table.jacobian, patterns), len(patterns)
+    ordered = felt.moved.reshape(k, 2, -1, 3).transpose(0, 1, 3, 2).reshape(k, 6, -1)
+    return ordered, np.maximum(felt.total - felt.taken, 0.0)
 
 
 def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolution[SixSolution]:
