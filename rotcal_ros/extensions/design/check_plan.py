@@ -25,7 +25,7 @@ from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.configuration import Configuration, replaced
 from rotcal_ros.methods.tracer.plan import LEAST_ANGLES
 from rotcal_ros.methods.tracer.policy.exchange import Progress
-from rotcal_ros.methods.tracer.policy.scene import Scene, noisy_problem
+from rotcal_ros.methods.tracer.policy.information import Scene, noisy_problem
 from rotcal_ros.methods.tracer.policy.sequence import (
     Forecast,
     SequenceForecast,

@@ -15,8 +15,8 @@ from chances import LONG, most
 
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
-from rotcal_ros.methods.tracer.solver.gathering import groups_of
 from rotcal_ros.methods.tracer.solver.network import _Apart, _Whole, network_of, view_of
+from rotcal_ros.methods.tracer.solver.screening import groups_of
 from rotcal_ros.methods.tracer.solver.solution import adjust
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -9,9 +9,9 @@ from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.screening import critical_value
-from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 SCENE = simulate(seed=1)
 VARIANTS = [

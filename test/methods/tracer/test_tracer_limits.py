@@ -12,8 +12,8 @@ from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.tracer.solver import solve
 from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations, locate_stations
 from rotcal_ros.methods.tracer.solver.circle import table_motion
-from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.observability import or_prior
+from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.screening import critical_value, reject, rejection_limit
 from rotcal_ros.methods.tracer.solver.start import find_start
 

@@ -4,7 +4,7 @@ With known noise the uncertainty of a set of lengths is known before any is take
 is the set that reaches the goal with the planned noise. What is not known is learnt on the way:
 
 * the noise, from the residuals of the first sweep; further steps are as many as Student's t then
-  asks for (Stein's two stages, see :mod:`.noise`), where they pay most for their time;
+  asks for (Stein's two stages, see :mod:`.experiment`), where they pay most for their time;
 * blocked beams: a step that was given up is replaced by the best at the same station, and beams
   nearby are held to be blocked too until better is known;
 * suspect lengths are measured again, then all lengths of their station; a length that stays
@@ -43,12 +43,12 @@ from rotcal_ros.methods.tracer.policy.exchange import Demands, fewest_lengths
 from rotcal_ros.methods.tracer.policy.experiment import (
     Allowance,
     LengthExperiment,
+    LengthNoise,
     MeasuredLengths,
     Stated,
+    student_factor,
 )
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
-from rotcal_ros.methods.tracer.policy.scene import Lengths
+from rotcal_ros.methods.tracer.policy.information import Information, Lengths
 from rotcal_ros.methods.tracer.policy.sequence import (
     SequenceForecast,
     least_hidden,

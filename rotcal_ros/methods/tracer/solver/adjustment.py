@@ -22,8 +22,8 @@ import numpy as np
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.observability import check_station_rank
+from rotcal_ros.methods.tracer.solver.problem import Grid
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.tracer.solver.network import Network
@@ -51,7 +51,7 @@ class Adjustment:
     """Stations, distances and targets that fit the lengths of a grid, and how well they do.
 
     ``stations`` (m, 3), ``distances`` (p,): the range of a strip at reading zero, ``targets``
-    (n, 3), metres; m stations have p strips, see :class:`~.grid.Grid`.
+    (n, 3), metres; m stations have p strips, see :class:`~.problem.Grid`.
     ``residual`` (p, n): observed - computed (the paper's v of Eq. 3 is computed - observed), also
     of lengths that were not used. ``std`` (p, n): standard deviation of a length as this
     variant sees it; ``redundancy`` (p, n): share of a length that the others check, zero if

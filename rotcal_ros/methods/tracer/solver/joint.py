@@ -37,7 +37,6 @@ from rotcal_ros.methods.tracer.solver.adjustment import (
     StationCovariance,
     adjust_stations,
 )
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import (
     Network,
     less_rigid,
@@ -47,6 +46,7 @@ from rotcal_ros.methods.tracer.solver.network import (
     rigid,
 )
 from rotcal_ros.methods.tracer.solver.observability import CURE, name_direction, or_prior
+from rotcal_ros.methods.tracer.solver.problem import Grid
 
 RANK_TOLERANCE: Final = 1e-13
 """Eigenvalue, as a share of the largest, of a direction that the lengths leave open."""

@@ -37,8 +37,8 @@ from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, ranges
 from rotcal_ros.methods.tracer.solver.circle import circle_contrasts
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.observability import or_prior
+from rotcal_ros.methods.tracer.solver.problem import Grid
 
 _UNDETERMINED: Final = (
     "the lengths do not determine stations and targets together: the normal matrix is singular; "

@@ -30,7 +30,6 @@ from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer.solver import gathering
 from rotcal_ros.methods.tracer.solver.adjustment import ranges, station_gain
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
 from rotcal_ros.methods.tracer.solver.network import (
@@ -42,6 +41,7 @@ from rotcal_ros.methods.tracer.solver.network import (
 )
 from rotcal_ros.methods.tracer.solver.problem import share_gone
 from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
+from rotcal_ros.methods.tracer.solver.screening import gathering_protection
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import circle_tested, error_motion_spread
 from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS
@@ -148,7 +148,7 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
             ),
             *_slip(solution),
             _tangential(solution, arrivals),
-            *gathering.protection(solution.evidence.gathering, solution.angles.std),
+            *gathering_protection(solution.evidence.gathering, solution.angles.std),
         )
     )
 

@@ -23,8 +23,6 @@ from rotcal_ros.methods.tracer.solver.adjustment import (
     stations_covariance,
 )
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, bearing_slopes, table_motion
-from rotcal_ros.methods.tracer.solver.gathering import groups_of
-from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid, arrange
 from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
 from rotcal_ros.methods.tracer.solver.network import KNOWN, network_of, view_of
 from rotcal_ros.methods.tracer.solver.observability import (
@@ -33,7 +31,7 @@ from rotcal_ros.methods.tracer.solver.observability import (
     hardly_moved,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid, TracerProblem, arrange
 from rotcal_ros.methods.tracer.solver.screening import (
     GROSS,
     NORMAL_QUARTILE,
@@ -41,6 +39,7 @@ from rotcal_ros.methods.tracer.solver.screening import (
     NoiseFactors,
     ScreenedLengths,
     adjust_and_screen,
+    groups_of,
     reject_gross,
     scaled,
     without_targets,

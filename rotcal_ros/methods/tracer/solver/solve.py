@@ -15,13 +15,11 @@ from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Placement, Rejection, Residuals, Result, Zeros
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter
-from rotcal_ros.methods.tracer.solver.gathering import WORDS
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.joint import target_corrections
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
-from rotcal_ros.methods.tracer.solver.problem import LengthProblem, TracerProblem
+from rotcal_ros.methods.tracer.solver.problem import Grid, LengthProblem, TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import influence_of, protections, returned
-from rotcal_ros.methods.tracer.solver.screening import rejection_limit
+from rotcal_ros.methods.tracer.solver.screening import WORDS, rejection_limit
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.verdict import judge
 from rotcal_ros.methods.tracer.solver.zeros import segment_report

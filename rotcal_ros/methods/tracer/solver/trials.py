@@ -30,12 +30,11 @@ from rotcal_ros.methods.tracer.solver.circle import (
     circle_contrasts,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.grid import Grid, arrange
 from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
 from rotcal_ros.methods.tracer.solver.network import NetworkGain, network_of, relax
 from rotcal_ros.methods.tracer.solver.observability import check_counts
-from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
+from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import AngleUncertainty, angle_uncertainty
 from rotcal_ros.methods.tracer.solver.zeros import Slips, shift_search, slips_among
 
@@ -100,7 +99,7 @@ def predicted(problem: TracerProblem, stations: Floats) -> Prediction:
 
 @dataclass(frozen=True, eq=False)
 class TracerTrials:
-    """Draws measurements like the given one and solves them; made by :func:`tracer_trials`.
+    """Draws measurements like the given one and solves them; made by :func:`trials_about`.
 
     ``state`` (p, 4) and ``targets`` (n, 3) are the solution, ``weights`` (p, n) those of the
     solver. ``gain`` belongs to its variant; for "station" the inverse normal matrices (m, 4, 4).
@@ -237,16 +236,11 @@ def _walks(std: Floats, rng: np.random.Generator, count: int) -> Floats:
     return np.asarray(total - total[:, begin][:, chain], dtype=np.float64)
 
 
-def tracer_trials(problem: TracerProblem) -> TracerTrials:
-    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
+def trials_about(solution: TracerSolution) -> TracerTrials:
+    """Prepare Monte Carlo trials about a solved problem.
 
     Rejected lengths stay rejected. The output quantities are the deviations ECC of the result.
     """
-    return trials_about(adjust(problem))
-
-
-def trials_about(solution: TracerSolution) -> TracerTrials:
-    """Prepare Monte Carlo trials about a solved problem."""
     problem, grid, fit = solution.problem, solution.grid, solution.fit
     weights = grid.used / fit.std**2
     gain: Floats | NetworkGain

@@ -36,15 +36,15 @@ from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import align, rotation_about_z
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, adjust_stations
-from rotcal_ros.methods.tracer.solver.gathering import groups_of
-from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid
 from rotcal_ros.methods.tracer.solver.joint import redundancy_of_targets, target_test
 from rotcal_ros.methods.tracer.solver.network import LengthView
 from rotcal_ros.methods.tracer.solver.observability import or_prior, told_of_a_turned_sign
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
 from rotcal_ros.methods.tracer.solver.screening import (
     Grouping,
     ScreenedLengths,
     adjust_and_screen,
+    groups_of,
     reject_gross,
     scaled,
 )
@@ -630,7 +630,7 @@ def _closures(
 
 @dataclass(frozen=True, eq=False)
 class SixTrials:
-    """Draws measurements like the given one and solves them; made by :func:`six_trials`.
+    """Draws measurements like the given one, without rejected lengths, and solves them.
 
     The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter,
     and a fringe slips as often as it would stay unseen. How large the scatter is follows that of
@@ -687,8 +687,3 @@ class SixTrials:
         x = reduced.covariance() @ (kept - reduced.transfer @ poses.ravel())
         own = (reduced.inverse @ poses[:, :, None]).ravel()
         return x, own - reduced.transfer.T @ x
-
-
-def six_trials(problem: SixProblem) -> SixTrials:
-    """Prepare trials about a measured problem, without rejected lengths; refuses as ``solve``."""
-    return SixTrials(adjust(problem))

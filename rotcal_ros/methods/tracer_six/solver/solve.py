@@ -5,7 +5,7 @@ suspect
     lengths is too large all the same (the covariance is then enlarged by it); the distances
     between the places contradict the stated scatter (the estimate is used); more than
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
-    allows; something gathers (:mod:`rotcal_ros.methods.tracer.solver.gathering`); the zero of a
+    allows; something gathers (:mod:`rotcal_ros.methods.tracer.solver.screening`); the zero of a
     place jumps where no beam broke; the machine or the tracer has moved between the runs or within
     one (:mod:`.scatter`); a position of the plan is missing; or the stated z seems to point into
     the table (:class:`Upward`).
@@ -26,7 +26,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust import gathering as engine
+from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.reliability import hidden_noise
@@ -37,7 +37,6 @@ from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Placement, Rejection, Result, Verdict, Zeros
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer.solver import gathering
 from rotcal_ros.methods.tracer.solver.network import less_rigid
 from rotcal_ros.methods.tracer.solver.observability import Numbering
 from rotcal_ros.methods.tracer.solver.protections import (
@@ -59,7 +58,7 @@ from rotcal_ros.methods.tracer.solver.reported import (
     scatter_along,
     weigh,
 )
-from rotcal_ros.methods.tracer.solver.screening import rejection_limit
+from rotcal_ros.methods.tracer.solver.screening import WORDS, gathering_protection, rejection_limit
 from rotcal_ros.methods.tracer.solver.solve import residual_table
 from rotcal_ros.methods.tracer.solver.verdict import doubt_jump, judged
 from rotcal_ros.methods.tracer.solver.zeros import largest_share, step_between
@@ -169,7 +168,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "noise": solution.evidence.noise.details(),
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
         "length_test": asdict(solution.evidence.lengths),
-        "gathering": engine.details(solution.evidence.gathering, gathering.WORDS.elements),
+        "gathering": gathering.details(solution.evidence.gathering, WORDS.elements),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
             name: [asdict(closure) for closure in found]
@@ -396,7 +395,7 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
             ),
             *_slip(solution),
             _tangential(solution),
-            *gathering.protection(solution.evidence.gathering, _std(solution)),
+            *gathering_protection(solution.evidence.gathering, _std(solution)),
         )
     )
 

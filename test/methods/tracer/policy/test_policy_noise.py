@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from rotcal_ros.methods.tracer.policy.noise import (
+from rotcal_ros.methods.tracer.policy.experiment import (
     LengthContrasts,
     estimated_noise,
     judged_lengths,
