@@ -524,9 +524,8 @@ def slope_along(solution: TracerSolution, errors: Floats) -> Slope:
     network, _, _, left = _left(solution, column[None])
     # at its minimum a network has taken up what it can of its residuals; lone stations have not
     felt = column if solution.problem.variant == "joint" else left[0]
-    score = float((network.weights * felt * fit.residual).sum())
     excess = excess_of(solution.noise, solution.problem.settings.test_significance)
-    return Slope(score, float(unexplained.sum()), fit.chi2, fit.dof, excess)
+    return Slope.of(fit, network.weights * felt, float(unexplained.sum()), excess)
 
 
 def _off_circle(solution: TracerSolution, moved: Floats) -> tuple[int, Floats]:

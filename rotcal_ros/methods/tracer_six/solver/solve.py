@@ -62,7 +62,6 @@ from rotcal_ros.methods.tracer.solver.screening import WORDS, gathering_protecti
 from rotcal_ros.methods.tracer.solver.solve import residual_table
 from rotcal_ros.methods.tracer.solver.verdict import doubt_jump, judged
 from rotcal_ros.methods.tracer.solver.zeros import largest_share, step_between
-from rotcal_ros.methods.tracer_six.solver.network import pattern_gradient
 from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, timing
 from rotcal_ros.methods.tracer_six.solver.scatter import Kind
 from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust, respond
@@ -542,16 +541,20 @@ def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolutio
     if not noticed(along, problem.length_std):
         return WeighedSolution(moved(1.0, 0.0), None)
     scatter = scatter_along(along, problem.target)
-    return weigh(adjust(problem), moved, lambda solution: _slope_along(solution, along), scatter)
+    return weigh(adjust(problem), moved, lambda solution: slope_along(solution, along), scatter)
 
 
-def _slope_along(solution: SixSolution, errors: Floats) -> Slope:
+def slope_along(solution: SixSolution, errors: Floats) -> Slope:
     """Return what the residuals of a solution say of ``errors`` (k,), m, row by row."""
-    fit, column = solution.fit, solution.grid.placed(errors)[None]
-    _, information = _respond(solution, column)
-    score = (pattern_gradient(solution.network, column).weighted[0] * fit.residual).sum()
-    excess = excess_of(solution.evidence.noise, solution.problem.settings.test_significance)
-    return Slope(float(score), float(information[0]), fit.chi2, fit.dof, excess)
+    column = solution.grid.placed(errors)
+    _, information = _respond(solution, column[None])
+    significance = solution.problem.settings.test_significance
+    return Slope.of(
+        solution.fit,
+        solution.grid.weights * column,
+        float(information[0]),
+        excess_of(solution.evidence.noise, significance),
+    )
 
 
 def influence_of(solution: SixSolution) -> Influence | None:
