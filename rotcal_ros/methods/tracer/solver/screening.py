@@ -363,18 +363,14 @@ def _stated(grid: Grid) -> Floats:
     return np.sqrt(np.maximum([constant, distance, *targets], 0.0))
 
 
-def critical_value(significance: float, n_tests: int) -> float:
+def rejection_limit(grid: Grid, significance: float) -> float:
     """Return the |test value| from which a length is not believed.
 
-    Two-sided normal quantile, ``significance`` shared equally among ``n_tests`` (Bonferroni).
+    Two-sided normal quantile, ``significance`` shared equally among all lengths of ``grid`` and,
+    unless it is free, all coordinates of targets (Bonferroni).
     """
+    n_tests = int((grid.row >= 0).sum()) + (0 if grid.free else grid.targets.size)
     return normal_isf(0.5 * significance / n_tests)
-
-
-def rejection_limit(grid: Grid, significance: float) -> float:
-    """Return the critical value for all lengths of ``grid`` and, unless free, all coordinates."""
-    n_lengths = int((grid.row >= 0).sum())
-    return critical_value(significance, n_lengths + (0 if grid.free else grid.targets.size))
 
 
 @dataclass(frozen=True, eq=False)

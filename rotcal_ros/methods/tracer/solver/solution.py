@@ -53,7 +53,6 @@ from rotcal_ros.methods.tracer.solver.uncertainty import (
     circle_test,
     circle_tested,
     error_motion_of,
-    length_test,
     likely_circle,
 )
 from rotcal_ros.methods.tracer.solver.verdict import Evidence, judge
@@ -104,6 +103,14 @@ class TracerSolution:
     def positions(self) -> Ints:
         """The table positions (m,) that have a station; those with too few lengths are absent."""
         return self.grid.position_ids
+
+    @property
+    def circle(self) -> CircleTest:
+        """What the stations leave their circle by, with the error motion that was used."""
+        return circle_tested(
+            self.fit.stations, self.motion, self.covariance.total, self.error_motion.used,
+            self.grid.circle_std,
+        )  # fmt: skip
 
     @property
     def table_angles(self) -> Floats:
@@ -176,7 +183,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     placed = _placed(problem, grid, screened)
     motion, fit, covariance = placed.motion, placed.fit, placed.covariance
     check_sense(motion, fit.stations, commanded, grid.position_ids)
-    unexplained = length_test(fit, covariance.dof_effective)
+    unexplained = GlobalTest.of(fit.chi2, fit.dof, covariance.dof_effective)
     significance = problem.settings.test_significance
     scale = unexplained.enlargement(significance)
     stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
@@ -381,7 +388,7 @@ def _stated_test(
         variance = variance + np.einsum("jia,ia->ji", unit**2, grid.target_std**2)
     chi2 = float((placed.grid.used * fit.residual**2 / variance).sum())
     chi2 += float(((fit.corrections * screened.noise.factors[2:]) ** 2).sum())
-    return length_test(replace(fit, chi2=chi2), placed.covariance.dof_effective)
+    return GlobalTest.of(chi2, fit.dof, placed.covariance.dof_effective)
 
 
 def check_sense(motion: TableMotion, stations: Floats, commanded: Floats, positions: Ints) -> None:

@@ -19,14 +19,12 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.tracer.solver.adjustment import (
-    Adjustment,
     StationCovariance,
     adjust_stations,
     stations_covariance,
 )
 from rotcal_ros.methods.tracer.solver.circle import (
     CircleContrasts,
-    TableMotion,
     circle_contrasts,
     table_motion,
 )
@@ -52,14 +50,11 @@ PLACES: Final = 200_000
 class Prediction:
     """What a problem would give: ``angles`` holds the covariance (m, m) of ECC in rad^2.
 
-    ``redundancy`` (k,) by row of the problem; NaN for lengths that have no place on the ``grid``.
-    ``fit``, ``stations`` and ``motion`` are as in a solution.
+    ``redundancy`` (k,) by row of the problem; NaN for lengths that have no place on its grid.
+    ``stations``: their covariance, as in a solution.
     """
 
-    grid: Grid
-    fit: Adjustment
     stations: StationCovariance
-    motion: TableMotion
     angles: AngleUncertainty
     redundancy: Floats
 
@@ -94,7 +89,7 @@ def predicted(problem: TracerProblem, stations: Floats) -> Prediction:
     redundancy = np.full(len(problem.position), np.nan)
     placed = grid.row >= 0
     redundancy[grid.row[placed]] = fit.redundancy[placed]
-    return Prediction(grid, fit, covariance, motion, angles, redundancy)
+    return Prediction(covariance, angles, redundancy)
 
 
 @dataclass(frozen=True, eq=False)
