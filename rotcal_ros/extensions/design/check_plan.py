@@ -32,9 +32,9 @@ from rotcal_ros.methods.tracer.policy.sequence import (
     least_hidden,
     measuring_orders,
 )
+from rotcal_ros.methods.tracer.simulation import cell_time
 from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.methods.tracer.table import write_plan_files
-from rotcal_ros.methods.tracer.timing import cell_time
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
 

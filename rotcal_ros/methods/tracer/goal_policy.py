@@ -29,7 +29,7 @@ from rotcal_ros.methods.tracer.settings import (
     TracerPlanSettings,
     TracerSolverSettings,
 )
-from rotcal_ros.methods.tracer.timing import cell_time, plan_seconds
+from rotcal_ros.methods.tracer.simulation import cell_time
 from rotcal_ros.planning.choices import UNTIL_GOAL, Policy
 from rotcal_ros.planning.plan import Compared, Plan, PlanFigures, Step
 from rotcal_ros.planning.sequence_time import stated_time
@@ -205,6 +205,6 @@ def _figures(
     return PlanFigures(
         lengths=len(pairs),
         uncertainty=COVERAGE_FACTOR * known.rms_std,
-        seconds=plan_seconds(stated_time(planner.turn_s, planner.step_s), steps),
-        cell_seconds=plan_seconds(cell_time(configuration), steps) if simulated else None,
+        seconds=stated_time(planner.turn_s, planner.step_s).seconds(steps),
+        cell_seconds=cell_time(configuration).seconds(steps) if simulated else None,
     )

@@ -675,15 +675,8 @@ class SixTrials:
         state = self.network.state
         for _ in range(MOST_STEPS):
             here = slopes(grid, layout, self.network.scatter, state)
-            kept, poses = self._step(-here.kept, -here.poses)
+            kept, poses = self.network.reduced.solve(-here.kept, -here.poses.ravel())
             state = state.moved(kept, poses.reshape(-1, 6))
             if abs(float(here.kept @ kept + here.poses.ravel() @ poses)) < SETTLED:
                 return state
         return relax(grid, layout, self.network.scatter, state).state
-
-    def _step(self, kept: Floats, poses: Floats) -> tuple[Floats, Floats]:
-        """Return the steps (K,) and (6 m,) for right-hand sides (K,) and (m, 6)."""
-        reduced = self.network.reduced
-        x = reduced.covariance() @ (kept - reduced.transfer @ poses.ravel())
-        own = (reduced.inverse @ poses[:, :, None]).ravel()
-        return x, own - reduced.transfer.T @ x
