@@ -36,7 +36,7 @@ from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import align, rotation_about_z
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, adjust_stations
-from rotcal_ros.methods.tracer.solver.joint import redundancy_of_targets, target_test
+from rotcal_ros.methods.tracer.solver.joint import felt_by_targets, target_test
 from rotcal_ros.methods.tracer.solver.network import LengthView
 from rotcal_ros.methods.tracer.solver.observability import or_prior, told_of_a_turned_sign
 from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
@@ -160,7 +160,7 @@ def _adjustment(network: LengthNetwork, scatter: Scatter) -> RigidAdjustment:
     grid, layout, state = network.grid, network.layout, network.state
     after = posterior(network)
     felt = (network.slopes.unit @ after.arrived[:, :, None])[:, :, 0]
-    corrections, redundancy, coupling = _felt_by_targets(grid, state, after)
+    corrections, redundancy, coupling = felt_by_targets(grid, state.targets, after.targets)
     unknowns = layout.size + 6 * len(layout.angles)
     rank = unknowns - network.reduced.constraints.shape[1]
     extra = 0 if grid.free else state.targets.size
@@ -183,19 +183,6 @@ def _adjustment(network: LengthNetwork, scatter: Scatter) -> RigidAdjustment:
         posterior=after,
         scatter=scatter,
     )
-
-
-def _felt_by_targets(
-    grid: Grid, state: NetworkState, after: Posterior
-) -> tuple[Floats, Floats, Floats]:
-    """Return corrections (n, 3), redundancy (n, 3, 3), coupling (3, 3) as Adjustment has them."""
-    n = len(grid.targets)
-    if grid.free:
-        return np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((3, 3))
-    std = grid.target_std
-    whole, each = redundancy_of_targets(after.targets, std), np.arange(n)
-    coupling = np.einsum("iajb,iajb->ab", whole, whole)
-    return (state.targets - grid.targets) / std, whole[each, :, each], coupling
 
 
 def _check_determined(network: LengthNetwork) -> None:
@@ -675,8 +662,15 @@ class SixTrials:
         state = self.network.state
         for _ in range(MOST_STEPS):
             here = slopes(grid, layout, self.network.scatter, state)
-            kept, poses = self.network.reduced.solve(-here.kept, -here.poses.ravel())
+            kept, poses = self._step(-here.kept, -here.poses)
             state = state.moved(kept, poses.reshape(-1, 6))
             if abs(float(here.kept @ kept + here.poses.ravel() @ poses)) < SETTLED:
                 return state
         return relax(grid, layout, self.network.scatter, state).state
+
+    def _step(self, kept: Floats, poses: Floats) -> tuple[Floats, Floats]:
+        """Return the steps (K,) and (6 m,) for right-hand sides (K,) and (m, 6)."""
+        reduced = self.network.reduced
+        x = reduced.covariance() @ (kept - reduced.transfer @ poses.ravel())
+        own = (reduced.inverse @ poses[:, :, None]).ravel()
+        return x, own - reduced.transfer.T @ x

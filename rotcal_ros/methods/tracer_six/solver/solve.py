@@ -61,7 +61,7 @@ from rotcal_ros.methods.tracer.solver.reported import (
 from rotcal_ros.methods.tracer.solver.screening import WORDS, gathering_protection, rejection_limit
 from rotcal_ros.methods.tracer.solver.solve import residual_table
 from rotcal_ros.methods.tracer.solver.verdict import doubt_jump, judged
-from rotcal_ros.methods.tracer.solver.zeros import largest_share, step_between
+from rotcal_ros.methods.tracer.solver.zeros import largest_share, zeros_in_time
 from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, timing
 from rotcal_ros.methods.tracer_six.solver.scatter import Kind
 from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust, respond
@@ -225,10 +225,8 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
     first = 3 * (len(grid.targets) + len(layout.places))
     zeros = slice(first, first + layout.n_zeros)
     covariance = solution.scale**2 * solution.fit.posterior.covariance[zeros, zeros]
-    value = solution.zeros
     begun = [when[layout.zero == z].min() for z in range(layout.n_zeros)]
-    found: list[dict[str, Any]] = []
-    before: dict[int, int] = {}
+    entries = []
     for z in np.argsort(begun, kind="stable").tolist():
         station, target = np.argwhere(used & (layout.zero == z))[0]
         place = int(layout.place[station])
@@ -236,14 +234,9 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
             "segment": int(problem.segment[grid.row[station, target]]),
             "place_id": int(layout.place_ids[place]),
             "lengths": int(grid.used[layout.zero == z].sum()),
-            "zero": float(value[z]),
-            "std": float(np.sqrt(covariance[z, z])),
         }
-        if place in before:
-            entry |= step_between(value, covariance, before[place], z)
-        found.append(entry)
-        before[place] = z
-    return found
+        entries.append((entry, place, z, z))
+    return zeros_in_time(entries, solution.zeros, covariance)
 
 
 @dataclass(frozen=True, slots=True)
