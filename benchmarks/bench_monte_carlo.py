@@ -52,7 +52,7 @@ def laser_tracer(variant: str) -> Row:
     rng = np.random.default_rng(0)
     exact = one_table.by_tracer(one_table.table_deviations(12, rng, EXACT), rng, 1, EXACT)
     task = replace(exact, variant=variant, length_std=LENGTH, target_std=TARGET)
-    trials = tracer.tracer_trials(task)
+    trials = tracer.trials_about(tracer.adjust(task))
     length, targets, _ = trials.draw(np.random.default_rng(1), LOOPS)
 
     def plain() -> np.ndarray:

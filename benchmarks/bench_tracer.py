@@ -23,8 +23,8 @@ from scipy_tracer import DenseNetwork, SparseNetwork, locate_station, locate_sta
 
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations, locate_stations
-from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.joint import align, relax
+from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.start import find_start
 
 LENGTH_STD, TARGET_STD = 2e-7, 1e-6

@@ -31,7 +31,7 @@ from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
-from rotcal_ros.methods.tracer.policy.scene import Scene
+from rotcal_ros.methods.tracer.policy.information import Scene
 from rotcal_ros.methods.tracer.policy.sequence import SequenceForecast
 from rotcal_ros.methods.tracer.policy.until_goal import (
     RESERVE,

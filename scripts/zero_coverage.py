@@ -26,7 +26,7 @@ from rotcal_ros.extensions.design.tracer.ordering import ordered_design
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.solver import TracerProblem
-from rotcal_ros.methods.tracer.solver.circle import bearing_jacobian
+from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
 from rotcal_ros.methods.tracer.solver.network import NetworkGain
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.verdict import judge
@@ -190,8 +190,7 @@ def correlation(solution: TracerSolution, shifts: Shifts) -> Floats:
 
 def bearing_of(solution: TracerSolution) -> Floats:
     """Return what moves of the stations (3 m) do to the deviations (m,), rad/m."""
-    bearing = bearing_jacobian(solution.fit.stations, solution.motion)
-    return np.asarray(bearing - bearing[0], dtype=np.float64)
+    return bearing_slopes(solution.fit.stations, solution.motion).from_first.dense()
 
 
 def main() -> None:

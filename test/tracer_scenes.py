@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 
 from rotcal_ros.geometry.rotations import on_table
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.policy.information import Lengths, Scene
 
 ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))
 STATIONS = on_table((0.0569, -0.0318, 0.1225), ANGLES, (1e-4, -2e-4))

@@ -13,7 +13,6 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.check_lines import CheckLine, State
-from rotcal_ros.methods.tracer.timing import plan_seconds
 from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.planning.sequence_time import stated_time
@@ -153,7 +152,7 @@ class DryRun:
             turn_s = planner.turn_s
             turns_s = turn_s if first_turn else 0.0
             turning = f"{turn_s:g} s for a turn (planner.turn_s)"
-        seconds = plan_seconds(stated_time(turn_s, length_s), self._steps) + length_s + turns_s
+        seconds = stated_time(turn_s, length_s).seconds(self._steps) + length_s + turns_s
         window = f", of which settling and readings {least:.2g} s" if least else ""
         return seconds, f"{turning} and {length_s:g} s for a step (planner.step_s{window})"
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.planning.plan import Step
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,15 @@ class TimeModel:
         turns = self.turns(angles)[position[:, None], position]
         moves = self.moves(targets)[target[:, None], target] + self.report
         return self.joined(turns, moves)
+
+    def seconds(self, steps: Sequence[Step]) -> float:
+        """Return the time (s) from the end of the first of ``steps`` to the end of the last."""
+        angles, at = (
+            np.array([getattr(step, name) for step in steps])
+            for name in ("table_angle", "position")
+        )
+        moves = self.machine.time(np.linalg.norm(np.diff(at, axis=0), axis=1)) + self.report
+        return float(self.joined(self.turns_by(np.diff(angles)), moves).sum())
 
     def joined(self, turns: Floats, moves: Floats) -> Floats:
         """Return the time of lengths from that of their ``turns`` and ``moves``, s."""

@@ -12,8 +12,8 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
 from rotcal_ros.methods.goal import goal_standing
+from rotcal_ros.methods.tracer.goal_policy import compare, papers_plan
 from rotcal_ros.methods.tracer.method import problem
-from rotcal_ros.methods.tracer.paper import compare, papers_plan
 from rotcal_ros.methods.tracer.solver.trials import predicted
 from rotcal_ros.planning.choices import Choice, Standing
 

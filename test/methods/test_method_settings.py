@@ -10,7 +10,7 @@ from settings_page import assert_documented
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.methods.ball_plate.settings import Plate
 from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
-from rotcal_ros.methods.tracer.solver_settings import TracerLimits, TracerSolverSettings
+from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSettings
 
 PLATE = {"grid": 12, "ball_steps": [0, 3, 4], "circle_radius_m": 0.2, "ball_diameter_m": 0.025}
 CHORD = 2 * 0.2 * math.sin(math.pi / 12)

@@ -25,16 +25,16 @@ from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.configuration import Configuration, replaced
 from rotcal_ros.methods.tracer.plan import LEAST_ANGLES
 from rotcal_ros.methods.tracer.policy.exchange import Progress
-from rotcal_ros.methods.tracer.policy.scene import Scene, noisy_problem
+from rotcal_ros.methods.tracer.policy.information import Scene, noisy_problem
 from rotcal_ros.methods.tracer.policy.sequence import (
     Forecast,
     SequenceForecast,
     least_hidden,
     measuring_orders,
 )
+from rotcal_ros.methods.tracer.simulation import cell_time
 from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.methods.tracer.table import write_plan_files
-from rotcal_ros.methods.tracer.timing import cell_time
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
 

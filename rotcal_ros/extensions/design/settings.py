@@ -9,7 +9,7 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.solver_settings import TracerLimits, TracerSolverSettings
+from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
 
 Triple = tuple[float, float, float]

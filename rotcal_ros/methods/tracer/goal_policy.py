@@ -1,9 +1,14 @@
-"""The policy ``until_goal`` for a laser tracer: the plan's steps as candidates."""
+"""The policy ``until_goal`` for a laser tracer: the plan's steps as candidates.
+
+And what the paper's plan on the same table, with the noise of now, would take and give.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 
@@ -11,17 +16,23 @@ from rotcal_ros.foundation.arrays import Floats, rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError, RotcalError
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.continuation import Continuation
+from rotcal_ros.methods.tracer.plan import tracer_plan
 from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
-from rotcal_ros.methods.tracer.policy.scene import Scene
+from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal
-from rotcal_ros.methods.tracer.settings import TracerPlanSettings
-from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
+from rotcal_ros.methods.tracer.settings import (
+    STATIONS_PER_TARGET,
+    TracerPlanSettings,
+    TracerSolverSettings,
+)
+from rotcal_ros.methods.tracer.simulation import cell_time
 from rotcal_ros.planning.choices import UNTIL_GOAL, Policy
-from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.plan import Compared, Plan, PlanFigures, Step
+from rotcal_ros.planning.sequence_time import stated_time
 
 
 def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], Policy]:
@@ -137,3 +148,63 @@ def _check_reach(experiment: LengthExperiment, goal: float, source: str) -> None
             f"steps of the plan give {best / ARCSEC:.3g}; offer more targets, or a better spread "
             "of them"
         )
+
+
+ABOVE_TRACER: Final = 1.3025
+"""Height (m) of the block's centre over the tracer: its first target is 1.13 m away."""
+
+
+def compare(
+    configuration: Configuration, plan: Plan, steps: Sequence[int], lost: Collection[int]
+) -> Compared:
+    """Return the figures of ``steps`` of ``plan`` and of the paper's plan at the same angles.
+
+    Steps that gave no length (``lost``) take time and tell nothing.
+
+    Both with the planned noise of a length (``planner.expected_std_m``), and with the times that
+    the policy reckons with. Raises ConfigurationError where the tracer's place is not known.
+    """
+    scene = length_experiment(configuration, plan).scene
+    papers = papers_plan(plan.table_angles, float(scene.stations[0, 2]))
+    targets = np.array(papers.targets)
+    elsewhere = replace(scene, targets=targets, target_std=scene.target_std[0])
+    chosen = [plan.steps[step] for step in steps]
+    return Compared(
+        own=_figures(configuration, scene, chosen, lost),
+        papers=_figures(configuration, elsewhere, papers.steps, ()),
+        length_std=scene.length_std,
+    )
+
+
+def papers_plan(table_angles: Sequence[float], tracer_height: float) -> Plan:
+    """Return the paper's plan at ``table_angles`` (rad), its block over the tracer (height, m).
+
+    64 targets in 450 x 600 x 450 mm, all stations at each target.
+    """
+    return tracer_plan(
+        TracerPlanSettings(
+            table_angles_deg=tuple(angle / DEGREE for angle in table_angles),
+            box_centre_m=(0.0, 0.0, tracer_height + ABOVE_TRACER),
+            box_size_m=(0.45, 0.6, 0.45),
+            box_points=(4, 4, 4),
+            order=STATIONS_PER_TARGET,
+        )
+    )
+
+
+def _figures(
+    configuration: Configuration, scene: Scene, steps: Sequence[Step], lost: Collection[int]
+) -> PlanFigures:
+    planner, shared = configuration.planner, configuration.solver.zero == "per_segment"
+    pairs = {(step.table_position, step.target) for step in steps if step.index not in lost}
+    lengths = Lengths.of(*np.array(sorted(pairs)).T)
+    if not shared:
+        lengths = replace(lengths, segment=lengths.position)
+    known = Information(scene, lengths, 1 if shared else len(scene.stations))
+    simulated = configuration.simulated
+    return PlanFigures(
+        lengths=len(pairs),
+        uncertainty=COVERAGE_FACTOR * known.rms_std,
+        seconds=stated_time(planner.turn_s, planner.step_s).seconds(steps),
+        cell_seconds=cell_time(configuration).seconds(steps) if simulated else None,
+    )

@@ -14,7 +14,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.method import See
-from rotcal_ros.methods.tracer.solver_settings import LengthNoiseSettings
+from rotcal_ros.methods.tracer.settings import LengthNoiseSettings
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.readings import Readings
 

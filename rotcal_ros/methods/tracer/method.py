@@ -31,6 +31,7 @@ from rotcal_ros.methods.tracer.settings import (
     TARGETS_PER_STATION,
     TracerPlanSettings,
     TracerSimulationSettings,
+    TracerSolverSettings,
 )
 from rotcal_ros.methods.tracer.simulation import DISTURBANCES, TracerAndReflector
 from rotcal_ros.methods.tracer.solver.joined_runs import (
@@ -45,7 +46,6 @@ from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.solver.trials import trials_about
-from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.table import PLAN_FILES
 from rotcal_ros.planning.plan import Compared, Plan
 from rotcal_ros.planning.table_angles import table_angles
@@ -199,16 +199,16 @@ def compare(
     configuration: Configuration, plan: Plan, steps: Sequence[int], lost: Collection[int]
 ) -> Compared:
     """Return what is known of ``steps`` and of the paper's plan; loaded when it is asked for."""
-    from rotcal_ros.methods.tracer import paper
+    from rotcal_ros.methods.tracer import goal_policy
 
-    return paper.compare(configuration, plan, steps, lost)
+    return goal_policy.compare(configuration, plan, steps, lost)
 
 
 def until_goal(configuration: Configuration, plan: Plan) -> Adaptive:
     """Return what makes the policy of that name; loaded when it is asked for."""
-    from rotcal_ros.methods.tracer import goal_policy as policy
+    from rotcal_ros.methods.tracer import goal_policy
 
-    return policy.until_goal(configuration, plan)
+    return goal_policy.until_goal(configuration, plan)
 
 
 METHOD: Final = Method(

@@ -23,12 +23,12 @@ from rotcal_ros.methods.tracer.settings import (
     TARGETS_PER_STATION,
     BlockSettings,
     TracerPlanSettings,
+    TracerSolverSettings,
 )
 from rotcal_ros.methods.tracer.solver.circle import contrast_count
-from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.observability import what_is_missing
+from rotcal_ros.methods.tracer.solver.problem import station_minimum
 from rotcal_ros.methods.tracer.solver.solve import METHOD
-from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan, Point, Step, numbered_steps
 from rotcal_ros.planning.points import in_a_line, in_a_plane, triples
 from rotcal_ros.planning.table_angles import table_angles, visits

@@ -8,7 +8,7 @@ reflector. :data:`DISTURBANCES` measures a plan again with one thing wrong.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import dist, nan
+from math import dist, log, nan
 from typing import Final
 
 import numpy as np
@@ -52,6 +52,7 @@ from rotcal_ros.methods.tracer.settings import (
     SimulatedReadingsSettings,
 )
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.sequence_time import Drive, TimeModel
 
 _FRINGE_UM: Final = 0.3164
 """Half a wavelength of a HeNe laser."""
@@ -472,6 +473,36 @@ def _reflector_places(
     frame = rotation_from_vector(np.array([sizes.get("gauge", 0.0), 0.0, 0.0]))
     drift = sizes.get("drift", 0.0) * np.outer(steps.time, ALL_AXES)
     return np.asarray((targets + error)[steps.target] @ frame.T + drift, dtype=np.float64)
+
+
+def cell_time(configuration: Configuration) -> TimeModel:
+    """Return the time model of the simulated cell of ``configuration``, in machine time.
+
+    The capture takes the table for at rest when its lag has decayed to the tolerances of place
+    and speed; the feedback tells it half a period later. Then come the settle time and the window,
+    which begins half a period of the tracer late, and the feedback that confirms the rest.
+    """
+    simulation, capture = configuration.simulation, configuration.capture
+    table, probe, tracer = simulation.table, simulation.probe, simulation.tracer
+    lag, decay = table.settling_arcsec * ARCSEC, table.settling_time_s
+    excess = max(
+        lag / (capture.position_tolerance_arcsec * ARCSEC),
+        lag / decay / (capture.velocity_tolerance_deg_s * DEGREE),
+        1.0,
+    )
+    feedback = 1.0 / table.feedback_rate_hz
+    window = (capture.window_samples - 0.5) / tracer.rate_hz
+    return TimeModel(
+        table=Drive(
+            table.speed_deg_s * DEGREE,
+            table.acceleration_deg_s2 * DEGREE,
+            settle=decay * log(excess),
+        ),
+        machine=Drive(probe.speed_m_s, probe.acceleration_m_s2),
+        report=probe.report_delay_s,
+        dwell=0.5 * feedback + capture.settle_time_s + window + 0.5 * feedback,
+        overshoot=table.overshoot_deg * DEGREE,
+    )
 
 
 DISTURBANCES: Final = Disturbances(LISTED, measure)

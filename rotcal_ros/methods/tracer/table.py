@@ -29,8 +29,8 @@ from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Measurements, PlanFile, Trials
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
+from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solver.stations import StationProblem, solve
-from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan, Point
 
 SEGMENT: Final = "segment"
@@ -91,19 +91,13 @@ def read_stations(configuration: Configuration, table: Table) -> StationTable:
     Raises DataError for a position that is not in the plan, or comes twice.
     """
     angles = prepare(configuration).plan.table_angles
-    rows: dict[int, Row] = {}
-    for row in table.rows():
-        position = row.index("position")
+    rows = _numbered(table, "position")
+    for position, row in rows.items():
         if position >= len(angles):
             raise DataError(
                 f"{row.place}: position {position} is not in the plan, which has 0 to "
                 f"{len(angles) - 1}; does the set-up belong to this table?"
             )
-        if position in rows:
-            raise DataError(
-                f"{row.place}: position {position} is listed twice: keep one of the rows"
-            )
-        rows[position] = row
     positions, with_distance = sorted(rows), DISTANCE in table.header
     solver: TracerSolverSettings = configuration.solver
     problem = StationProblem(
@@ -184,19 +178,33 @@ def read_targets(path: Path) -> tuple[Point, ...]:
 
 
 def _points(table: Table) -> tuple[Point, ...]:
-    points: dict[int, Point] = {}
+    return tuple(row.point() for row in _without_gaps(table, "target", ", in the lengths too"))
+
+
+def _numbered(table: Table, what: str) -> dict[int, Row]:
+    """Return the rows by their numbers in the column ``what``; DataError where one comes twice."""
+    found: dict[int, Row] = {}
     for row in table.rows():
-        number = row.index("target")
-        if number in points:
-            raise DataError(f"{row.place}: target {number} is listed twice: keep one of the rows")
-        points[number] = row.point()
-    missing = sorted(set(range(max(points) + 1)) - points.keys())
-    if missing:
-        raise DataError(
-            f"{table.path}: targets are numbered from 0 without gaps, but target {missing[0]} is "
-            "missing: add its row, or number them anew, in the lengths too"
-        )
-    return tuple(points[number] for number in sorted(points))
+        number = row.index(what)
+        if number in found:
+            raise DataError(f"{row.place}: {what} {number} is listed twice: keep one of the rows")
+        found[number] = row
+    return found
+
+
+def _without_gaps(table: Table, what: str, where: str = "") -> list[Row]:
+    """Return the rows in the order of their numbers; DataError where one is missing.
+
+    ``where``: else the numbers stand.
+    """
+    found = _numbered(table, what)
+    for number in range(len(found)):
+        if number not in found:
+            raise DataError(
+                f"{table.path}: {what}s are numbered from 0 without gaps, but {what} {number} is "
+                f"missing: add its row, or number them anew{where}"
+            )
+    return [found[number] for number in range(len(found))]
 
 
 def read_pairs(path: Path) -> tuple[int, ...]:
@@ -207,19 +215,8 @@ def read_pairs(path: Path) -> tuple[int, ...]:
     """
     table = read_table(path)
     require_header(table, (PAIRS,))
-    steps: dict[int, tuple[int, int]] = {}
-    for row in table.rows():
-        number = row.index("step")
-        if number in steps:
-            raise DataError(f"{row.place}: step {number} is listed twice: keep one of the rows")
-        steps[number] = row.index("table_position"), row.index("target")
-    for number in range(len(steps)):
-        if number not in steps:
-            raise DataError(
-                f"{path}: steps are numbered from 0 without gaps, but step {number} is missing: "
-                "add its row, or number them anew"
-            )
-    return tuple(index for number in range(len(steps)) for index in steps[number])
+    rows = _without_gaps(table, "step")
+    return tuple(row.index(name) for row in rows for name in PAIRS[1:])
 
 
 def write_targets(path: Path, targets: Sequence[Point] | Floats) -> None:

@@ -11,10 +11,11 @@ from rotcal_ros.methods.tracer.settings import (
     STATIONS_PER_TARGET,
     TARGETS_PER_STATION,
     BlockSettings,
+    Datum,
+    LengthNoiseSettings,
     LengthsSimulationSettings,
     SimulatedReadingsSettings,
 )
-from rotcal_ros.methods.tracer.solver_settings import Datum, LengthNoiseSettings
 
 
 @dataclass(frozen=True)

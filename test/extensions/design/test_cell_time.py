@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.extensions.design.verbs.sequence import cell_seconds
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.methods.tracer.timing import cell_time, plan_seconds
+from rotcal_ros.methods.tracer.simulation import cell_time
 
 CONFIG = Path(__file__).parents[3] / "config"
 TICK = 0.02  # s, how finely the cell's time is cut; each step loses half of it
@@ -34,6 +34,6 @@ def test_the_cell_takes_the_predicted_time(drives):
         read_configuration(CONFIG / "tracer_paper.yaml"), [*drives, *calm, f"plan.pairs={flat}"]
     )
     calibration = prepare(configuration)
-    predicted = plan_seconds(cell_time(configuration), calibration.plan.steps)
+    predicted = cell_time(configuration).seconds(calibration.plan.steps)
     predicted += 0.5 * TICK * (len(pairs) - 1)
     assert cell_seconds(calibration, TICK) == pytest.approx(predicted, rel=0.03)

@@ -5,8 +5,7 @@ import pytest
 from tracer_scenes import some_plan
 
 from rotcal_ros.extensions.design.tracer.search import checks_of
-from rotcal_ros.methods.tracer.policy.information import Information, detectable_in_std
-from rotcal_ros.methods.tracer.policy.scene import Scene
+from rotcal_ros.methods.tracer.policy.information import Information, Scene, detectable_in_std
 
 
 def test_an_undetected_error_does_what_is_said_of_it():

@@ -7,8 +7,7 @@ from tracer_scenes import BLOCK, every_pair, paper_scene
 
 from rotcal_ros.extensions.design.tracer.optimum import ideal_plan, least_count
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.scene import Scene
+from rotcal_ros.methods.tracer.policy.information import Information, Scene
 
 ARCSEC = np.pi / 180.0 / 3600.0
 GOAL = (0.5 * 1.202 * ARCSEC) ** 2

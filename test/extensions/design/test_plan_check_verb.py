@@ -18,8 +18,8 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods import prepare_to_measure, read_configuration
+from rotcal_ros.methods.tracer.simulation import cell_time
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.timing import cell_time, plan_seconds
 
 ROOT = Path(__file__).parents[3]
 PLATE = ROOT / "examples" / "data" / "result_ball_plate.json"
@@ -59,8 +59,8 @@ def test_the_plan_that_is_written_is_the_plan_that_is_measured(planned):
     assert data["unseen_std"]["drift"] <= 2.0
     assert data["unseen_std"]["knock"] <= 2.0
     model, in_turn = cell_time(configuration), sorted(plan.steps, key=place)
-    assert data["duration_s"] == pytest.approx(plan_seconds(model, plan.steps), rel=1e-9)
-    assert data["duration_s"] < plan_seconds(model, in_turn)
+    assert data["duration_s"] == pytest.approx(model.seconds(plan.steps), rel=1e-9)
+    assert data["duration_s"] < model.seconds(in_turn)
 
 
 def measured(folder, deviation, seed):

@@ -14,7 +14,7 @@ from rotcal_ros.extensions.design.tracer.ordering import (
     promised,
 )
 from rotcal_ros.geometry.rotations import on_table
-from rotcal_ros.methods.tracer.policy.scene import Scene
+from rotcal_ros.methods.tracer.policy.information import Scene
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 NEVER = (0.0, 0.0)

@@ -12,9 +12,8 @@ from tracer_scenes import counted_from_first
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.geometry.rotations import on_table, rotation_from_vector
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
-from rotcal_ros.methods.tracer.solver import TracerProblem, solve, tracer_trials
+from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
+from rotcal_ros.methods.tracer.solver import TracerProblem, adjust, solve, trials_about
 from rotcal_ros.methods.tracer.solver.circle import circle_contrasts, contrast_count
 from rotcal_ros.methods.tracer.solver.trials import predicted
 
@@ -169,7 +168,7 @@ def test_a_circle_that_nothing_checks_is_believed_and_named():
 def test_trials_scatter_as_stated(datum):
     problem = replace(simulated.measured(ONE_ZERO, 20, 3)[0], datum=datum)
     result = solve(problem)
-    trials = tracer_trials(problem)(np.random.default_rng(0), 3000)
+    trials = trials_about(adjust(problem))(np.random.default_rng(0), 3000)
     assert trials.std(axis=0)[1:] == pytest.approx(result.std["ECC"][1:], rel=0.06)
     assert solve(replace(problem, circle_std=None)).std["ECC"].max() > result.std["ECC"].max()
 

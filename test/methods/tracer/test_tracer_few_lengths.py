@@ -8,9 +8,9 @@ from chances import LONG, most
 
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import on_table
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.grid import station_minimum
-from rotcal_ros.methods.tracer.solver_settings import TracerLimits
+from rotcal_ros.methods.tracer.solver.problem import station_minimum
 
 ANGLES = np.radians(30.0 * np.arange(9))
 TARGETS = np.random.default_rng(4).uniform([-0.6, -0.5, 0.2], [0.6, 0.5, 0.9], (15, 3))

@@ -6,8 +6,8 @@ from scipy_tracer import DenseNetwork
 
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations
-from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.network import relax
+from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.start import find_start
 
 STD = 2e-7

@@ -15,8 +15,8 @@ from chances import LONG, most
 
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
-from rotcal_ros.methods.tracer.solver.gathering import groups_of
-from rotcal_ros.methods.tracer.solver.network import _Apart, _Whole
+from rotcal_ros.methods.tracer.solver.network import _Apart, _Whole, network_of, view_of
+from rotcal_ros.methods.tracer.solver.screening import groups_of
 from rotcal_ros.methods.tracer.solver.solution import adjust
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -163,7 +163,10 @@ def test_groups_are_those_of_a_network_that_is_solved_anew(one_zero, options):
     here = world(8, one_zero=one_zero, layout=above)
     asked = problem(here, here.sound, one_zero, **options)
     solution = adjust(asked)
-    groups = groups_of(solution.grid, solution.fit, here.angles, asked.measuring_order)
+    network = network_of(solution.grid, solution.fit)
+    view = view_of(network, bearing_slopes(solution.fit.stations, solution.motion).from_first)
+    order = asked.measuring_order
+    groups = groups_of(solution.grid, solution.fit, view, -network.f, order)
     group = next(one for one in groups if one.name == "station 3")
     size = 1e-9
     lengths = here.sound.copy()

@@ -9,9 +9,8 @@ from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.screening import critical_value
-from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 SCENE = simulate(seed=1)
 VARIANTS = [
@@ -155,11 +154,6 @@ def test_good_data_are_hardly_ever_rejected(options):
         scene = simulate(seed, arc(8), 24, low_ring, target_std=options.get("target_std", 0.0))
         false_alarms += bool(solve(scene.problem(**options)).rejected)
     assert false_alarms <= most(0.01, runs)  # at the default of 1 % per run
-
-
-def test_critical_value_is_shared_among_the_lengths():
-    assert critical_value(0.01, 704) == pytest.approx(4.34, abs=0.01)  # normal table, 7.1e-6
-    assert critical_value(0.05, 1) == pytest.approx(1.96, abs=0.001)
 
 
 @pytest.mark.parametrize("shift", [2e-5, 1e-3])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import DataError, GeometryError, RotcalError
@@ -12,9 +13,9 @@ from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.tracer.solver import solve
 from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations, locate_stations
 from rotcal_ros.methods.tracer.solver.circle import table_motion
-from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.observability import or_prior
-from rotcal_ros.methods.tracer.solver.screening import critical_value, reject, rejection_limit
+from rotcal_ros.methods.tracer.solver.problem import arrange
+from rotcal_ros.methods.tracer.solver.screening import reject, rejection_limit
 from rotcal_ros.methods.tracer.solver.start import find_start
 
 M, N = 9, 24
@@ -139,7 +140,7 @@ def test_a_length_is_rejected_beyond_the_critical_value(size, sign):
     start, _ = find_start(grid, None)
     redundancy = adjust_stations(grid, start).redundancy[2, 9]
     limit = rejection_limit(grid, 0.01)
-    assert limit == critical_value(0.01, M * N + 3 * N)
+    assert limit == pytest.approx(norm.isf(0.005 / (M * N + 3 * N)))
     moved = sign * size * limit * 2e-7 / np.sqrt(redundancy)
     length = grid.length.copy()
     length[2, 9] += moved

@@ -11,7 +11,7 @@ from rotcal_ros.adjust.closures import Closure
 from rotcal_ros.adjust.noise import GlobalTest
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.results import ErrorMotion
-from rotcal_ros.methods.tracer.solver.grid import arrange
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver.joined_runs import (
     RepeatedLengths,
     Runs,
@@ -25,11 +25,11 @@ from rotcal_ros.methods.tracer.solver.observability import (
     name_direction,
     weakest_direction,
 )
+from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import solve
 from rotcal_ros.methods.tracer.solver.verdict import Evidence, judge
-from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 LIMITS = TracerLimits()
 GOOD = Evidence(

@@ -8,7 +8,7 @@ from tracer_scene import low_ring, paper_block
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.methods.tracer.solver.trials import cumulative_deviations, predicted, tracer_trials
+from rotcal_ros.methods.tracer.solver.trials import cumulative_deviations, predicted, trials_about
 
 
 def dense_covariance(dense, x):
@@ -139,7 +139,7 @@ def test_an_outlier_is_rejected_and_the_trials_spread_as_stated():
     result = solve(problem)
     assert [r.index for r in result.rejected] == [37]
     assert result.residuals.residual[37] == pytest.approx(5e-6, abs=1e-6)
-    drawn = tracer_trials(problem)(np.random.default_rng(1), 2000)
+    drawn = trials_about(adjust(problem))(np.random.default_rng(1), 2000)
     spread = (drawn - drawn.mean(axis=0)).std(axis=0)
     assert spread[1:] == pytest.approx(result.std["ECC"][1:], rel=0.08)
 
@@ -193,7 +193,7 @@ def test_a_zero_that_wanders_is_that_of_dense_least_squares():
     expected = ecc_covariance(solution.fit.stations, run.angles, covariance[:21, :21])
     assert np.abs(solution.angles.covariance - expected).max() < 1e-8 * np.abs(expected).max()
     assert solution.fit.dof == 140 + 139 - 21 - 140
-    drawn = tracer_trials(problem)(np.random.default_rng(1), 1000)
+    drawn = trials_about(adjust(problem))(np.random.default_rng(1), 1000)
     assert drawn.std(axis=0)[1:] == pytest.approx(solution.angles.std[1:], rel=0.1)
 
 

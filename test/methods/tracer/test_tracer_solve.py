@@ -198,9 +198,9 @@ def test_referee_slopes_are_right(target_std):
 
 def test_station_normal_equations_against_central_differences():
     scene = simulate(seed=20, angles=arc(4), n=16)
-    root = np.sqrt(np.random.default_rng(0).uniform(0.2, 1.0, scene.length.shape))
+    weights = np.random.default_rng(0).uniform(0.2, 1.0, scene.length.shape)
     state = np.column_stack([scene.stations + 1e-3, np.full(4, 0.7)])
-    misfit = Misfit(scene.targets, scene.length, root)
+    misfit = Misfit(scene.targets, scene.length, weights)
 
     def half_square(at):
         return 0.5 * misfit(at)[:, 4, 4]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tracer_scene import low_ring, paper_block, simulate
 
-from rotcal_ros.methods.tracer.solver.grid import arrange
+from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.start import find_start, start_candidates
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.methods.tracer.solver import TracerLimits, solve, tracer_trials
+from rotcal_ros.methods.tracer.solver import TracerLimits, adjust, solve, trials_about
 from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.trials import NetworkGain, cumulative_deviations
 
@@ -31,7 +31,7 @@ def problem(options, **more):
 @pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
 def test_every_trial_is_what_the_solver_finds_for_the_same_numbers(options):
     task = problem(options)
-    trials = tracer_trials(task)
+    trials = trials_about(adjust(task))
     lengths, places, _ = trials.draw(np.random.default_rng(5), 4)
     found = trials(np.random.default_rng(5), 4)
     for length, targets, deviation in zip(lengths, places, found, strict=True):
@@ -48,7 +48,7 @@ def test_trials_scatter_as_the_solver_states(options):
     task = problem(options, error_motion_std=1e-7)
     result = solve(task)
     count = 300 if options.get("datum") == "free" else 3000
-    values = tracer_trials(task)(np.random.default_rng(7), count)
+    values = trials_about(adjust(task))(np.random.default_rng(7), count)
     within = 4.5 / np.sqrt(2 * count)
     np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=within)
     shift = values.mean(axis=0) - result.deviations["ECC"]
@@ -59,7 +59,7 @@ def test_more_stations_than_targets():
     """Then the targets, not the stations, are what is left of the network after reduction."""
     scene = simulate(3, arc(24, 14.0), n=10, layout=low_ring, target_std=2e-6)
     task = scene.problem(variant="joint", datum="prior", target_std=2e-6, settings=AS_STATED)
-    trials = tracer_trials(task)
+    trials = trials_about(adjust(task))
     assert isinstance(trials.gain, NetworkGain)
     assert not trials.gain.stations_kept
     lengths, places, _ = trials.draw(np.random.default_rng(5), 2)
@@ -77,7 +77,7 @@ def test_trials_of_a_fixed_datum_settle_without_help(options, monkeypatch):
         pytest.fail("a trial was solved alone")
 
     monkeypatch.setattr("rotcal_ros.methods.tracer.solver.trials.relax", refuse)
-    values = tracer_trials(problem(options))(np.random.default_rng(7), 200)
+    values = trials_about(adjust(problem(options)))(np.random.default_rng(7), 200)
     assert values.shape == (200, 11)
 
 
@@ -87,7 +87,7 @@ def test_missing_lengths_and_pickling():
     rows = {name: getattr(task, name)[keep] for name in
             ("position", "target", "length", "length_std", "distance_std")}  # fmt: skip
     part = replace(task, **rows)
-    trials = pickle.loads(pickle.dumps(tracer_trials(part)))
+    trials = pickle.loads(pickle.dumps(trials_about(adjust(part))))
     lengths, places, _ = trials.draw(np.random.default_rng(1), 1)
     grid = trials.grid
     answer = solve(replace(part, length=lengths[0][part.position, part.target], targets=places[0]))
@@ -109,7 +109,7 @@ def test_many_sets_of_stations_at_once_turn_like_one():
 @pytest.mark.parametrize("options", VARIANTS[1:], ids=lambda o: "-".join(o.values()))
 def test_what_has_not_settled_is_solved_alone(options, monkeypatch):
     """After a single step nothing has: the answers are those of the solver all the same."""
-    trials = tracer_trials(problem(options))
+    trials = trials_about(adjust(problem(options)))
     lengths, places, wobble = trials.draw(np.random.default_rng(5), 3)
     settled = trials.solve(lengths, places, wobble)
     monkeypatch.setattr("rotcal_ros.methods.tracer.solver.trials.MOST_STEPS", 1)
@@ -121,7 +121,7 @@ def test_what_has_not_settled_is_solved_alone(options, monkeypatch):
 def test_draws_have_the_stated_deviations():
     """Those of lengths, coordinates, error motion in the plane, and of zeros that runs share."""
     task = problem(VARIANTS[0], error_motion_std=3e-7)
-    plain = tracer_trials(task)
+    plain = trials_about(adjust(task))
     shared = np.zeros((2, 11, 24))
     shared[0, :, 5], shared[1, 3] = 4e-7, -6e-7
     trials = replace(plain, zeros=shared, scale=2.0)
@@ -139,7 +139,7 @@ def test_draws_have_the_stated_deviations():
 
 @pytest.mark.parametrize("count", [1, 4, 5, 9])
 def test_trials_come_in_any_number_from_chunks(count, monkeypatch):
-    trials = tracer_trials(problem(VARIANTS[0]))
+    trials = trials_about(adjust(problem(VARIANTS[0])))
     monkeypatch.setattr("rotcal_ros.methods.tracer.solver.trials.PLACES", 4 * 11 * 24)
     values = trials(np.random.default_rng(1), count)
     assert values.shape == (count, 11)

@@ -16,7 +16,8 @@ from rotcal_ros.methods.tracer_six.solver.network import (
     table_curves,
 )
 from rotcal_ros.methods.tracer_six.solver.problem import lay_out
-from rotcal_ros.methods.tracer_six.solver.solution import find_start
+from rotcal_ros.methods.tracer_six.solver.solution import adjust, find_start
+from rotcal_ros.methods.tracer_six.solver.solve import slope_along
 
 
 def turn(vectors):
@@ -161,3 +162,21 @@ def test_logarithm_of_a_rotation():
     moved = Rotation.from_rotvec(small) * Rotation.from_rotvec(vectors[2])
     change = (moved.as_rotvec() - vectors[2]) / 1e-7
     assert log_slope(vectors[2])[:, 2] == pytest.approx(change, abs=1e-6)
+
+
+@pytest.mark.parametrize("scatter", [(0.0, 0.0), (2e-7, 1e-6)])
+def test_the_slope_along_a_column_of_errors_is_that_of_chi_squared(scatter):
+    """Of a table that scatters, too: by differences of the whole solver."""
+    rows = scene(np.random.default_rng(2), good_targets()[:14], m=5).rows
+    stated = {"scatter_translation_std": scatter[0], "scatter_rotation_std": scatter[1]}
+    problem = SixProblem(**rows, **stated)
+    along = 1e-6 * np.random.default_rng(3).standard_normal(len(rows["length"]))
+    size = 1e-2
+
+    def fall(by):
+        return adjust(replace(problem, length=problem.length - by * along)).fit.chi2
+
+    found = slope_along(adjust(problem), along)
+    assert found.score == pytest.approx((fall(-size) - fall(size)) / (4.0 * size), rel=1e-4)
+    curved = fall(size) + fall(-size) - 2.0 * fall(0.0)
+    assert found.information == pytest.approx(curved / (2.0 * size**2), rel=1e-4)

@@ -8,8 +8,9 @@ import pytest
 from six_scene import scene
 
 from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer.solver.screening import groups_of
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solver.solution import PLACE, adjust, groups_of
+from rotcal_ros.methods.tracer_six.solver.solution import PLACE, _RigidView, adjust
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from gathered_worlds import chosen
@@ -64,7 +65,8 @@ def test_groups_are_those_of_a_network_that_is_solved_anew():
     stated = {"scatter_translation_std": 1e-7, "scatter_rotation_std": 1e-6}
     problem = SixProblem(**rows, **stated)
     solution = adjust(problem)
-    group = groups_of(solution.grid, solution.fit, problem.measuring_order)[4]
+    view, fit = _RigidView(solution.fit), solution.fit
+    group = groups_of(solution.grid, fit, view, fit.residual, problem.measuring_order)[4]
     size, row = 1e-9, 4 * N + 7
     length = rows["length"].copy()
     length[row] += size

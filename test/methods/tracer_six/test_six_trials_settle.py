@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.tracer.solver import TracerLimits
-from rotcal_ros.methods.tracer_six.solver import SixProblem, six_trials, solve
+from rotcal_ros.methods.tracer_six.solver import SixProblem, SixTrials, adjust, solve
 
 ANGLES = np.radians(45.0 * np.arange(8))
 KEEP_ALL = TracerLimits(
@@ -43,7 +43,7 @@ def measured(scatter=0.0, seed=0, **options):
 def test_a_trial_is_what_the_solver_finds(datum):
     """The steps with the normal matrix of the measurement end where a new solution does."""
     problem = measured(settings=KEEP_ALL, datum=datum)
-    trials = six_trials(problem)
+    trials = SixTrials(adjust(problem))
     drawn, layout = trials._drawn(np.random.default_rng(5))
     station = np.empty(len(problem.length), dtype=int)
     station[trials.network.grid.row.ravel()] = np.repeat(np.arange(24), 10)

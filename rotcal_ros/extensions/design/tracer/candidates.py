@@ -15,7 +15,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.plan import require_beams, within
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.policy.information import Lengths, Scene
 from rotcal_ros.planning.table_angles import table_angles
 
 MOST_PLACES: Final = 20_000

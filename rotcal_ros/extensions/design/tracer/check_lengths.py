@@ -18,9 +18,14 @@ from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.tracer.policy.exchange import Progress
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.scene import LEAST_DEPTH, Lengths, Scene, Spread
-from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM
+from rotcal_ros.methods.tracer.policy.information import (
+    LEAST_DEPTH,
+    Information,
+    Lengths,
+    Scene,
+    Spread,
+)
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM
 from rotcal_ros.planning.check_rule import CheckRule
 
 SHARPNESS: Final = 4

@@ -26,8 +26,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.exchange import Progress
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 
 POWER: Final = 0.7
 """Exponent of the multiplicative step: 1 is quick and may swing, 0.5 is slow and sure."""

@@ -27,7 +27,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError, RotcalError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.exchange import Progress
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene, noisy_problem
+from rotcal_ros.methods.tracer.policy.information import Lengths, Scene, noisy_problem
 from rotcal_ros.methods.tracer.policy.sequence import (
     MeasuringOrder,
     SequenceForecast,

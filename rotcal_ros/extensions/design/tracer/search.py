@@ -22,9 +22,15 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.exchange import Demands, Progress, fewest_lengths
-from rotcal_ros.methods.tracer.policy.information import Information, detectable_in_std
-from rotcal_ros.methods.tracer.policy.scene import LEAST_DEPTH, Lengths, Scene, Spread
-from rotcal_ros.methods.tracer.solver.grid import station_minimum
+from rotcal_ros.methods.tracer.policy.information import (
+    LEAST_DEPTH,
+    Information,
+    Lengths,
+    Scene,
+    Spread,
+    detectable_in_std,
+)
+from rotcal_ros.methods.tracer.solver.problem import station_minimum
 
 IDEAL_GAP: Final = 0.05
 """Share by which the ideal plan may lie above its bound: what follows rounds to whole lengths."""

@@ -21,8 +21,7 @@ from rotcal_ros.extensions.design.tracer.search import Checks, checks_of, demand
 from rotcal_ros.foundation.arrays import Bools, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 from rotcal_ros.planning.sequence_time import TimeModel
 
 MOST_TARGETS: Final = 64

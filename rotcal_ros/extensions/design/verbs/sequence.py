@@ -64,8 +64,8 @@ def sequence(
 ) -> int:
     """Find the quickest order of a tracer plan in which drifts and knocks would be seen."""
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
+    from rotcal_ros.methods.tracer.simulation import cell_time
     from rotcal_ros.methods.tracer.table import write_pairs
-    from rotcal_ros.methods.tracer.timing import cell_time, plan_seconds
     from rotcal_ros.planning.sequence_time import stated_time
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes))
@@ -84,7 +84,7 @@ def sequence(
         write_pairs(output, pairs)
     data: dict[str, Any] = {
         "lengths": len(steps),
-        "listed_s": plan_seconds(model, steps),
+        "listed_s": model.seconds(steps),
         "bound_s": best.bound,
         "best": best.name,
         "orders": [_order_to_dict(way) for way in ways],

@@ -23,8 +23,13 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.methods.tracer.policy.information import Information, detectable_in_std
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene, Spread
+from rotcal_ros.methods.tracer.policy.information import (
+    Information,
+    Lengths,
+    Scene,
+    Spread,
+    detectable_in_std,
+)
 
 Progress = Callable[[int, int], None]
 
@@ -58,9 +63,9 @@ class Demands:
 
     ``mean`` and ``largest`` variance, with error motion; ``redundancy`` of each length; ``share``:
     effect of an undetected error in expanded uncertainties; ``per_station``: lengths each station
-    has at least; ``significance``, ``power``: of the test of single lengths; ``depth``: of
-    the targets of each station, see :class:`~.scene.Spread`. ``checked`` False: neither redundancy
-    nor share counts.
+    has at least; ``significance``, ``power``: of the test of single lengths; ``depth``: of the
+    targets of each station, see :class:`~.information.Spread`. ``checked`` False: neither
+    redundancy nor share counts.
     """
 
     mean: float

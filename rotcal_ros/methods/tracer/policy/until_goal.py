@@ -4,7 +4,7 @@ With known noise the uncertainty of a set of lengths is known before any is take
 is the set that reaches the goal with the planned noise. What is not known is learnt on the way:
 
 * the noise, from the residuals of the first sweep; further steps are as many as Student's t then
-  asks for (Stein's two stages, see :mod:`.noise`), where they pay most for their time;
+  asks for (Stein's two stages, see :mod:`.experiment`), where they pay most for their time;
 * blocked beams: a step that was given up is replaced by the best at the same station, and beams
   nearby are held to be blocked too until better is known;
 * suspect lengths are measured again, then all lengths of their station; a length that stays
@@ -14,7 +14,7 @@ is the set that reaches the goal with the planned noise. What is not known is le
   steps follow. The goal is reached when both do: the U of the result is the one that is told.
 
 Where all steps together would miss the goal with the noise as it is, it ends at once: hours of
-lengths would lead to nothing (:class:`Reach`).
+lengths would lead to nothing.
 
 With known noise the first sweep is all that there is to plan. The fewest steps are found by
 exchange; they are then shared among sweeps there and back, so that neither a drift of the machine
@@ -43,12 +43,12 @@ from rotcal_ros.methods.tracer.policy.exchange import Demands, fewest_lengths
 from rotcal_ros.methods.tracer.policy.experiment import (
     Allowance,
     LengthExperiment,
+    LengthNoise,
     MeasuredLengths,
     Stated,
+    student_factor,
 )
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
-from rotcal_ros.methods.tracer.policy.scene import Lengths
+from rotcal_ros.methods.tracer.policy.information import Information, Lengths
 from rotcal_ros.methods.tracer.policy.sequence import (
     SequenceForecast,
     least_hidden,
@@ -145,7 +145,8 @@ class UntilGoal:
         """Factor of the noise and coverage factor, as they are known now."""
         self._now: float | None = None
         """The uncertainty (rad) of what is measured, with the noise as stated, once worked out."""
-        self._reach = Reach(*self._stated)
+        self._doubted, self._best = False, math.nan
+        """Whether the goal may be out of reach, and what all steps would give (rad), if known."""
         self._seen: dict[tuple[int, int], Observation] = {}
         """The last observation of every run and step: all that the solver will get."""
         self._result: Stated | None = None
@@ -277,7 +278,7 @@ class UntilGoal:
             worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
             return f"no further step helps: {worse}, {self._noise_and_doubt}"
         if len(more) >= MOST_AT_ONCE:
-            self._reach.doubt()  # worked out for the next choice: this one was long enough
+            self._doubted = True  # worked out for the next choice: this one was long enough
         why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
         self._queue += ((step, why) for step in _as_sweep(self._experiment, more, self._at))
         return None
@@ -323,9 +324,14 @@ class UntilGoal:
 
     def _beyond_reach(self) -> str | None:
         """Return that all steps together miss the goal, if that was doubted and is so."""
-        best = self._reach.best(
-            self._experiment, self._measured, self._beams.allowed, self._allowance
-        )
+        best = self._allowance.floor  # which no length lowers
+        if self._doubted:
+            if math.isnan(self._best):
+                left = np.setdiff1d(
+                    np.flatnonzero(self._beams.allowed), list(self._measured.steps)
+                )
+                self._best = self._experiment.planned(self._measured, *self._stated, left)
+            best = self._allowance.stated(self._best)
         goal = self._limits.uncertainty
         if not goal <= best < math.inf:
             return None
@@ -343,7 +349,7 @@ class UntilGoal:
             share = self._experiment.share_of_noise(self._measured, noise.factor)
             self._stated = (noise.factor, student_factor(noise.dof / share**2))
             self._now = None
-            self._reach = Reach(*self._stated)
+            self._doubted, self._best = False, math.nan
 
     def _measure_again(self, suspect: Observation, value: float) -> None:
         """Queue what a suspect length asks for: the same again, or another target."""
@@ -552,36 +558,6 @@ class FreeBeams:
     def _angles_from(self, number: int) -> Floats:
         cosine = np.clip(self._directions @ self._directions[number], -1.0, 1.0)
         return np.asarray(np.arccos(cosine), dtype=np.float64)
-
-
-class Reach:
-    """The uncertainty (rad) that all steps would give with one ``noise`` and coverage factor.
-
-    It is worked out once, and only where it is doubted that the goal can be had.
-    """
-
-    def __init__(self, noise: float, coverage_factor: float) -> None:
-        self._stated = noise, coverage_factor
-        self._doubted = False
-        self._best: float | None = None
-
-    def doubt(self) -> None:
-        """Have it worked out when it is asked for next: many further lengths are lacking."""
-        self._doubted = True
-
-    def best(
-        self, of: LengthExperiment, measured: MeasuredLengths, allowed: Bools, allowance: Allowance
-    ) -> float:
-        """Return what would be stated of the ``measured`` and all ``allowed`` steps.
-
-        0 while nobody doubts, but never less than what no length lowers.
-        """
-        if not self._doubted:
-            return allowance.floor
-        if self._best is None:
-            left = np.setdiff1d(np.flatnonzero(allowed), list(measured.steps))
-            self._best = of.planned(measured, *self._stated, left)
-        return allowance.stated(self._best)
 
 
 class Suspects:

@@ -2,9 +2,9 @@
 
 Laser tracer paper, section 3.1 (Eq. 5-17): the targets are known, and each station has four
 unknowns (X, Y, Z, d). All stations are solved at once, by undamped Gauss-Newton steps as long as
-these contract (:func:`contract`), else by Levenberg-Marquardt with the paper's damping rule and
-line search (:func:`locate_damped`). From a fair start undamped steps converge quadratically, and
-damping and line search only cost time. The normal equations lose digits of a step, not of the
+these contract (:func:`contract`), else by damped ones (:func:`locate_damped`). The paper damps all
+steps and searches along each; from a fair start undamped steps converge quadratically, and the
+minimum is the same. The normal equations lose digits of a step, not of the
 answer: that is where the gradient of the residuals vanishes, which each step works out anew in
 full precision.
 
@@ -22,21 +22,18 @@ import numpy as np
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.observability import check_station_rank
+from rotcal_ros.methods.tracer.solver.problem import Grid
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.tracer.solver.network import Network
 
 MINIMAL_REDUNDANCY: Final = 1e-6
 """Below this share a length is checked by nothing: its test value is zero."""
-BETA: Final = 0.55
-SIGMA: Final = 0.4
-"""Line search constants of the paper, section 4.2.1."""
+FLOOR: Final = 1e-13
+"""Damping, as a share of the weights, that only a singular normal matrix feels."""
 EPSILON: Final = 1e-5
 """Step (m) at which undamped steps, which converge quadratically, take over."""
-POLISHED: Final = 1e-11
-"""Step (m) that no longer needs to be done; the paper stops at 1e-4 mm."""
 MAX_ITERATIONS: Final = 100
 """Damped steps after which a station is said not to settle."""
 FAIR: Final = 1.0
@@ -54,7 +51,7 @@ class Adjustment:
     """Stations, distances and targets that fit the lengths of a grid, and how well they do.
 
     ``stations`` (m, 3), ``distances`` (p,): the range of a strip at reading zero, ``targets``
-    (n, 3), metres; m stations have p strips, see :class:`~.grid.Grid`.
+    (n, 3), metres; m stations have p strips, see :class:`~.problem.Grid`.
     ``residual`` (p, n): observed - computed (the paper's v of Eq. 3 is computed - observed), also
     of lengths that were not used. ``std`` (p, n): standard deviation of a length as this
     variant sees it; ``redundancy`` (p, n): share of a length that the others check, zero if
@@ -169,8 +166,7 @@ def locate_stations(
     """Return (X, Y, Z, d) of all stations (m, 4), and which have settled (m,); Eq. 5-17.
 
     ``targets`` (n, 3), ``length`` and ``weights`` (m, n; weight zero for a missing length),
-    ``start`` (m, 4), in metres. Undamped steps where they contract, the paper's
-    Levenberg-Marquardt (:func:`locate_damped`) for the other stations; the minimum is the same.
+    ``start`` (m, 4), in metres.
     """
     state, settled = contract(targets, length, weights, start)
     if not settled.all():
@@ -183,124 +179,58 @@ def locate_stations(
 def locate_damped(
     targets: Floats, length: Floats, weights: Floats, start: Floats
 ) -> tuple[Floats, Bools]:
-    """Return what :func:`locate_stations` returns by Levenberg-Marquardt alone.
+    """Return what :func:`locate_stations` returns, from a start that is far away.
 
-    Weights count relative to the largest one, so that objective
-    and first damping mu = |f(x_0)| keep the paper's dimension, a length.
-
-    Slip of Eq. 11-14: the line search is printed once per coordinate; it is one search along h,
-    and it is the objective F of Eq. 6 that has to fall - by more than its rounding error. The last
-    steps are undamped, so that damping leaves no trace.
+    Levenberg's steps: damped tenfold where the objective F of Eq. 6 would rise, and ten times less
+    where it fell. Weights count relative to the largest one, so that objective and first damping
+    mu = |f(x_0)| keep the paper's dimension, a length. The last steps are undamped, so that
+    damping leaves no trace.
     """
-    misfit = Misfit(targets, length, np.sqrt(weights / weights.max()))
-    state, active = start.copy(), np.ones(len(start), dtype=np.bool_)
-    products = misfit(state)
-    damping = np.maximum(np.sqrt(products[:, 4, 4]), misfit.floor)
+    relative = weights / weights.max()
+    misfit, floor = Misfit(targets, length, relative), FLOOR * relative.sum(axis=1)
+    state, active, products = start.copy(), np.ones(len(start), dtype=np.bool_), misfit(start)
+    damping = np.maximum(np.sqrt(products[:, 4, 4]), floor)
     # a range r carries a rounding error of r times eps into f, and twice sum(f df) into f'f
     reach = np.abs(start[:, 3:] + length).max()
-    grain = 4.0 * np.finfo(np.float64).eps * reach * np.sqrt(length.shape[1])
+    grain = 8.0 * np.finfo(np.float64).eps * reach * np.sqrt(length.shape[1])
     for _ in range(MAX_ITERATIONS):
-        h, slope = _step(products, damping)
-        squared = (h * h).sum(axis=1)
-        before, products = products, misfit(state + h)
-        # Eq. 15, with (N + mu) h = -g put in: h'g + h'N h / 2 = (h'g - mu h'h) / 2
-        predicted = 0.5 * (slope - damping * squared)
-        change = 0.5 * (products[:, 4, 4] - before[:, 4, 4])
-        slack = grain * np.sqrt(before[:, 4, 4])
-        short = active & (change > SIGMA * slope + slack)
-        if short.any():
-            h, products = _search(state, h, slope, slack, before[:, 4, 4], short, misfit)
-        state += h
-        active &= squared > EPSILON**2
+        normal = products[:, :4, :4] + damping[:, None, None] * np.eye(4)
+        h = -np.linalg.solve(normal, products[:, :4, 4:])[:, :, 0]
+        after, before = misfit(state + h), products[:, 4, 4]
+        falls = after[:, 4, 4] <= before + grain * np.sqrt(before)
+        state[falls] += h[falls]
+        products[falls] = after[falls]
+        active &= ~falls | ((h * h).sum(axis=1) > EPSILON**2)
         if not active.any():
             break
-        # Eq. 16-17; a predicted change that is all rounding says nothing against the step
-        seen = change - slack
-        good, bad = seen < 0.75 * predicted, seen > 0.25 * predicted
-        damping *= np.where(good, 0.1, np.where(bad, 10.0, 1.0))
-        np.maximum(damping, misfit.floor, out=damping)
-    return _polish(state, h, products, misfit), ~active
+        damping = np.maximum(np.where(falls, 0.1, 10.0) * damping, floor)
+    polished, contracts = contract(targets, length, weights, state)
+    return np.where(contracts[:, None], polished, state), ~active
 
 
 class Misfit:
     """Eq. 5 and its derivative at a state (m, 4): called, it returns [J f]'[J f], (m, 5, 5).
 
     That one product holds the normal matrix J'J, the gradient J'f (last column) and twice the
-    objective f'f (last corner); f is computed - observed, every row multiplied by ``root``.
-    ``floor`` (m,) is a damping that only a singular normal matrix feels.
+    objective f'f (last corner); f is computed - observed, every row times the root of its weight.
     """
 
-    def __init__(self, targets: Floats, length: Floats, root: Floats) -> None:
-        m, n = length.shape
-        self._targets, self._length, self._root = np.ascontiguousarray(targets.T), length, root
-        self._rows = np.empty((m, 5, n))
-        self._rows[:, 3] = -root
-        self._slopes, self._errors = self._rows[:, :3], self._rows[:, 4]
-        self._transposed = self._rows.swapaxes(1, 2)
-        self.floor = 1e-13 * np.einsum("ji,ji->j", root, root)
+    def __init__(self, targets: Floats, length: Floats, weights: Floats) -> None:
+        self._points, self._length = np.ascontiguousarray(targets.T)[:, None], length
+        self._root, self._rows = np.sqrt(weights), np.empty((5, *length.shape))
+        np.negative(self._root, out=self._rows[3])
+        self._slopes, self._errors = self._rows[:3], self._rows[4]
 
     def __call__(self, state: Floats) -> Floats:
         """Return the products (m, 5, 5) at ``state`` (m, 4)."""
         slopes = self._slopes
-        np.subtract(state[:, :3, None], self._targets, out=slopes)
-        distance = np.sqrt(np.einsum("jai,jai->ji", slopes, slopes))
-        slopes *= (self._root / distance)[:, None]
+        np.subtract(state.T[:3, :, None], self._points, out=slopes)
+        distance = np.sqrt(np.einsum("aji,aji->ji", slopes, slopes))
+        slopes *= self._root / distance
         distance -= state[:, 3:]
         distance -= self._length
         np.multiply(distance, self._root, out=self._errors)
-        return np.asarray(self._rows @ self._transposed)
-
-
-def _step(products: Floats, damping: Floats) -> tuple[Floats, Floats]:
-    """Return h (m, 4) of Eq. 10 and the slope h'g (m,) of the objective along it."""
-    normal = products[:, :4, :4].reshape(-1, 16)
-    # every fifth of the 16 entries is on the diagonal
-    normal[:, ::5] += damping[:, None]
-    downhill = -products[:, :4, 4:]
-    h = np.asarray(np.linalg.solve(normal.reshape(-1, 4, 4), downhill)[:, :, 0], dtype=np.float64)
-    return h, -(h * downhill[:, :, 0]).sum(axis=1)
-
-
-def _search(
-    state: Floats,
-    h: Floats,
-    slope: Floats,
-    slack: Floats,
-    objective: Floats,
-    short: Bools,
-    misfit: Misfit,
-) -> tuple[Floats, Floats]:
-    """Shorten ``h`` where F does not fall enough by powers of beta until it does (Eq. 11-14).
-
-    ``objective`` is twice F. Returns the shortened steps and the products at their ends.
-    """
-    step = np.ones(len(h))
-    for _ in range(60):
-        step[short] *= BETA
-        products = misfit(state + step[:, None] * h)
-        fallen = 0.5 * (products[:, 4, 4] - objective)
-        short = short & (fallen > SIGMA * step * slope + slack)
-        if not short.any():
-            break
-    return step[:, None] * h, products
-
-
-def _polish(state: Floats, last: Floats, products: Floats, misfit: Misfit) -> Floats:
-    """Finish with undamped steps, after the damped step ``last`` (m, 4).
-
-    A step that is not small tells a station that the targets do not determine; it stays.
-    Convergence is at least linear: the step to come is foreseen from the last two.
-    """
-    before = np.abs(last).max(axis=1)
-    for _ in range(8):
-        h, _ = _step(products, misfit.floor)
-        size = np.abs(h).max(axis=1)
-        small = size < 100.0 * EPSILON
-        state = state + small[:, None] * h
-        if not (small & (size * size > POLISHED * before)).any():
-            break
-        before, products = size, misfit(state)
-    return state
+        return np.asarray(self._rows.transpose(1, 0, 2) @ self._rows.transpose(1, 2, 0))
 
 
 def adjust_stations(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
@@ -419,28 +349,17 @@ def contract(
     Arguments as for :func:`locate_stations`; where the steps do not contract, the
     state is of no use.
     """
-    m, n = length.shape
-    points, root = np.ascontiguousarray(targets.T)[:, None], np.sqrt(weights)
-    rows = np.empty((5, m, n))  # slopes along X, Y, Z and d, and the error f of Eq. 5
-    slopes, errors = rows[:3], rows[4]
-    np.negative(root, out=rows[3])
-    by_station, transposed = rows.transpose(1, 0, 2), rows.transpose(1, 2, 0)
-    state, contracts = start, np.ones(m, dtype=np.bool_)
+    misfit, state = Misfit(targets, length, weights), start
+    contracts = np.ones(len(start), dtype=np.bool_)
     limit: Floats | float = CONTRACTION * FAIR
     settled: Floats | float = SETTLED**2
     for _ in range(MAX_STEPS):
-        np.subtract(state.T[:3, :, None], points, out=slopes)
-        distance = np.sqrt(np.einsum("aji,aji->ji", slopes, slopes))
-        slopes *= root / distance
-        distance -= state[:, 3:]
-        distance -= length
-        np.multiply(distance, root, out=errors)
-        products = by_station @ transposed
+        products = misfit(state)
         try:
             h = np.linalg.solve(products[:, :4, :4], products[:, :4, 4:])[:, :, 0]
         except np.linalg.LinAlgError:
             # one singular station fails the whole stack: all are left to the damped steps
-            return start, np.zeros(m, dtype=np.bool_)
+            return start, np.zeros_like(contracts)
         state = state - h
         size = np.maximum.reduce(np.abs(h), axis=1)
         if not (size <= limit).all():

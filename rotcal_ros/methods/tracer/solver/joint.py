@@ -37,7 +37,6 @@ from rotcal_ros.methods.tracer.solver.adjustment import (
     StationCovariance,
     adjust_stations,
 )
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import (
     Network,
     less_rigid,
@@ -47,6 +46,7 @@ from rotcal_ros.methods.tracer.solver.network import (
     rigid,
 )
 from rotcal_ros.methods.tracer.solver.observability import CURE, name_direction, or_prior
+from rotcal_ros.methods.tracer.solver.problem import Grid
 
 RANK_TOLERANCE: Final = 1e-13
 """Eigenvalue, as a share of the largest, of a direction that the lengths leave open."""
@@ -225,34 +225,45 @@ def _leverage(network: Network, spread: _Posterior) -> Floats:
     return np.asarray(at_station + at_target - 2.0 * between, dtype=np.float64)
 
 
-def _felt_by_targets(
-    network: Network, grid: Grid, spread: _Posterior
+def felt_by_targets(
+    grid: Grid, targets: Floats, covariance: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return corrections (n, 3), redundancy (n, 3, 3) and coupling (3, 3) of the coordinates.
 
-    In standard deviations of the machine's coordinates. The redundancy matrix M of all
-    observations is a projection; the coupling of two axes is the sum of the squares of its
-    entries between them, which is half the covariance of their sums of squared corrections.
+    Of adjusted ``targets`` (n, 3) with their ``covariance`` (3 n, 3 n), m^2, in standard
+    deviations of the machine's coordinates; zero where these are start values only. The redundancy
+    matrix M of all observations is a projection; the coupling of two axes is the sum of the
+    squares of its entries between them, which is half the covariance of their sums of squared
+    corrections.
     """
-    n = len(grid.targets)
+    n, std = len(targets), grid.target_std
     if grid.free:
         return np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((3, 3))
+    whole = -covariance.reshape(n, 3, n, 3) / (std[:, :, None, None] * std)
+    each = np.arange(n)
+    whole[each, :, each] += np.eye(3)
+    coupling = np.einsum("iajb,iajb->ab", whole, whole)
+    return (targets - grid.targets) / std, whole[each, :, each], coupling
+
+
+def _felt_by_targets(
+    network: Network, grid: Grid, spread: _Posterior
+) -> tuple[Floats, Floats, Floats]:
+    """Return what :func:`felt_by_targets` does, without the whole covariance of many targets."""
+    n = len(grid.targets)
+    if grid.free or not network.stations_kept:
+        return felt_by_targets(grid, network.targets, spread.kept)
     std = grid.target_std
     area = std[:, :, None] * std[:, None, :]
-    corrections = (network.targets - grid.targets) / std
     redundancy = np.eye(3) - spread.targets / area
-    kept, transfer = spread.kept, network.reduced.transfer
-    if not network.stations_kept:
-        whole = redundancy_of_targets(kept.reshape(n, 3, n, 3), std)
-        return corrections, redundancy, np.einsum("iajb,iajb->ab", whole, whole)
     # M = blocks - G'G, with the blocks that the targets have alone and G by way of the stations
     alone = np.eye(3) - network.reduced.inverse / area
     through = alone - redundancy
-    columns = (transfer / std.ravel()).reshape(-1, n, 3)
-    paths = [kept @ (columns[:, :, a] @ columns[:, :, a].T) for a in range(3)]
+    columns = (network.reduced.transfer / std.ravel()).reshape(-1, n, 3)
+    paths = [spread.kept @ (columns[:, :, a] @ columns[:, :, a].T) for a in range(3)]
     coupling = (alone * (alone - 2.0 * through)).sum(axis=0)
     coupling += [[(first * second.T).sum() for second in paths] for first in paths]
-    return corrections, redundancy, np.asarray(coupling, dtype=np.float64)
+    return (network.targets - grid.targets) / std, redundancy, np.asarray(coupling)
 
 
 def _felt_by_circle(network: Network, grid: Grid, lengths: float) -> Floats:
@@ -273,17 +284,6 @@ def _felt_by_circle(network: Network, grid: Grid, lengths: float) -> Floats:
     rest = float(np.trace(own) - (own**2).sum() - others.sum())
     # rounding may leave a little less than nothing, or more than the lengths have
     return np.append(others, min(max(rest, 0.0), lengths))
-
-
-def redundancy_of_targets(covariance: Floats, std: Floats) -> Floats:
-    """Return the redundancy matrix (n, 3, n, 3) of coordinates stated with ``std`` (n, 3).
-
-    ``covariance`` (n, 3, n, 3) of the adjusted ones, m^2.
-    """
-    whole = -covariance / (std[:, :, None, None] * std)
-    each = np.arange(len(std))
-    whole[each, :, each] += np.eye(3)
-    return np.asarray(whole, dtype=np.float64)
 
 
 def target_test(corrections: Floats, redundancy: Floats) -> Floats:

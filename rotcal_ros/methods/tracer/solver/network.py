@@ -22,9 +22,10 @@ covariance.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -36,8 +37,8 @@ from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, ranges
 from rotcal_ros.methods.tracer.solver.circle import circle_contrasts
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.observability import or_prior
+from rotcal_ros.methods.tracer.solver.problem import Grid
 
 _UNDETERMINED: Final = (
     "the lengths do not determine stations and targets together: the normal matrix is singular; "
@@ -522,17 +523,21 @@ class NetworkGain:
         return a[:, self.layout.index], b.reshape(target.shape)
 
 
-class LengthView(Protocol):
+class LengthView(ABC):
     """The linear view at a network, by the lengths of e places: their strips and targets (e,)."""
 
+    @abstractmethod
     def leverage(self, strip: Ints, target: Ints) -> Floats:
         """Return the covariance (e, e) of the adjusted lengths, m^2."""
 
+    @abstractmethod
     def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
         """Return what the outputs are off by for a unit of each length over its variance."""
 
     def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
         """Return the residual cofactor of lengths of one target, with 1 / std ``unit`` (e,)."""
+        leverage = self.leverage(strip, target) * unit * unit[:, None]
+        return LowRank.whole(np.eye(len(unit)) - 0.5 * (leverage + leverage.T))
 
 
 def view_of(network: Network, outputs: Slopes) -> LengthView:
@@ -543,7 +548,7 @@ def view_of(network: Network, outputs: Slopes) -> LengthView:
 
 
 @dataclass(frozen=True, eq=False)
-class _Whole:
+class _Whole(LengthView):
     """By the covariance of all unknowns."""
 
     network: Network
@@ -575,10 +580,6 @@ class _Whole:
     def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
         return Sensitivity.whole(_combined(self.carried, *self._rows(strip, target)).T)
 
-    def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
-        leverage = self.leverage(strip, target) * unit * unit[:, None]
-        return LowRank.whole(np.eye(len(unit)) - 0.5 * (leverage + leverage.T))
-
     def _rows(self, strip: Ints, target: Ints) -> tuple[Ints, Floats]:
         """Return the columns (e, 7) that the lengths touch, and their slopes (e, 7)."""
         slopes, layout = self.network.rows[strip, target], self.network.layout
@@ -596,7 +597,7 @@ def _combined(matrix: Floats, columns: Ints, values: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class _Apart:
+class _Apart(LengthView):
     """By what each station has to itself, and the targets that all have in common.
 
     With stations x eliminated, B their normal blocks, K the covariance of the targets and T the

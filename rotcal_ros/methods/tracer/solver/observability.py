@@ -22,7 +22,7 @@ from rotcal_ros.foundation.errors import DataError, GeometryError, Observability
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
-from rotcal_ros.methods.tracer.solver.grid import Grid
+from rotcal_ros.methods.tracer.solver.problem import Grid
 
 RANK_TOLERANCE: Final = 1e-12
 """Smallest eigenvalue of the mean outer product of the design's rows, relative to the largest."""

@@ -1,22 +1,33 @@
-"""What the length methods are asked: lengths, targets, commanded angles, and how to judge them."""
+"""What the length methods are asked, and its lengths as a strip by target grid.
+
+The flat rows of a problem come in any order and with gaps. On the grid every length has its
+place, so that the order of the rows cannot change a single bit of the result; what has none is
+told, and why.
+
+A *strip* is what a station has measured from one zero. Where every station has a zero of its own,
+strips are stations; where zeros belong to segments of unbroken beam, a station has as many strips
+as segments, and a segment as many as stations.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final, get_args
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.methods.columns import broadcast, indices, matrix, require, vector
-from rotcal_ros.methods.tracer.solver_settings import (
+from rotcal_ros.methods.tracer.settings import (
     Datum,
     TracerLimits,
     TracerSolverSettings,
     Variant,
 )
+from rotcal_ros.methods.tracer.solver.circle import contrast_count
 
 _DEFAULTS: Final = TracerSolverSettings()
 _LATEST: Final = 2**62
@@ -228,3 +239,363 @@ class TracerProblem(LengthProblem):
                 "pairs measured several times share the error of their target, and the variant "
                 "'station' takes a target for known: choose the variant 'joint', or average them"
             )
+
+
+STATION_MINIMUM: Final = 5
+"""Lengths per station that place it by themselves: (X, Y, Z, d), and one to check them."""
+SEVERAL: Final = 4
+"""Lengths of a strip whose median tells something."""
+FREE_TARGET_MINIMUM: Final = 4
+"""Lengths per target of a free network: three unknowns and one to check them."""
+REACH: Final = 100.0
+"""No tracer reaches further (metres): targets that lie further apart are in another unit."""
+IMPOSSIBLE_SHARE: Final = 0.25
+"""From this share of impossible lengths on, it is the unit or the plan that is wrong."""
+MILLIMETRES: Final = 1e-3
+"""Below this spread of the lengths, as a share of that of the targets, the units differ."""
+
+
+def station_minimum(own_zero: bool, on_circle: bool) -> int:
+    """Return how many lengths a station needs: as many as it has unknowns to itself.
+
+    Its three coordinates, of which a stated circle leaves the one along it, and its zero unless
+    that is shared.
+    """
+    return (1 if on_circle else 3) + int(own_zero)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The usable part of a problem: p strips of m stations (one per table position) by n targets.
+
+    ``position_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (p, n): row of the
+    problem that fills the place, -1 for none. ``used`` (p, n): the length takes part.
+    ``length``, ``length_std`` (p, n): metres, 0 and 1 where there is none. ``distance_std``
+    (p, n): the part of ``length_std`` that grows with the distance, m.
+    ``targets``, ``target_std`` (n, 3): metres. ``free``: the targets carry no prior.
+    ``station`` (p,): station of each strip. ``zero`` (p,): its zero, from 0 to s - 1; None: every
+    strip is a station and has its own. ``segment_ids`` (s,): the problem's segment of each zero.
+    ``walk`` (s,): standard deviation of the step from each zero to the next one, m; infinite
+    between segments and at the end. None: zeros do not wander.
+    ``circle_std``: by how much (m) stations leave a common circle; None: nothing is known.
+
+    Strips share zeros where these belong to segments, and where pairs are measured again.
+    """
+
+    position_ids: Ints
+    target_ids: Ints
+    row: Ints
+    used: Bools
+    length: Floats
+    length_std: Floats
+    distance_std: Floats
+    targets: Floats
+    target_std: Floats
+    free: bool
+    station: Ints
+    zero: Ints | None = None
+    segment_ids: Ints | None = None
+    walk: Floats | None = None
+    circle_std: float | None = None
+
+    @property
+    def weights(self) -> Floats:
+        """Weights (p, n) of the lengths alone, 1/m^2; zero where unused."""
+        return self.used / self.length_std**2
+
+    @property
+    def n_stations(self) -> int:
+        """The number m of stations."""
+        return len(self.position_ids)
+
+    @property
+    def n_zeros(self) -> int:
+        """The number s of unknown zeros."""
+        return self.n_stations if self.segment_ids is None else len(self.segment_ids)
+
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns stations and zeros have."""
+        return 3 * self.n_stations + self.n_zeros
+
+    @property
+    def station_minimum(self) -> int:
+        """How many lengths a station needs, see :func:`station_minimum`."""
+        own_zero = self.zero is None or (
+            len(self.zero) > 0 and np.array_equal(self.zero, self.station)
+        )
+        return station_minimum(own_zero, self.circle_std is not None)
+
+    @property
+    def apart(self) -> bool:
+        """Whether nothing but targets ties stations, and each has the lengths to find it alone."""
+        tied = self.zero is not None or self.circle_std is not None
+        return not tied and bool((self.used.sum(axis=1) >= STATION_MINIMUM).all())
+
+    @property
+    def contrasts(self) -> int:
+        """How many observations the stations' circle makes."""
+        return 0 if self.circle_std is None else contrast_count(self.n_stations)
+
+    @cached_property
+    def first_strip(self) -> Ints:
+        """The first strip (m,) of each station."""
+        return np.unique(self.station, return_index=True)[1]
+
+    @cached_property
+    def first_of_zero(self) -> Ints:
+        """The first strip (s,) of each zero."""
+        zero = self.station if self.zero is None else self.zero
+        return np.unique(zero, return_index=True)[1]
+
+    @cached_property
+    def segment_numbers(self) -> Ints:
+        """The different segments that the zeros belong to, ascending."""
+        return np.unique(self.position_ids if self.segment_ids is None else self.segment_ids)
+
+    @cached_property
+    def segment_of_strip(self) -> Ints:
+        """The place (p,) of each strip's segment among ``segment_numbers``."""
+        if self.zero is None or self.segment_ids is None:
+            return self.station
+        return np.searchsorted(self.segment_numbers, self.segment_ids[self.zero])
+
+    def placed(self, values: Floats) -> Floats:
+        """Return ``values`` (k,) of the problem's rows at their places (p, n), 0 at empty ones."""
+        return np.where(self.row >= 0, values[self.row], 0.0)
+
+    def take(self, strips: Ints, part: Bools) -> Grid:
+        """Return the grid of some ``strips`` (q,), of each only the places ``part`` (q, n)."""
+        used = self.used[strips] & part
+        return replace(
+            self,
+            row=np.where(part, self.row[strips], -1),
+            used=used,
+            length=np.where(part, self.length[strips], 0.0),
+            length_std=np.where(part, self.length_std[strips], 1.0),
+            distance_std=np.where(part, self.distance_std[strips], 0.0),
+            station=self.station[strips],
+            zero=None if self.zero is None else self.zero[strips],
+        )
+
+    def per_station(self, values: Floats | Bools) -> Floats:
+        """Return sums (m,) over all ``values`` (p, n) of each station."""
+        total = values.sum(axis=1)
+        if self.zero is None:
+            return np.asarray(total, dtype=np.float64)
+        summed = np.bincount(self.station, weights=total, minlength=self.n_stations)
+        return np.asarray(summed, dtype=np.float64)
+
+    def largest_of_station(self, values: Floats) -> Floats:
+        """Return (p, 1) the largest of the ``values`` (p, n) of each strip's station."""
+        largest = values.max(axis=1)
+        if self.zero is not None:
+            best = np.full(self.n_stations, -np.inf)
+            np.maximum.at(best, self.station, largest)
+            largest = best[self.station]
+        return np.asarray(largest[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Absent:
+    """Why lengths have no place on a grid, by row of the problem.
+
+    ``repeated``: identical repetitions. ``unfit``: they contradict the triangle inequality, or
+    their station has too few lengths left. ``spare``: of targets of a free network with too few
+    lengths to place them; nothing speaks against these.
+    """
+
+    repeated: dict[int, str]
+    unfit: dict[int, str]
+    spare: dict[int, str]
+
+
+class _Strips(NamedTuple):
+    """``position`` and ``segment`` (p,) of each strip, and the strip of each row (k,).
+
+    ``segment`` None: strips are stations; else what each zero belongs to: a segment, or where
+    there are none, the position.
+    """
+
+    position: Ints
+    segment: Ints | None
+    of_row: Ints
+
+
+def _strips(problem: TracerProblem) -> _Strips:
+    if _own_zero(problem):
+        return _Strips(np.arange(len(problem.table_angles)), None, problem.position)
+    segment = problem.position if problem.segment is None else problem.segment
+    again = np.zeros_like(segment) if problem.again is None else problem.again
+    keys = np.column_stack([problem.position, segment, again])
+    strips, of_row = np.unique(keys, axis=0, return_inverse=True)
+    return _Strips(strips[:, 0], strips[:, 1], of_row.ravel())
+
+
+def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
+    """Return the grid of ``problem``, and what has no place on it.
+
+    Raises DataError for contradictory repetitions and for lengths that seem to be in another unit
+    than the targets.
+    """
+    absent = Absent({}, {}, {})
+    strips = _strips(problem)
+    row = _place_rows(problem, strips, absent.repeated)
+    _check_unit_of_targets(problem)
+    _drop_impossible(problem, row, strips.position, absent.unfit)
+    _drop_undetermined(problem, row, strips, absent)
+    kept, targets = (np.flatnonzero((row >= 0).any(axis=axis)) for axis in (1, 0))
+    row = row[np.ix_(kept, targets)]
+    used = row >= 0
+    positions, station = np.unique(strips.position[kept], return_inverse=True)
+    segments, zero = None, None
+    if strips.segment is not None:
+        segments, zero = np.unique(strips.segment[kept], return_inverse=True)
+    grid = Grid(
+        position_ids=positions,
+        target_ids=targets,
+        row=row,
+        used=used,
+        length=np.where(used, problem.length[row], 0.0),
+        length_std=np.where(used, problem.length_std[row], 1.0),
+        distance_std=np.where(used, problem.distance_std[row], 0.0),
+        targets=problem.targets[targets],
+        target_std=problem.target_std[targets],
+        free=problem.variant == "joint" and problem.datum == "free",
+        station=station,
+        zero=zero,
+        segment_ids=segments,
+        circle_std=problem.circle_std,
+    )
+    return grid, absent
+
+
+def _place_rows(problem: TracerProblem, strips: _Strips, why: dict[int, str]) -> Ints:
+    """Return the row (p, n) that fills each place; the first of identical repetitions stays."""
+    shape = (len(strips.position), len(problem.targets))
+    place = strips.of_row * shape[1] + problem.target
+    order = np.argsort(place, kind="stable")
+    first = np.ones(len(order), dtype=np.bool_)
+    first[1:] = np.diff(place[order]) != 0
+    keeper = order[np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))]
+    for again, kept in zip(order[~first], keeper[~first], strict=True):
+        name = f"station {problem.position[kept]}, target {problem.target[kept]}"
+        a, b = problem.length[kept], problem.length[again]
+        if a != b or problem.length_std[kept] != problem.length_std[again]:
+            raise DataError(
+                f"rows {kept} and {again} both give a length for {name}, but differ: {a} m and "
+                f"{b} m; keep the accepted one, or average them before solving"
+            )
+        why[int(again)] = f"repeats row {kept} ({name})"
+    row = np.full(shape[0] * shape[1], -1, dtype=np.int64)
+    row[place[order[first]]] = order[first]
+    return row.reshape(shape)
+
+
+def _check_unit_of_targets(problem: TracerProblem) -> None:
+    span = _diagonal(problem.targets)
+    if span > REACH:
+        raise DataError(
+            f"the targets lie up to {span:.4g} m apart, no tracer reaches beyond {REACH:g} m: "
+            "are they in millimetres? Metres are expected"
+        )
+
+
+def _drop_impossible(
+    problem: TracerProblem, row: Ints, position: Ints, why: dict[int, str]
+) -> None:
+    """Drop lengths that no position of the tracer can explain.
+
+    Two lengths of one strip cannot differ by more than their targets lie apart; the strip's
+    median stands for the other length, the diagonal of all targets for the distance.
+    """
+    used = row >= 0
+    length = np.where(used, problem.length[row], np.nan)
+    measured = used.any(axis=1)
+    middle = np.zeros(len(row))
+    middle[measured] = np.nanmedian(length[measured], axis=1)
+    seen = problem.targets[used.any(axis=0)]
+    # The noise of lengths and coordinates may add to the distance; ten of it is never noise.
+    span = _diagonal(seen) + 10.0 * problem.length_std.max() + 10.0 * problem.target_std.max()
+    excess = np.abs(np.where(used, problem.length[row] - middle[:, None], 0.0))
+    several = used.sum(axis=1) >= (1 if _own_zero(problem) else SEVERAL)
+    if several.any():
+        _check_unit_of_lengths(excess[several][used[several]], span)
+    for j, i in np.argwhere(excess > span):
+        why[int(row[j, i])] = (
+            f"station {position[j]}, target {i}: differs by {excess[j, i]:.4g} m from the "
+            f"station's median, but the targets lie at most {span:.4g} m apart"
+        )
+    row[excess > span] = -1
+
+
+def _check_unit_of_lengths(excess: Floats, span: float) -> None:
+    # Most lengths tell the unit: a few may be spikes, and a few targets lie near the median.
+    ratio = float(np.quantile(excess, 0.9)) / span
+    if np.mean(excess > span) > IMPOSSIBLE_SHARE:
+        raise DataError(
+            f"the lengths of one station spread over {2 * ratio * span:.4g} m, but the targets "
+            f"lie at most {span:.4g} m apart: are the lengths in millimetres? Metres are expected"
+        )
+    if ratio < MILLIMETRES:
+        raise DataError(
+            f"the lengths of one station spread over {2 * ratio * span:.4g} m only, but the "
+            f"targets lie {span:.4g} m apart: are the targets in millimetres, or all lengths of "
+            "one target? Metres are expected"
+        )
+
+
+def _drop_undetermined(problem: TracerProblem, row: Ints, strips: _Strips, absent: Absent) -> None:
+    """Drop targets, then stations, that too few lengths reach; again until nothing changes.
+
+    A length that no other shares its segment with says nothing of its station.
+    """
+    free = problem.variant == "joint" and problem.datum == "free"
+    minima = {
+        "target": FREE_TARGET_MINIMUM if free else 1,
+        "station": station_minimum(problem.segment is None, problem.circle_std is not None),
+    }
+    before = -1
+    while before != (before := int((row >= 0).sum())):
+        for name, minimum in minima.items():
+            why = absent.unfit if name == "station" else absent.spare
+            group = strips.position if name == "station" else np.arange(row.shape[1])
+            table = row if name == "station" else row.T
+            present = np.bincount(group, weights=(table >= 0).sum(axis=1))
+            count = present if name == "target" else _telling(row >= 0, strips)
+            for index in np.flatnonzero((present > 0) & (count < minimum)):
+                lines = group == index
+                for dropped in table[lines][table[lines] >= 0]:
+                    why[int(dropped)] = (
+                        f"{name} {index} has {int(count[index])} usable lengths, {minimum} are "
+                        "needed"
+                    )
+                table[lines] = -1
+
+
+def _own_zero(problem: TracerProblem) -> bool:
+    """Whether strips are stations with a zero of their own."""
+    return problem.segment is None and (problem.again is None or not problem.again.any())
+
+
+def _telling(present: Bools, strips: _Strips) -> Floats:
+    """Return how many of the ``present`` (p, n) lengths of each position tell something of it.
+
+    One that was measured again from the same zero tells nothing of the place.
+    """
+    if strips.segment is None:
+        return np.bincount(strips.position, weights=present.sum(axis=1)).astype(np.float64)
+    total = np.bincount(
+        np.unique(strips.segment, return_inverse=True)[1], weights=present.sum(axis=1)
+    )
+    both = np.column_stack([strips.position, strips.segment])
+    beams, of_strip = np.unique(both, axis=0, return_inverse=True)
+    seen = np.zeros((len(beams), present.shape[1]), dtype=np.bool_)
+    np.logical_or.at(seen, of_strip.ravel(), present)
+    of_segment = np.unique(beams[:, 1], return_inverse=True)[1]
+    count = np.where(total[of_segment] > 1, seen.sum(axis=1), 0)
+    return np.bincount(beams[:, 0], weights=count).astype(np.float64)
+
+
+def _diagonal(points: Floats) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -30,7 +30,6 @@ from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer.solver import gathering
 from rotcal_ros.methods.tracer.solver.adjustment import ranges, station_gain
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
 from rotcal_ros.methods.tracer.solver.network import (
@@ -42,8 +41,9 @@ from rotcal_ros.methods.tracer.solver.network import (
 )
 from rotcal_ros.methods.tracer.solver.problem import share_gone
 from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
+from rotcal_ros.methods.tracer.solver.screening import gathering_protection
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
-from rotcal_ros.methods.tracer.solver.uncertainty import circle_tested, error_motion_spread
+from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
 from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS
 from rotcal_ros.methods.tracer.solver.zeros import largest_share
 
@@ -148,7 +148,7 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
             ),
             *_slip(solution),
             _tangential(solution, arrivals),
-            *gathering.protection(solution.evidence.gathering, solution.angles.std),
+            *gathering_protection(solution.evidence.gathering, solution.angles.std),
         )
     )
 
@@ -335,11 +335,8 @@ def _tilt(solution: TracerSolution) -> Protection:
 def _hidden_motion(solution: TracerSolution) -> float:
     """Return the error of an unstated error motion that the circle just shows with POWER."""
     motion, angles = solution.motion, solution.angles
-    circle = circle_tested(
-        solution.fit.stations, motion, solution.covariance.total, solution.error_motion.used,
-        solution.grid.circle_std,
-    )  # fmt: skip
-    dof = circle.residuals.dof
+    residuals = solution.circle.residuals
+    dof = residuals.dof
     if dof == 0:
         return float("inf")
     significance = solution.problem.settings.test_significance
@@ -348,7 +345,7 @@ def _hidden_motion(solution: TracerSolution) -> float:
     others = np.arange(1, len(angles.std))
     unit = bearing.spread(error_motion_spread(motion, 1.0)).between(np.zeros_like(others), others)
     felt = np.sqrt(unit) / angles.std[1:]
-    return float(np.sqrt((growth - 1.0) * circle.residuals.variance) * felt.max())
+    return float(np.sqrt((growth - 1.0) * residuals.variance) * felt.max())
 
 
 def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
@@ -524,17 +521,13 @@ def slope_along(solution: TracerSolution, errors: Floats) -> Slope:
     network, _, _, left = _left(solution, column[None])
     # at its minimum a network has taken up what it can of its residuals; lone stations have not
     felt = column if solution.problem.variant == "joint" else left[0]
-    score = float((network.weights * felt * fit.residual).sum())
     excess = excess_of(solution.noise, solution.problem.settings.test_significance)
-    return Slope(score, float(unexplained.sum()), fit.chi2, fit.dof, excess)
+    return Slope.of(fit, network.weights * felt, float(unexplained.sum()), excess)
 
 
 def _off_circle(solution: TracerSolution, moved: Floats) -> tuple[int, Floats]:
     """Return the circle's degrees of freedom, and what moves (k, m, 3) add to its chi-squared."""
-    circle = circle_tested(
-        solution.fit.stations, solution.motion, solution.covariance.total,
-        solution.error_motion.used, solution.grid.circle_std,
-    )  # fmt: skip
+    circle = solution.circle
     dof = circle.residuals.dof
     if dof == 0:
         return 0, np.full(len(moved), NOTHING)

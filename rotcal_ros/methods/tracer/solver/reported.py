@@ -27,6 +27,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 
 CONSISTENT: Final = 3.0
@@ -57,6 +58,12 @@ class Slope:
     chi2: float
     dof: int
     excess: float = 0.0
+
+    @classmethod
+    def of(cls, fit: Adjustment, pull: Floats, information: float, excess: float) -> Slope:
+        """Return what the residuals of ``fit`` say of errors over their variances ``pull``."""
+        # residuals at the arrivals hold no scatter: theirs are the variances of lengths alone
+        return cls(float((pull * fit.residual).sum()), information, fit.chi2, fit.dof, excess)
 
     @property
     def step(self) -> float:

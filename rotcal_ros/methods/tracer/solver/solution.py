@@ -22,18 +22,16 @@ from rotcal_ros.methods.tracer.solver.adjustment import (
     ranges,
     stations_covariance,
 )
-from rotcal_ros.methods.tracer.solver.circle import TableMotion, table_motion
-from rotcal_ros.methods.tracer.solver.gathering import groups_of
-from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid, arrange
+from rotcal_ros.methods.tracer.solver.circle import TableMotion, bearing_slopes, table_motion
 from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
-from rotcal_ros.methods.tracer.solver.network import KNOWN
+from rotcal_ros.methods.tracer.solver.network import KNOWN, network_of, view_of
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,
     check_station_spread,
     hardly_moved,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid, TracerProblem, arrange
 from rotcal_ros.methods.tracer.solver.screening import (
     GROSS,
     NORMAL_QUARTILE,
@@ -41,6 +39,7 @@ from rotcal_ros.methods.tracer.solver.screening import (
     NoiseFactors,
     ScreenedLengths,
     adjust_and_screen,
+    groups_of,
     reject_gross,
     scaled,
     without_targets,
@@ -54,7 +53,6 @@ from rotcal_ros.methods.tracer.solver.uncertainty import (
     circle_test,
     circle_tested,
     error_motion_of,
-    length_test,
     likely_circle,
 )
 from rotcal_ros.methods.tracer.solver.verdict import Evidence, judge
@@ -105,6 +103,14 @@ class TracerSolution:
     def positions(self) -> Ints:
         """The table positions (m,) that have a station; those with too few lengths are absent."""
         return self.grid.position_ids
+
+    @property
+    def circle(self) -> CircleTest:
+        """What the stations leave their circle by, with the error motion that was used."""
+        return circle_tested(
+            self.fit.stations, self.motion, self.covariance.total, self.error_motion.used,
+            self.grid.circle_std,
+        )  # fmt: skip
 
     @property
     def table_angles(self) -> Floats:
@@ -177,7 +183,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     placed = _placed(problem, grid, screened)
     motion, fit, covariance = placed.motion, placed.fit, placed.covariance
     check_sense(motion, fit.stations, commanded, grid.position_ids)
-    unexplained = length_test(fit, covariance.dof_effective)
+    unexplained = GlobalTest.of(fit.chi2, fit.dof, covariance.dof_effective)
     significance = problem.settings.test_significance
     scale = unexplained.enlargement(significance)
     stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
@@ -275,7 +281,10 @@ def _grouping(problem: TracerProblem) -> Grouping:
         if hardly_moved(fit.stations):
             return ()  # refused in words as soon as the lengths are settled
         commanded = problem.table_angles[grid.position_ids]
-        return groups_of(grid, fit, commanded, problem.measuring_order)
+        network = network_of(grid, fit)
+        slopes = bearing_slopes(fit.stations, table_motion(fit.stations, commanded)).from_first
+        view = view_of(network, slopes)
+        return groups_of(grid, fit, view, -network.f, problem.measuring_order)
 
     return grouping
 
@@ -379,7 +388,7 @@ def _stated_test(
         variance = variance + np.einsum("jia,ia->ji", unit**2, grid.target_std**2)
     chi2 = float((placed.grid.used * fit.residual**2 / variance).sum())
     chi2 += float(((fit.corrections * screened.noise.factors[2:]) ** 2).sum())
-    return length_test(replace(fit, chi2=chi2), placed.covariance.dof_effective)
+    return GlobalTest.of(chi2, fit.dof, placed.covariance.dof_effective)
 
 
 def check_sense(motion: TableMotion, stations: Floats, commanded: Floats, positions: Ints) -> None:

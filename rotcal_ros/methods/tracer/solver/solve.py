@@ -14,14 +14,12 @@ from rotcal_ros.foundation.protection import ordered
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Placement, Rejection, Residuals, Result, Zeros
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter
-from rotcal_ros.methods.tracer.solver.gathering import WORDS
-from rotcal_ros.methods.tracer.solver.grid import Grid
+from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.joint import target_corrections
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
-from rotcal_ros.methods.tracer.solver.problem import LengthProblem, TracerProblem
+from rotcal_ros.methods.tracer.solver.problem import Grid, LengthProblem, TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import influence_of, protections, returned
-from rotcal_ros.methods.tracer.solver.screening import rejection_limit
+from rotcal_ros.methods.tracer.solver.screening import WORDS, rejection_limit
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.verdict import judge
 from rotcal_ros.methods.tracer.solver.zeros import segment_report
@@ -136,19 +134,13 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
     ``returned``: positions at the same angle, and by less than what (m, 95 %) their stations lie
     apart along the circle.
     """
-    problem, motion = solution.problem, solution.motion
+    problem = solution.problem
     stated = solution.evidence.circle_statement
     return {
         "variant": problem.variant,
         "datum": problem.datum if problem.variant == "joint" else "targets",
         **_network(solution),
-        "plane": {"normal": motion.plane.normal, "offset": motion.plane.offset},
-        "circle": {"centre": motion.centre, "radius": motion.radius},
-        "radial": motion.radial,
-        "axial": motion.plane.distances(solution.fit.stations),
-        "tilt": motion.tilt,
-        "algorithm_error": algorithm_error(np.diff(solution.table_angles), motion.tilt),
-        "scatter": scatter(motion.adjacent),
+        **circle_details(solution.motion, solution.fit.stations, solution.table_angles),
         "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
@@ -156,6 +148,19 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         **_zeros(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
         "returned": [asdict(closing) for closing in returned(solution)],
+    }
+
+
+def circle_details(motion: TableMotion, stations: Floats, angles: Floats) -> dict[str, Any]:
+    """Return what ``stations`` (m, 3), m, at table ``angles`` (m,), rad, tell of their circle."""
+    return {
+        "plane": {"normal": motion.plane.normal, "offset": motion.plane.offset},
+        "circle": {"centre": motion.centre, "radius": motion.radius},
+        "radial": motion.radial,
+        "axial": motion.plane.distances(stations),
+        "tilt": motion.tilt,
+        "algorithm_error": algorithm_error(np.diff(angles), motion.tilt),
+        "scatter": scatter(motion.adjacent),
     }
 
 

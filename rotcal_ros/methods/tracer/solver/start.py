@@ -23,7 +23,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.tracer.solver.adjustment import locate_stations, ranges
-from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
 
 NEARLY_FLAT: Final = 3e-3
 """Ratio of singular values below which the linear solution alone is not trusted."""

@@ -23,13 +23,11 @@ from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.solver.circle import (
     ABSORBED,
     TableMotion,
-    algorithm_error,
-    scatter,
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.protections import tangential_protection
 from rotcal_ros.methods.tracer.solver.solution import check_sense
-from rotcal_ros.methods.tracer.solver.solve import METHOD
+from rotcal_ros.methods.tracer.solver.solve import METHOD, circle_details
 from rotcal_ros.methods.tracer.solver.uncertainty import (
     angle_uncertainty,
     circle_test,
@@ -101,7 +99,13 @@ def solve(problem: StationProblem) -> Result:
         warnings=warnings,
         adjacent_deviations=motion.adjacent,
         adjacent_std=angles.adjacent_std,
-        details=_details(problem, motion),
+        details={
+            "variant": "stations",
+            "station_ids": problem.positions,
+            "stations": problem.stations,
+            **({"distances": problem.distances} if problem.distances.size else {}),
+            **circle_details(motion, problem.stations, problem.table_angles),
+        },
         protections=_protections(motion, error_motion, closed=bool(closing)),
         zeros=Zeros("first angle"),
         budget={"error_motion": angles.budget["error_motion"]},
@@ -126,25 +130,6 @@ def _doubt(motion: TableMotion, found: ErrorMotion) -> str:
         f"more than the stated {(found.stated or 0.0) / MICROMETRE:.2g} um explain: "
         f"{found.used / MICROMETRE:.2g} um are used in its place"
     )
-
-
-def _details(problem: StationProblem, motion: TableMotion) -> dict[str, object]:
-    """Return the parts of a tracer's details that need no lengths."""
-    steps = np.diff(problem.table_angles)
-    distances = {"distances": problem.distances} if problem.distances.size else {}
-    return {
-        "variant": "stations",
-        "station_ids": problem.positions,
-        "stations": problem.stations,
-        **distances,
-        "plane": {"normal": motion.plane.normal, "offset": motion.plane.offset},
-        "circle": {"centre": motion.centre, "radius": motion.radius},
-        "radial": motion.radial,
-        "axial": motion.plane.distances(problem.stations),
-        "tilt": motion.tilt,
-        "algorithm_error": algorithm_error(steps, motion.tilt),
-        "scatter": scatter(motion.adjacent),
-    }
 
 
 def _protections(

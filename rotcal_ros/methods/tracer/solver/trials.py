@@ -19,23 +19,20 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.tracer.solver.adjustment import (
-    Adjustment,
     StationCovariance,
     adjust_stations,
     stations_covariance,
 )
 from rotcal_ros.methods.tracer.solver.circle import (
     CircleContrasts,
-    TableMotion,
     circle_contrasts,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.grid import Grid, arrange
 from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
 from rotcal_ros.methods.tracer.solver.network import NetworkGain, network_of, relax
 from rotcal_ros.methods.tracer.solver.observability import check_counts
-from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
+from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import AngleUncertainty, angle_uncertainty
 from rotcal_ros.methods.tracer.solver.zeros import Slips, shift_search, slips_among
 
@@ -53,14 +50,11 @@ PLACES: Final = 200_000
 class Prediction:
     """What a problem would give: ``angles`` holds the covariance (m, m) of ECC in rad^2.
 
-    ``redundancy`` (k,) by row of the problem; NaN for lengths that have no place on the ``grid``.
-    ``fit``, ``stations`` and ``motion`` are as in a solution.
+    ``redundancy`` (k,) by row of the problem; NaN for lengths that have no place on its grid.
+    ``stations``: their covariance, as in a solution.
     """
 
-    grid: Grid
-    fit: Adjustment
     stations: StationCovariance
-    motion: TableMotion
     angles: AngleUncertainty
     redundancy: Floats
 
@@ -95,12 +89,12 @@ def predicted(problem: TracerProblem, stations: Floats) -> Prediction:
     redundancy = np.full(len(problem.position), np.nan)
     placed = grid.row >= 0
     redundancy[grid.row[placed]] = fit.redundancy[placed]
-    return Prediction(grid, fit, covariance, motion, angles, redundancy)
+    return Prediction(covariance, angles, redundancy)
 
 
 @dataclass(frozen=True, eq=False)
 class TracerTrials:
-    """Draws measurements like the given one and solves them; made by :func:`tracer_trials`.
+    """Draws measurements like the given one and solves them; made by :func:`trials_about`.
 
     ``state`` (p, 4) and ``targets`` (n, 3) are the solution, ``weights`` (p, n) those of the
     solver. ``gain`` belongs to its variant; for "station" the inverse normal matrices (m, 4, 4).
@@ -237,16 +231,11 @@ def _walks(std: Floats, rng: np.random.Generator, count: int) -> Floats:
     return np.asarray(total - total[:, begin][:, chain], dtype=np.float64)
 
 
-def tracer_trials(problem: TracerProblem) -> TracerTrials:
-    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
+def trials_about(solution: TracerSolution) -> TracerTrials:
+    """Prepare Monte Carlo trials about a solved problem.
 
     Rejected lengths stay rejected. The output quantities are the deviations ECC of the result.
     """
-    return trials_about(adjust(problem))
-
-
-def trials_about(solution: TracerSolution) -> TracerTrials:
-    """Prepare Monte Carlo trials about a solved problem."""
     problem, grid, fit = solution.problem, solution.grid, solution.fit
     weights = grid.used / fit.std**2
     gain: Floats | NetworkGain

@@ -38,7 +38,7 @@ from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.results import ErrorMotion
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, StationCovariance
+from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.solver.circle import (
     TableMotion,
     bearing_slopes,
@@ -357,11 +357,6 @@ def angle_uncertainty(
     return AngleUncertainty(
         covariance=joint, std=np.sqrt(joint.diagonal()), adjacent_std=of_steps, budget=budget
     )
-
-
-def length_test(fit: Adjustment, dof_effective: float) -> GlobalTest:
-    """Compare the residuals of the lengths with their stated standard deviations."""
-    return GlobalTest.of(fit.chi2, fit.dof, dof_effective)
 
 
 def circle_test(circle: CircleTest) -> GlobalTest:

@@ -5,7 +5,7 @@ suspect
     the chi-squared test of the lengths fails all the same (the covariance is then enlarged by
     sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; some lengths of one
     station or stretch of time are off together, or look like it; a station, target or stretch lost
-    more lengths than chance explains, or has too large a chi-squared (:mod:`.gathering`); a
+    more lengths than chance explains, or has too large a chi-squared (:mod:`.screening`); a
     closure is larger than its uncertainty allows; the stations leave the circle by more than the
     stated error motion (the estimate of :mod:`.uncertainty` is used) or by more than the stated
     circle allows (what they leave of it is used); a zero jumps within a segment of
@@ -29,12 +29,12 @@ from rotcal_ros.adjust.gathering import doubts as doubt_gathering
 from rotcal_ros.adjust.noise import GlobalTest
 from rotcal_ros.foundation.results import ErrorMotion, Verdict
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.solver.gathering import WORDS as LENGTHS
-from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM
+from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM
+from rotcal_ros.methods.tracer.solver.screening import WORDS as LENGTHS
 from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement
 from rotcal_ros.methods.tracer.solver.zeros import Jump
-from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
 """Times the stated noise of each component of :mod:`.screening`."""

@@ -31,7 +31,7 @@ walk
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -44,8 +44,8 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import NetworkGain, network_of, relax
+from rotcal_ros.methods.tracer.solver.problem import Grid
 from rotcal_ros.methods.tracer.solver.start import with_zeros
 
 LEAST_SIDE: Final = 4
@@ -456,34 +456,36 @@ def segment_report(grid: Grid, fit: Adjustment, order: Ints, scale: float) -> li
     when = np.array([taken[grid.zero == z].min() for z in first])
     chain = np.searchsorted(last, grid.zero)
     count = np.bincount(chain, weights=grid.used.sum(axis=1), minlength=len(last))
-    found: list[dict[str, Any]] = []
-    before = None
+    entries = []
     for k in np.argsort(when, kind="stable").tolist():
-        z = first[k]
-        entry = {
-            "segment": int(grid.segment_ids[z]),
-            "lengths": int(count[k]),
-            "zero": float(value[z]),
-            "std": float(np.sqrt(covariance[z, z])),
-        }
-        if before is not None:
-            entry |= step_between(value, covariance, before, z)
-        found.append(entry)
-        before = last[k]
-    return found
+        entry = {"segment": int(grid.segment_ids[first[k]]), "lengths": int(count[k])}
+        entries.append((entry, 0, first[k], last[k]))
+    return zeros_in_time(entries, value, covariance)
 
 
-def step_between(value: Floats, covariance: Floats, before: int, after: int) -> dict[str, float]:
-    """Return by how much one zero (m) is larger than the one ``before`` it, and how sure that is.
+def zeros_in_time(
+    entries: Iterable[tuple[dict[str, Any], int, int, int]], value: Floats, covariance: Floats
+) -> list[dict[str, Any]]:
+    """Return the ``entries`` of unbroken beams, in the order of time, with their zeros.
 
-    ``value`` (s,), ``covariance`` (s, s) of all zeros; ``probability``: of such a step by chance.
+    Each comes with the place where the tracer stood, and its first and last zero. ``value`` (s,),
+    m, ``covariance`` (s, s) of all zeros. By how much a zero is larger than the one before it at
+    the same place, and how probable such a step is by chance, is told from the second one on.
     """
-    step = float(value[after] - value[before])
-    pair = [before, after]
-    (a, b), (_, c) = covariance[np.ix_(pair, pair)].tolist()
-    variance = c + a - 2 * b
-    return {
-        "step": step,
-        "step_std": float(np.sqrt(variance)),
-        "probability": chi2_sf(step**2 / variance, 1.0),
-    }
+    found, before = [], dict[int, int]()
+    for entry, place, first, last in entries:
+        std = float(np.sqrt(covariance[first, first]))
+        beam = {**entry, "zero": float(value[first]), "std": std}
+        if place in before:
+            pair = [before[place], first]
+            step = float(value[first] - value[pair[0]])
+            (a, b), (_, c) = covariance[np.ix_(pair, pair)].tolist()
+            variance = c + a - 2 * b
+            beam |= {
+                "step": step,
+                "step_std": float(np.sqrt(variance)),
+                "probability": chi2_sf(step**2 / variance, 1.0),
+            }
+        found.append(beam)
+        before[place] = last
+    return found

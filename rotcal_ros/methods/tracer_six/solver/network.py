@@ -34,11 +34,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import SchurComplement, rigid
+from rotcal_ros.methods.tracer.solver.problem import Grid
 from rotcal_ros.methods.tracer_six.solver.problem import StationLayout
 
 GAUGE_STEPS: Final = 20
@@ -535,7 +535,7 @@ class PatternGradient:
     slope: Floats
 
 
-def pattern_gradient(network: LengthNetwork, patterns: Floats) -> PatternGradient:
+def pattern_gradient(network: LengthNetwork, patterns: Floats | Bools) -> PatternGradient:
     """Return ``patterns`` (k, V, n) of errors of the lengths, m, as ``network`` feels them."""
     layout, here, (k, _, n) = network.layout, network.slopes, patterns.shape
     weighted = network.grid.weights * patterns

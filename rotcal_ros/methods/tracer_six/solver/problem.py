@@ -19,8 +19,13 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.columns import indices, matrix, require
-from rotcal_ros.methods.tracer.solver.grid import Grid, arrange
-from rotcal_ros.methods.tracer.solver.problem import LengthProblem, TracerProblem, share_gone
+from rotcal_ros.methods.tracer.solver.problem import (
+    Grid,
+    LengthProblem,
+    TracerProblem,
+    arrange,
+    share_gone,
+)
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
 
 _DEFAULTS: Final = TracerSixSolverSettings()

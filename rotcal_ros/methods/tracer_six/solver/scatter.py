@@ -130,6 +130,21 @@ class Scatter:
             return None
         return roots_of(shift, turn, arms)
 
+    def likely(self) -> Scatter:
+        """Return it without squares that hardly count."""
+        counts = self.weights > LIKELY * self.weights.max()
+        weights = self.weights[counts]
+        return replace(self, variances=self.variances[counts], weights=weights / weights.sum())
+
+    def inverse(self, spread: Floats) -> Floats:
+        """Return the inverse covariances (k, r, r) of contrasts with ``spread`` (2, r, r)."""
+        noise = np.eye(spread.shape[1]) + np.tensordot(self.variances, spread, 1)
+        return np.asarray(np.linalg.inv(noise), dtype=np.float64)
+
+    def tail(self, square: Floats, dof: int) -> Floats:
+        """Return how probably chance exceeds ``square`` (..., k), chi-squared of each scatter."""
+        return np.asarray(chdtrc(dof, square) @ self.weights, dtype=np.float64)
+
 
 def roots_of(shift: float, turn: float, arms: Floats) -> Floats:
     """Return roots (V, 3, 3) of the covariances of squared shifts (m^2) and turns (rad^2).
@@ -203,9 +218,7 @@ def estimate(
             probability = chi2_sf(square, q)
         if probability is None or probability >= significance:
             kept = stated(translation, rotation)
-            return Scatter(
-                translation, rotation, False, q, probability, kept.variances, kept.weights
-            )
+            return replace(kept, n_contrasts=q, probability=probability)
         translation = rotation = None
     variances, weights = _posterior(found, translation, rotation)
     mean = weights @ variances
@@ -294,23 +307,6 @@ def enlargement(
 
 
 @dataclass(frozen=True, eq=False)
-class Likely:
-    """The scatter that contrasts tell: squares ``variances`` (k, 2) with ``weights`` (k,)."""
-
-    variances: Floats
-    weights: Floats
-
-    def inverse(self, spread: Floats) -> Floats:
-        """Return the inverse covariances (k, r, r) of contrasts with ``spread`` (2, r, r)."""
-        noise = np.eye(spread.shape[1]) + np.tensordot(self.variances, spread, 1)
-        return np.asarray(np.linalg.inv(noise), dtype=np.float64)
-
-    def tail(self, square: Floats, dof: int) -> Floats:
-        """Return how probably chance exceeds ``square`` (..., k), chi-squared of each scatter."""
-        return np.asarray(chdtrc(dof, square) @ self.weights, dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
 class MoveTest:
     """The test of one kind of move: ``probability`` of its chi-squared by chance.
 
@@ -332,7 +328,7 @@ class Moves:
 
     network: LengthNetwork
     contrasts: ScatterContrasts
-    scatter: Likely
+    scatter: Scatter
     tests: tuple[MoveTest, ...]
 
     def test(self, kind: Kind) -> MoveTest | None:
@@ -456,7 +452,7 @@ def _other_scatter(
     shifts: Floats,
     known: tuple[float | None, float | None],
     significance: float,
-) -> Likely:
+) -> Scatter:
     """Return the scatter that the contrasts across ``shifts`` (d, q) tell."""
     _, other = _basis(shifts)
     if len(other):
@@ -465,13 +461,11 @@ def _other_scatter(
         scatter = estimate(others, *known, significance)
     else:
         scatter = stated(known[0] or 0.0, known[1] or 0.0)
-    likely = scatter.weights > LIKELY * scatter.weights.max()
-    weights = scatter.weights[likely]
-    return Likely(scatter.variances[likely], weights / weights.sum())
+    return scatter.likely()
 
 
 def _test(
-    found: ScatterContrasts, scatter: Likely, kind: Kind, shifts: Floats, places: Ints, best: int
+    found: ScatterContrasts, scatter: Scatter, kind: Kind, shifts: Floats, places: Ints, best: int
 ) -> MoveTest:
     """Return the test of ``shifts`` (c, d, q), of which ``best`` explains most."""
     bases = [_basis(moment)[0] for moment in shifts]

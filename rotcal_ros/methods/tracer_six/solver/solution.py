@@ -21,13 +21,13 @@ table turns in space.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.adjust.closures import Closure, closures
-from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.noise import GlobalTest
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -36,14 +36,15 @@ from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import align, rotation_about_z
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, adjust_stations
-from rotcal_ros.methods.tracer.solver.gathering import group_at, places_of
-from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid
-from rotcal_ros.methods.tracer.solver.joint import redundancy_of_targets, target_test
+from rotcal_ros.methods.tracer.solver.joint import felt_by_targets, target_test
+from rotcal_ros.methods.tracer.solver.network import LengthView
 from rotcal_ros.methods.tracer.solver.observability import or_prior, told_of_a_turned_sign
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
 from rotcal_ros.methods.tracer.solver.screening import (
     Grouping,
     ScreenedLengths,
     adjust_and_screen,
+    groups_of,
     reject_gross,
     scaled,
 )
@@ -159,7 +160,7 @@ def _adjustment(network: LengthNetwork, scatter: Scatter) -> RigidAdjustment:
     grid, layout, state = network.grid, network.layout, network.state
     after = posterior(network)
     felt = (network.slopes.unit @ after.arrived[:, :, None])[:, :, 0]
-    corrections, redundancy, coupling = _felt_by_targets(grid, state, after)
+    corrections, redundancy, coupling = felt_by_targets(grid, state.targets, after.targets)
     unknowns = layout.size + 6 * len(layout.angles)
     rank = unknowns - network.reduced.constraints.shape[1]
     extra = 0 if grid.free else state.targets.size
@@ -182,19 +183,6 @@ def _adjustment(network: LengthNetwork, scatter: Scatter) -> RigidAdjustment:
         posterior=after,
         scatter=scatter,
     )
-
-
-def _felt_by_targets(
-    grid: Grid, state: NetworkState, after: Posterior
-) -> tuple[Floats, Floats, Floats]:
-    """Return corrections (n, 3), redundancy (n, 3, 3), coupling (3, 3) as Adjustment has them."""
-    n = len(grid.targets)
-    if grid.free:
-        return np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((3, 3))
-    std = grid.target_std
-    whole, each = redundancy_of_targets(after.targets, std), np.arange(n)
-    coupling = np.einsum("iajb,iajb->ab", whole, whole)
-    return (state.targets - grid.targets) / std, whole[each, :, each], coupling
 
 
 def _check_determined(network: LengthNetwork) -> None:
@@ -298,35 +286,66 @@ def _check_near(layout: StationLayout, near: Bools, away: Floats) -> None:
     )
 
 
-def groups_of(grid: Grid, fit: RigidAdjustment, order: Ints) -> tuple[Group, ...]:
-    """Return the groups of a network; outputs are its curves (6 m,): d of all positions, then c.
+@dataclass(frozen=True, eq=False)
+class _RigidView(LengthView):
+    """The linear view at a network whose stations follow a rigid table.
 
-    ``order`` (k,): when each row of the problem was taken.
+    Its outputs are the curves (6 m,): d of all positions, then c.
     """
-    network, covariance = fit.posterior.network, fit.posterior.covariance
-    layout, unit = network.layout, network.slopes.unit
-    outputs = np.zeros((6 * len(layout.angles), len(covariance)))
-    outputs[:, layout.size :] = curve_posterior(network, covariance).jacobian
-    carried = outputs @ covariance
-    _, own, response = scattered(network)
-    moved = response.reshape(len(unit), 3, -1)
-    first_zero = 3 * (unit.shape[1] + len(layout.places))
-    found = []
-    for places in places_of(grid, fit, order):
-        station, target = places.at.T
-        each, towards = np.arange(len(station)), unit[station, target]
-        design = (towards[:, None] @ moved[station])[:, 0]
+
+    fit: RigidAdjustment
+
+    @cached_property
+    def _carried(self) -> Floats:
+        """What the unknowns' errors of unit variance do to the curves, (6 m, T)."""
+        network, covariance = self.fit.posterior.network, self.fit.posterior.covariance
+        outputs = np.zeros((6 * len(network.layout.angles), len(covariance)))
+        outputs[:, network.layout.size :] = curve_posterior(network, covariance).jacobian
+        return np.asarray(outputs @ covariance)
+
+    @cached_property
+    def _stations(self) -> tuple[Floats, Floats]:
+        """The own covariance (V, 3, 3) of stations, and how unknowns move them (V, 3, T)."""
+        _, own, response = scattered(self.fit.posterior.network)
+        return own, response.reshape(len(own), 3, -1)
+
+    def _design(self, station: Ints, target: Ints) -> Floats:
+        """Return what the unknowns do to lengths, (e, T)."""
+        network, each = self.fit.posterior.network, np.arange(len(station))
+        layout, towards = network.layout, network.slopes.unit[station, target]
+        design = (towards[:, None] @ self._stations[1][station])[:, 0]
         design[each[:, None], 3 * target[:, None] + np.arange(3)] -= towards
+        first_zero = 3 * (network.slopes.unit.shape[1] + len(layout.places))
         design[each, first_zero + layout.zero[station, target]] -= 1.0
-        beside = (towards[:, None] @ own[station])[:, 0] @ towards.T
-        beside *= station[:, None] == station
-        sensitivity = Sensitivity.whole(carried @ design.T)
-        found.append(
-            group_at(
-                grid, places, fit.residual, design @ covariance @ design.T + beside, sensitivity
-            )
-        )
-    return tuple(found)
+        return np.asarray(design)
+
+    def leverage(self, strip: Ints, target: Ints) -> Floats:
+        towards = self.fit.posterior.network.slopes.unit[strip, target]
+        beside = (towards[:, None] @ self._stations[0][strip])[:, 0] @ towards.T
+        beside *= strip[:, None] == strip
+        design = self._design(strip, target)
+        return np.asarray(design @ self.fit.posterior.covariance @ design.T + beside)
+
+    def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
+        return Sensitivity.whole(self._carried @ self._design(strip, target).T)
+
+
+def respond(fit: RigidAdjustment, jacobian: Floats, patterns: Floats | Bools) -> ShiftResponse:
+    """Return what ``patterns`` (k, V, n) of errors of the lengths, m, do to a network.
+
+    And to its curves, by the ``jacobian`` (6 m, 6 m) of the poses.
+    """
+    network = fit.posterior.network
+    here = pattern_gradient(network, patterns)
+    step = here.slope @ fit.posterior.covariance
+    both = (here.weighted[1:] * patterns[:-1]).sum(axis=(1, 2))
+    both -= (step[1:] * here.slope[:-1]).sum(axis=1)
+    return ShiftResponse(
+        total=(here.weighted * patterns).sum(axis=(1, 2)),
+        taken=(step * here.slope).sum(axis=1),
+        both=both,
+        moved=step[:, network.layout.size :] @ jacobian.T,
+    )
 
 
 def shift_search(fit: RigidAdjustment, order: Ints) -> ShiftSearch:
@@ -334,24 +353,11 @@ def shift_search(fit: RigidAdjustment, order: Ints) -> ShiftSearch:
 
     ``order`` (k,): when each row was taken. A jump's segment is the zero that broke.
     """
-    after, network = fit.posterior, fit.posterior.network
-    jacobian = curve_posterior(network, after.covariance).jacobian
-
-    def respond(later: Bools) -> ShiftResponse:
-        longer = later.astype(np.float64)
-        here = pattern_gradient(network, longer)
-        step = here.slope @ after.covariance
-        both = (here.weighted[1:] * longer[:-1]).sum(axis=(1, 2))
-        both -= (step[1:] * here.slope[:-1]).sum(axis=1)
-        return ShiftResponse(
-            total=(here.weighted * longer).sum(axis=(1, 2)),
-            taken=(step * here.slope).sum(axis=1),
-            both=both,
-            moved=step[:, network.layout.size :] @ jacobian.T,
-        )
-
+    network = fit.posterior.network
+    jacobian = curve_posterior(network, fit.posterior.covariance).jacobian
     moments = TimedLengths.of(network.grid, order, network.layout.zero)
-    return ShiftSearch(network.grid, fit, moments, respond, len(jacobian), overlap=1)
+    found = partial(respond, fit, jacobian)
+    return ShiftSearch(network.grid, fit, moments, found, len(jacobian), overlap=1)
 
 
 def split(
@@ -510,9 +516,9 @@ def _grouping(problem: SixProblem) -> Grouping:
     """Return what makes the groups of this ``problem``."""
     order = problem.measuring_order
 
-    def grouping(grid: Grid, fit: Adjustment) -> tuple[Group, ...]:
+    def grouping(grid: Grid, fit: Adjustment) -> tuple[Group | Undivided, ...]:
         assert isinstance(fit, RigidAdjustment)
-        return groups_of(grid, fit, order)
+        return groups_of(grid, fit, _RigidView(fit), fit.residual, order)
 
     return grouping
 
@@ -611,7 +617,7 @@ def _closures(
 
 @dataclass(frozen=True, eq=False)
 class SixTrials:
-    """Draws measurements like the given one and solves them; made by :func:`six_trials`.
+    """Draws measurements like the given one, without rejected lengths, and solves them.
 
     The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter,
     and a fringe slips as often as it would stay unseen. How large the scatter is follows that of
@@ -668,8 +674,3 @@ class SixTrials:
         x = reduced.covariance() @ (kept - reduced.transfer @ poses.ravel())
         own = (reduced.inverse @ poses[:, :, None]).ravel()
         return x, own - reduced.transfer.T @ x
-
-
-def six_trials(problem: SixProblem) -> SixTrials:
-    """Prepare trials about a measured problem, without rejected lengths; refuses as ``solve``."""
-    return SixTrials(adjust(problem))

@@ -5,7 +5,7 @@ suspect
     lengths is too large all the same (the covariance is then enlarged by it); the distances
     between the places contradict the stated scatter (the estimate is used); more than
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
-    allows; something gathers (:mod:`rotcal_ros.methods.tracer.solver.gathering`); the zero of a
+    allows; something gathers (:mod:`rotcal_ros.methods.tracer.solver.screening`); the zero of a
     place jumps where no beam broke; the machine or the tracer has moved between the runs or within
     one (:mod:`.scatter`); a position of the plan is missing; or the stated z seems to point into
     the table (:class:`Upward`).
@@ -26,7 +26,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust import gathering as engine
+from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.reliability import hidden_noise
@@ -37,7 +37,6 @@ from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Placement, Rejection, Result, Verdict, Zeros
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer.solver import gathering
 from rotcal_ros.methods.tracer.solver.network import less_rigid
 from rotcal_ros.methods.tracer.solver.observability import Numbering
 from rotcal_ros.methods.tracer.solver.protections import (
@@ -59,14 +58,13 @@ from rotcal_ros.methods.tracer.solver.reported import (
     scatter_along,
     weigh,
 )
-from rotcal_ros.methods.tracer.solver.screening import rejection_limit
+from rotcal_ros.methods.tracer.solver.screening import WORDS, gathering_protection, rejection_limit
 from rotcal_ros.methods.tracer.solver.solve import residual_table
 from rotcal_ros.methods.tracer.solver.verdict import doubt_jump, judged
-from rotcal_ros.methods.tracer.solver.zeros import largest_share, step_between
-from rotcal_ros.methods.tracer_six.solver.network import pattern_gradient
+from rotcal_ros.methods.tracer.solver.zeros import largest_share, zeros_in_time
 from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, timing
 from rotcal_ros.methods.tracer_six.solver.scatter import Kind
-from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust
+from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust, respond
 
 METHOD = "tracer_six"
 STEEP: Final = 45.0 * DEGREE
@@ -169,7 +167,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "noise": solution.evidence.noise.details(),
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
         "length_test": asdict(solution.evidence.lengths),
-        "gathering": engine.details(solution.evidence.gathering, gathering.WORDS.elements),
+        "gathering": gathering.details(solution.evidence.gathering, WORDS.elements),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
             name: [asdict(closure) for closure in found]
@@ -227,10 +225,8 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
     first = 3 * (len(grid.targets) + len(layout.places))
     zeros = slice(first, first + layout.n_zeros)
     covariance = solution.scale**2 * solution.fit.posterior.covariance[zeros, zeros]
-    value = solution.zeros
     begun = [when[layout.zero == z].min() for z in range(layout.n_zeros)]
-    found: list[dict[str, Any]] = []
-    before: dict[int, int] = {}
+    entries = []
     for z in np.argsort(begun, kind="stable").tolist():
         station, target = np.argwhere(used & (layout.zero == z))[0]
         place = int(layout.place[station])
@@ -238,14 +234,9 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
             "segment": int(problem.segment[grid.row[station, target]]),
             "place_id": int(layout.place_ids[place]),
             "lengths": int(grid.used[layout.zero == z].sum()),
-            "zero": float(value[z]),
-            "std": float(np.sqrt(covariance[z, z])),
         }
-        if place in before:
-            entry |= step_between(value, covariance, before[place], z)
-        found.append(entry)
-        before[place] = z
-    return found
+        entries.append((entry, place, z, z))
+    return zeros_in_time(entries, solution.zeros, covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -396,7 +387,7 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
             ),
             *_slip(solution),
             _tangential(solution),
-            *gathering.protection(solution.evidence.gathering, _std(solution)),
+            *gathering_protection(solution.evidence.gathering, _std(solution)),
         )
     )
 
@@ -523,13 +514,9 @@ def _worst(solution: SixSolution, patterns: Floats, largest: float) -> Unseen:
 
 def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
     """Return moves of the curves (k, 6, m), and what is left in chi-squared (k,)."""
-    layout, here, k = solution.layout, pattern_gradient(solution.network, patterns), len(patterns)
-    step = here.slope @ solution.fit.posterior.covariance
-    left = (here.weighted * patterns).sum(axis=(1, 2)) - (step * here.slope).sum(axis=1)
-    moved = step[:, layout.size :] @ solution.table.jacobian.T
-    m = len(layout.angles)
-    ordered = moved.reshape(k, 2, m, 3).transpose(0, 1, 3, 2).reshape(k, 6, m)
-    return ordered, np.maximum(left, 0.0)
+    felt, k = respond(solution.fit, solution.table.jacobian, patterns), len(patterns)
+    ordered = felt.moved.reshape(k, 2, -1, 3).transpose(0, 1, 3, 2).reshape(k, 6, -1)
+    return ordered, np.maximum(felt.total - felt.taken, 0.0)
 
 
 def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolution[SixSolution]:
@@ -547,16 +534,20 @@ def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolutio
     if not noticed(along, problem.length_std):
         return WeighedSolution(moved(1.0, 0.0), None)
     scatter = scatter_along(along, problem.target)
-    return weigh(adjust(problem), moved, lambda solution: _slope_along(solution, along), scatter)
+    return weigh(adjust(problem), moved, lambda solution: slope_along(solution, along), scatter)
 
 
-def _slope_along(solution: SixSolution, errors: Floats) -> Slope:
+def slope_along(solution: SixSolution, errors: Floats) -> Slope:
     """Return what the residuals of a solution say of ``errors`` (k,), m, row by row."""
-    fit, column = solution.fit, solution.grid.placed(errors)[None]
-    _, information = _respond(solution, column)
-    score = (pattern_gradient(solution.network, column).weighted[0] * fit.residual).sum()
-    excess = excess_of(solution.evidence.noise, solution.problem.settings.test_significance)
-    return Slope(float(score), float(information[0]), fit.chi2, fit.dof, excess)
+    column = solution.grid.placed(errors)
+    _, information = _respond(solution, column[None])
+    significance = solution.problem.settings.test_significance
+    return Slope.of(
+        solution.fit,
+        solution.grid.weights * column,
+        float(information[0]),
+        excess_of(solution.evidence.noise, significance),
+    )
 
 
 def influence_of(solution: SixSolution) -> Influence | None:

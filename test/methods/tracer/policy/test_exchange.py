@@ -5,8 +5,7 @@ import pytest
 from tracer_scenes import every_pair, paper_scene, some_plan
 
 from rotcal_ros.methods.tracer.policy.exchange import Demands, LengthSelection, fewest_lengths
-from rotcal_ros.methods.tracer.policy.information import Information, detectable_in_std
-from rotcal_ros.methods.tracer.policy.scene import Scene
+from rotcal_ros.methods.tracer.policy.information import Information, Scene, detectable_in_std
 
 ARCSEC = np.pi / 180.0 / 3600.0
 STRICT = Demands(mean=(0.5 * ARCSEC) ** 2, largest=(0.52 * ARCSEC) ** 2, redundancy=0.5)

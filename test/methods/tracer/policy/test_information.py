@@ -16,8 +16,7 @@ from tracer_scenes import (
     zero_mean,
 )
 
-from rotcal_ros.methods.tracer.policy.information import Information
-from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.trials import predicted
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from rotcal_ros.methods.tracer.policy.noise import (
+from rotcal_ros.methods.tracer.policy.experiment import (
     LengthContrasts,
     estimated_noise,
     judged_lengths,
@@ -64,13 +64,13 @@ def test_the_factor_maximises_the_restricted_likelihood(data):
 @pytest.mark.parametrize("row", [0, 17])
 def test_the_noise_without_a_length_is_that_of_the_others(data, row):
     others = [np.delete(values, row, axis=0) for values in data]
-    left_out = LengthContrasts(*data).moments_without(row)
+    left_out = LengthContrasts(*data).without(row)
     expected = likeliest_factor(*others[:3])
     assert np.sqrt(likeliest(left_out)) == pytest.approx(expected, rel=1e-6)
     design, targets, y, _ = others
     w = weights(design, 0.7 * np.eye(len(y)) + targets @ targets.T)
     moments = np.trace(w), np.trace(w @ w), y @ w @ w @ y
-    np.testing.assert_allclose(left_out(0.7), moments, rtol=1e-8)
+    np.testing.assert_allclose(left_out.moments(0.7), moments, rtol=1e-8)
 
 
 def test_the_suspect_length_is_the_wrong_one_and_its_value_that_against_the_others(data):
