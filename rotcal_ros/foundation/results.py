@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
 from importlib import import_module
+from math import isfinite
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -559,7 +560,7 @@ def plain_fields(record: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return arrays, mappings and tuples as lists and dicts of plain values, NaN as None."""
+    """Return arrays, mappings and tuples as plain values, NaN and infinity as None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
@@ -567,8 +568,8 @@ def _plain(value: Any) -> Any:
         return items if np.all(np.isfinite(value)) else _plain(items)
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
-    if isinstance(value, float) and value != value:
-        return None  # JSON has no NaN; reading null back into an array gives NaN again
+    if isinstance(value, float) and not isfinite(value):
+        return None  # JSON has neither; reading null back into an array gives NaN
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
