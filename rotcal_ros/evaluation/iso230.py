@@ -16,7 +16,6 @@ repeatability alone. Noise of the measurement is in the scatter.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import hypot, inf, sqrt
@@ -28,12 +27,12 @@ from scipy.special import stdtrit
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.dataframes import ByAngle
-from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
 from rotcal_ros.foundation.sheets.words import answer
-from rotcal_ros.foundation.tables import csv_rows
+from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 ONLY_SCATTER: Final = (
@@ -242,13 +241,7 @@ class FigureUncertainty:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; rad, ``dof`` null when it is unlimited."""
-        return {
-            "sampling": self.sampling,
-            "measurement": self.measurement,
-            "std": self.std,
-            "dof": None if self.dof == inf else self.dof,
-            "expanded": self.expanded,
-        }
+        return {**plain_fields(self), "std": self.std, "expanded": self.expanded}
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,19 +343,23 @@ _Visit: TypeAlias = "tuple[float, str, str]"
 """A target angle in degrees, the run and the direction."""
 
 
-def read_runs(text: str, name: str) -> BidirectionalRuns:
-    """Return the runs in ``text``, the file ``name``.
+def read_runs(table: Table) -> BidirectionalRuns:
+    """Return the runs in a table of our own form.
 
     Every target must occur once in every run and direction. Raises BagError for other columns;
     DataError names what is missing, double or not a number.
     """
-    reader = csv_rows(text, name)
-    head = tuple(cell.strip() for cell in next(reader, []))
-    if head != HEADER:
-        columns = ", ".join(head) or "none"
-        raise BagError(f"{name}: the columns are {columns}, expected {', '.join(HEADER)}")
-    places = ((f"{name}, line {row}", cells) for row, cells in enumerate(reader, start=2) if cells)
-    return _complete(((place, *_row(cells, place)) for place, cells in places), name)
+    require_header(table, (HEADER,))
+    rows = []
+    for row in table.rows():
+        angle, run, direction, deviation = HEADER
+        if row.cells[direction] not in DIRECTIONS:
+            raise DataError(
+                f"{row.place}: direction {row.cells[direction]!r}, expected up or down"
+            )
+        visit = row.number(angle), row.cells[run], row.cells[direction]
+        rows.append((row.place, visit, row.number(deviation)))
+    return _complete(rows, str(table.path))
 
 
 def read_any_runs(
@@ -476,18 +473,3 @@ def require_runs(result: Result, source: str) -> BidirectionalRuns:
             "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
         )
     return runs
-
-
-def _row(cells: list[str], where: str) -> tuple[_Visit, float]:
-    if len(cells) != len(HEADER):
-        raise DataError(f"{where}: {len(cells)} columns, expected {len(HEADER)}")
-    angle, run, direction, deviation = (cell.strip() for cell in cells)
-    if direction not in DIRECTIONS:
-        raise DataError(f"{where}: direction {direction!r}, expected up or down")
-    try:
-        numbers = float(angle), float(deviation)
-    except ValueError as error:
-        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a number") from error
-    if not all(map(math.isfinite, numbers)):
-        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a finite number")
-    return (numbers[0], run, direction), numbers[1]
