@@ -31,7 +31,7 @@ TRUTH: Final = "truth.json"
 NO_EFFECT: Final = "none"
 LEAST: Final = 3
 """Angles that a result needs; those that it leaves out count as if they did not hold the truth."""
-SAME_ANGLE: Final = 1e-6
+ROUNDED_ANGLE: Final = 1e-6
 """rad; angles of a result may differ so much from those of the truth."""
 
 
@@ -211,7 +211,7 @@ def _compared(
 
 def _rows(path: Path, given: Floats, true: Floats) -> list[int]:
     """Return which of the ``true`` angles (n,) rad the ``given`` ones are, in order."""
-    near = np.abs(given[:, None] - true) <= SAME_ANGLE
+    near = np.abs(given[:, None] - true) <= ROUNDED_ANGLE
     unknown = given[~near.any(axis=1)]
     rows: list[int] = near.argmax(axis=1).tolist()
     if unknown.size:

@@ -427,7 +427,7 @@ class Result:
             if self.residuals.unit == "m":  # as it is where nothing is said
                 del columns["unit"]
             data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
-        return {name: _plain(value) for name, value in data.items()}
+        return {name: plain(value) for name, value in data.items()}
 
     def to_json(self) -> str:
         """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
@@ -556,22 +556,22 @@ def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
 
 def plain_fields(record: Any) -> dict[str, Any]:
     """Return the fields of a dataclass as plain values for JSON."""
-    return {field.name: _plain(getattr(record, field.name)) for field in fields(record)}
+    return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return arrays, mappings and tuples as plain values, NaN and infinity as None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         items = value.tolist()
-        return items if np.all(np.isfinite(value)) else _plain(items)
+        return items if np.all(np.isfinite(value)) else plain(items)
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not isfinite(value):
         return None  # JSON has neither; reading null back into an array gives NaN
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value
 
 
