@@ -28,7 +28,7 @@ from scipy.special import stdtrit
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
 from rotcal_ros.foundation.sheets.words import answer
@@ -38,6 +38,17 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
 ONLY_SCATTER: Final = (
     "U covers only the scatter of the runs: nothing is stated about errors that all runs share"
 )
+
+
+FIGURES: Final[Mapping[str, str]] = {
+    "reversal": noted("Reversal B"),
+    "mean_reversal": noted("Mean reversal"),
+    "repeatability": noted("Repeatability R"),
+    "systematic": noted("Systematic deviation E"),
+    "mean_range": noted("Range of the mean M"),
+    "accuracy": noted("Accuracy A"),
+}
+"""The figures of an axis, and what people call them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,37 +134,20 @@ class Iso230(ByAngle):
     uncertainties: Mapping[str, FigureUncertainty] = field(default_factory=dict)
     measurement_stated: bool = False
 
-    def summary(self) -> list[tuple[str, tuple[float | None, float | None, float | None]]]:
-        """Return each figure (rad) with its name: for both directions, forward, reverse."""
-        return [
-            (phrase("Reversal B"), (self.reversal, None, None)),
-            (phrase("Mean reversal"), (self.mean_reversal, None, None)),
-            (
-                phrase("Repeatability R"),
-                (self.repeatability, self.repeatability_forward, self.repeatability_reverse),
-            ),
-            (
-                phrase("Systematic deviation E"),
-                (self.systematic, self.systematic_forward, self.systematic_reverse),
-            ),
-            (phrase("Range of the mean M"), (self.mean_range, None, None)),
-            (phrase("Accuracy A"), (self.accuracy, self.accuracy_forward, self.accuracy_reverse)),
-        ]
+    def summary(self) -> list[tuple[str, tuple[float | None, ...], float]]:
+        """Return each figure (rad) with its name, and the U (95 %, rad) of both directions.
 
-    def expanded(self) -> list[float]:
-        """Return the expanded uncertainty (95 %, rad) of each figure of :meth:`summary`.
-
-        That of the figure of both directions.
+        The figure is for both directions, forward and reverse; None: it has no directions.
         """
-        names = (
-            "reversal",
-            "mean_reversal",
-            "repeatability",
-            "systematic",
-            "mean_range",
-            "accuracy",
-        )
-        return [self.uncertainties[name].expanded for name in names]
+        sides = ("", "_forward", "_reverse")
+        return [
+            (
+                phrase(text),
+                tuple(getattr(self, name + side, None) for side in sides),
+                self.uncertainties[name].expanded,
+            )
+            for name, text in FIGURES.items()
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; radians."""

@@ -127,7 +127,8 @@ def test_every_figure_per_target_by_hand():
 
 
 def test_the_summary_names_each_figure():
-    figures = [(name, tuple(values)) for name, values in uneven().summary()]
+    found = uneven()
+    figures = [(name, values) for name, values, _ in found.summary()]
     assert [name for name, _ in figures] == [
         "Reversal B", "Mean reversal", "Repeatability R", "Systematic deviation E",
         "Range of the mean M", "Accuracy A",
@@ -138,6 +139,9 @@ def test_the_summary_names_each_figure():
     ]  # fmt: skip
     for (name, values), wanted in zip(figures, expected, strict=True):
         assert values == pytest.approx(wanted, abs=1e-12), name
+    stated = [expanded for *_, expanded in found.summary()]
+    assert stated[0] == found.uncertainties["reversal"].expanded
+    assert stated[-1] == found.uncertainties["accuracy"].expanded
 
 
 # Tables and results that hold runs.
