@@ -17,22 +17,13 @@ from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.capture.instrument_streams import InstrumentStreams
-from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime import beat_values, conversions
 from rotcal_ros.nodes.runtime.announced_plan import (
     RUN,
     PlanSubscription,
     calibration_of,
     load_method,
     run_name,
-)
-from rotcal_ros.nodes.runtime.beat_values import (
-    CLOCK_DOUBT,
-    COMPLAINT,
-    HOPELESS,
-    OFFSET,
-    REJECTED,
-    WAITING_FOR,
-    show,
 )
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT
@@ -58,33 +49,33 @@ class CaptureWarnings:
     def begin(self) -> None:
         """Forget what belongs to an earlier plan."""
         self._rejections, self._kinds = Rejections(), dict[str, str]()
-        for key in (REJECTED, COMPLAINT):
-            show(self._health, key, None)
+        for key in (beat_values.REJECTED, beat_values.COMPLAINT):
+            beat_values.show(self._health, key, None)
 
     def observed(self, observation: Observation) -> None:
         """Note an observation: three rejected in a row are an error, fewer a warning."""
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
         alarm, text = self._rejections.alarming, self._rejections.in_words()
-        show(self._health, REJECTED, text, alarm=alarm)
+        beat_values.show(self._health, beat_values.REJECTED, text, alarm=alarm)
         if text:
             self._health.beat()  # at once: the goal may end with this rejection
 
     def complain(self, text: str | None) -> None:
         """Report what is wrong with the present order; None: nothing."""
-        self._tell(COMPLAINT, text)
+        self._tell(beat_values.COMPLAINT, text)
 
     def offset(self, offsets: StampOffsets) -> None:
         """Report streams whose clocks differ too much, or seem to differ a little."""
-        self._tell(OFFSET, offsets.reason_to_reject())
-        self._tell(CLOCK_DOUBT, offsets.doubt())
+        self._tell(beat_values.OFFSET, offsets.reason_to_reject())
+        self._tell(beat_values.CLOCK_DOUBT, offsets.doubt())
 
     def _tell(self, key: str, text: str | None) -> None:
         """Show a text while it holds; each kind has one line."""
         if text and kind_of(text) != self._kinds.get(key):
             self._logger.warning(text)
             self._kinds[key] = kind_of(text)
-        show(self._health, key, text)
+        beat_values.show(self._health, key, text)
 
 
 class CaptureNode(CellNode):
@@ -178,9 +169,9 @@ class CaptureNode(CellNode):
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}
             found = self._finder.complaint() if self._finder is not None else None
             found = found or self._trigger.complaint
-            values[WAITING_FOR] = found or self._capture.waiting_for or ""
+            values[beat_values.WAITING_FOR] = found or self._capture.waiting_for or ""
             if hopeless := self._capture.hopeless():
-                values[HOPELESS] = hopeless
+                values[beat_values.HOPELESS] = hopeless
             self._warnings.complain(found or self._capture.complaint())
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
