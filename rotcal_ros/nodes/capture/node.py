@@ -17,14 +17,7 @@ from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.capture.instrument_streams import InstrumentStreams
-from rotcal_ros.nodes.runtime import beat_values, conversions
-from rotcal_ros.nodes.runtime.announced_plan import (
-    RUN,
-    PlanSubscription,
-    calibration_of,
-    load_method,
-    run_name,
-)
+from rotcal_ros.nodes.runtime import announced_plan, beat_values, conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import run
@@ -86,7 +79,7 @@ class CaptureNode(CellNode):
 
     def configure(self) -> None:
         """Subscribe to instruments, plans and orders."""
-        load_method(self)
+        announced_plan.load_method(self)
         self._capture: Capture | None = None
         self._finder: StepFinder | None = None
         self._run, self._state = "", NO_PLAN
@@ -95,7 +88,7 @@ class CaptureNode(CellNode):
         self._trigger = LengthTrigger(self)
         self._warnings = CaptureWarnings(self.health, self.get_logger())
         self._observations = self.create_publisher(msg.Observation, names.OBSERVATION, EVENT)
-        PlanSubscription(self, self._take_plan)
+        announced_plan.PlanSubscription(self, self._take_plan)
         self._instruments = InstrumentStreams(self, self._hear)
         self._orders = self.take_orders(self._take_order)
         self.every(PERIOD_S, self._ask)
@@ -139,7 +132,7 @@ class CaptureNode(CellNode):
         self._state = LOADING
         self.health.beat()
         try:
-            calibration = calibration_of(message)
+            calibration = announced_plan.calibration_of(message)
             settings = calibration.configuration.capture
             self._instruments.use(calibration.configuration)
             topics = self._instruments.topics.settings
@@ -155,13 +148,13 @@ class CaptureNode(CellNode):
         except Exception as error:
             self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
-        self._run, self._needed = run_name(message), calibration.topics
+        self._run, self._needed = announced_plan.run_name(message), calibration.topics
         self._instruments.not_silent()
         self._verdicts.clear()
         self._state = NodeState.of(State.WORKING, Why.CAPTURING, calibration.method.name)
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
-        values: dict[str, Any] = {RUN: self._run, **self._verdicts}
+        values: dict[str, Any] = {announced_plan.RUN: self._run, **self._verdicts}
         values |= self._instruments.values(self._needed)
         self._warnings.offset(self._instruments.offsets)
         if self._capture is not None:
