@@ -8,63 +8,51 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import (
-    bdtr,
-    bdtrik,
-    chdtrc,
-    chdtri,
-    chndtrinc,
-    fdtrc,
-    fdtri,
-    ncfdtrinc,
-    ndtr,
-    ndtri,
-    stdtrit,
-)
+from scipy import special
 
 from rotcal_ros.foundation.arrays import Floats
 
 
 def chi2_sf(value: float, dof: float) -> float:
     """Return how probably chi-squared with ``dof`` degrees of freedom exceeds ``value``."""
-    return float(chdtrc(dof, value))
+    return float(special.chdtrc(dof, value))
 
 
 def chi2_isf(probability: float, dof: ArrayLike) -> Floats:
     """Return what chi-squared exceeds with ``probability``, in the shape of ``dof``."""
-    return np.asarray(chdtri(dof, probability), dtype=np.float64)
+    return np.asarray(special.chdtri(dof, probability), dtype=np.float64)
 
 
 def f_isf(probability: float, dof: ArrayLike, dof_below: ArrayLike) -> Floats:
     """Return what F with ``dof`` over ``dof_below`` degrees of freedom exceeds."""
-    return np.asarray(fdtri(dof, dof_below, 1.0 - probability), dtype=np.float64)
+    return np.asarray(special.fdtri(dof, dof_below, 1.0 - probability), dtype=np.float64)
 
 
 def f_sf(value: float, dof: float, dof_below: float) -> float:
     """Return how probably F with ``dof`` over ``dof_below`` exceeds ``value``."""
-    return float(fdtrc(dof, dof_below, value))
+    return float(special.fdtrc(dof, dof_below, value))
 
 
 def normal_sf(value: float) -> float:
     """Return how probably a standard normal number exceeds ``value``."""
-    return float(ndtr(-value))
+    return float(special.ndtr(-value))
 
 
 def normal_isf(probability: float) -> float:
     """Return what a standard normal number exceeds with ``probability``."""
-    return float(-ndtri(probability))
+    return float(-special.ndtri(probability))
 
 
 def t_isf(probability: float, dof: float) -> float:
     """Return what Student's t with ``dof`` degrees of freedom exceeds with ``probability``."""
-    return float(-stdtrit(dof, probability))
+    return float(-special.stdtrit(dof, probability))
 
 
 def binomial_quantile(probability: float, trials: int, chance: float) -> int:
     """Return the smallest number of hits that is not exceeded with ``probability``."""
-    above = int(np.ceil(bdtrik(probability, trials, chance)))
+    above = int(np.ceil(special.bdtrik(probability, trials, chance)))
     below = max(above - 1, 0)  # bdtrik may round up across a step of the distribution
-    return below if bdtr(below, trials, chance) >= probability else above
+    return below if special.bdtr(below, trials, chance) >= probability else above
 
 
 def detected(limit: float, power: float, dof: float = np.inf) -> float:
@@ -89,7 +77,7 @@ def noise_growth(significance: float, power: float, dof: float) -> float:
 
 def f_noncentrality(limit: float, dof: float, dof_below: float, power: float) -> float:
     """Return the noncentrality at which F exceeds ``limit`` with the probability ``power``."""
-    return float(ncfdtrinc(dof, dof_below, 1.0 - power, limit))
+    return float(special.ncfdtrinc(dof, dof_below, 1.0 - power, limit))
 
 
 def noncentrality(
@@ -106,4 +94,4 @@ def noncentrality(
         limit = float(f_isf(significance, dof, dof_below))
         return f_noncentrality(limit, dof, dof_below, power)
     critical = float(chi2_isf(significance, dof))
-    return float(chndtrinc(critical, dof, 1.0 - power))
+    return float(special.chndtrinc(critical, dof, 1.0 - power))

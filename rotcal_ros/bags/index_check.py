@@ -12,15 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    ChunkIndex,
-    Metadata,
-    MetadataIndex,
-    Statistics,
-    SummaryOffset,
-)
+from mcap import records
 from numpy.typing import NDArray
 
 from rotcal_ros.bags import mcap_records as mcap
@@ -29,12 +21,14 @@ from rotcal_ros.bags.framing import Record
 from rotcal_ros.bags.mcap_records import ChunkRecord
 from rotcal_ros.foundation.arrays import Ints
 
-Index = ChunkIndex | AttachmentIndex | MetadataIndex | SummaryOffset
+Index = (
+    records.ChunkIndex | records.AttachmentIndex | records.MetadataIndex | records.SummaryOffset
+)
 INDEXES: Final[dict[int, type[Index]]] = {
-    mcap.CHUNK_INDEX: ChunkIndex,
-    mcap.ATTACHMENT_INDEX: AttachmentIndex,
-    mcap.METADATA_INDEX: MetadataIndex,
-    mcap.SUMMARY_OFFSET: SummaryOffset,
+    mcap.CHUNK_INDEX: records.ChunkIndex,
+    mcap.ATTACHMENT_INDEX: records.AttachmentIndex,
+    mcap.METADATA_INDEX: records.MetadataIndex,
+    mcap.SUMMARY_OFFSET: records.SummaryOffset,
 }
 """The records of an index, by their opcodes."""
 Report = Callable[[int, str], None]
@@ -89,37 +83,37 @@ class IndexCheck:
             self._chunks.add(chunk.record.offset, chunk.described)
             self._indexes.add(chunk.record.offset, chunk.places())
 
-    def attachment(self, record: Record, found: Attachment) -> None:
+    def attachment(self, record: Record, found: records.Attachment) -> None:
         """Add an attachment."""
         times = (found.log_time, found.create_time)
         size = record.end - record.offset
         facts = (size, *times, len(found.data), found.name, found.media_type)
         self._attachments.add(record.offset, facts)
 
-    def metadata(self, record: Record, found: Metadata) -> None:
+    def metadata(self, record: Record, found: records.Metadata) -> None:
         """Add a metadata record."""
         self._notes.add(record.offset, (record.end - record.offset, found.name))
 
     def compare(self, record: Record, index: Index, *, data_sound: bool) -> None:
         """Compare a record of the index; ``data_sound``: all data could be read."""
         match index:
-            case SummaryOffset():
+            case records.SummaryOffset():
                 self._summary_offset(record, index)
-            case ChunkIndex():
+            case records.ChunkIndex():
                 known, what, offset = self._chunks, "chunk", index.chunk_start_offset
                 self._compare(known, record, what, offset, _described(index), data_sound)
                 self._places(record, index)
-            case AttachmentIndex():
+            case records.AttachmentIndex():
                 times = (index.log_time, index.create_time)
                 facts = (index.length, *times, index.data_size, index.name, index.media_type)
                 known, what = self._attachments, "attachment"
                 self._compare(known, record, what, index.offset, facts, data_sound)
-            case MetadataIndex():
+            case records.MetadataIndex():
                 named = (index.length, index.name)
                 known, what = self._notes, "metadata record"
                 self._compare(known, record, what, index.offset, named, data_sound)
 
-    def _places(self, record: Record, index: ChunkIndex) -> None:
+    def _places(self, record: Record, index: records.ChunkIndex) -> None:
         """Compare where the indexes behind a chunk stand, if that is said."""
         if index.message_index_offsets or index.message_index_length:
             places = (index.message_index_length, frozenset(index.message_index_offsets.items()))
@@ -142,7 +136,7 @@ class IndexCheck:
             self._report(record.offset, "the records of the summary are not grouped by kind")
         group[1], self._last_kind = record.end, record.opcode
 
-    def _summary_offset(self, record: Record, place: SummaryOffset) -> None:
+    def _summary_offset(self, record: Record, place: records.SummaryOffset) -> None:
         """Compare the place of a group of records; writers also name groups without any."""
         begin, end = self._groups.get(place.group_opcode, [0, 0])
         if place.group_length and (place.group_start, place.group_length) != (begin, end - begin):
@@ -172,7 +166,7 @@ class IndexCheck:
     def statistics(
         self,
         offset: int,
-        stated: Statistics,
+        stated: records.Statistics,
         counts: Mapping[int, int],
         span: tuple[int, int] | None,
         *,
@@ -217,7 +211,7 @@ class IndexCheck:
             self._report(record.offset, f"an index points to byte {offset}, where no {what} is")
 
 
-def _described(index: ChunkIndex) -> tuple[object, ...]:
+def _described(index: records.ChunkIndex) -> tuple[object, ...]:
     """Return what an index says of a chunk, as :class:`_ChunkFacts` does."""
     times = (index.message_start_time, index.message_end_time)
     sizes = (index.compressed_size, index.uncompressed_size)

@@ -17,16 +17,9 @@ from typing import BinaryIO, Final, TypeVar
 import numpy as np
 from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 
+from rotcal_ros.bags import compression, names
 from rotcal_ros.bags import mcap_records as mcap
-from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block, Others, block_of_contents, joined, split_chunk
-from rotcal_ros.bags.compression import (
-    Unpacker,
-    declared_compression,
-    looks_packed,
-    packed_one_by_one,
-    unpacked_storage_file,
-)
 from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions, schema_text
 from rotcal_ros.bags.framing import Framing, Record
 from rotcal_ros.bags.index_check import INDEXES, IndexCheck
@@ -81,12 +74,12 @@ class McapScan(Scan):
         self._require_known_compression()
         try:
             with (
-                unpacked_storage_file(self.path, self._limits) as (plain, _),
+                compression.unpacked_storage_file(self.path, self._limits) as (plain, _),
                 open_plain(plain) as file,
             ):
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
-                self._unpacker = Unpacker(self._limits, self._size)
+                self._unpacker = compression.Unpacker(self._limits, self._size)
                 self._framing = Framing(file, size, self._limits.record_bytes)
                 report = self._framing.index_fault, self._framing.damage
                 self._index = IndexCheck(*report) if self._check_index else None
@@ -123,7 +116,7 @@ class McapScan(Scan):
 
     def _require_known_compression(self) -> None:
         try:
-            packed_one_by_one(*declared_compression(self.path))
+            compression.packed_one_by_one(*compression.declared_compression(self.path))
         except BagError as error:
             raise BagError(f"cannot read {self.path}: {error}") from None
 
@@ -334,7 +327,7 @@ class McapScan(Scan):
     def _unpacked(self, block: Block) -> Iterator[Block]:
         """Yield ``block``, unpacked where rosbag2 has compressed message by message."""
         encoding = self.channels[int(block.headers["channel"][0])].message_encoding
-        if encoding != _CDR or not looks_packed(block.payload(0)):
+        if encoding != _CDR or not compression.looks_packed(block.payload(0)):
             yield block
             return
         broken = Counter[int]()

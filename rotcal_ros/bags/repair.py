@@ -12,7 +12,7 @@ from typing import Final
 
 from mcap.records import Attachment, Metadata
 
-from rotcal_ros.bags import names
+from rotcal_ros.bags import names, rosbag2_metadata
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.compression import plain_name
 from rotcal_ros.bags.definitions import ChannelDefinition
@@ -24,17 +24,6 @@ from rotcal_ros.bags.reader import (
     file_info,
     read_blocks,
     read_items,
-)
-from rotcal_ros.bags.rosbag2_metadata import (
-    INFORMATION,
-    LIBRARY_KEY,
-    METADATA_FILE,
-    MISSING_KEY,
-    BagDescription,
-    FileInfo,
-    bag_information,
-    read_description,
-    yaml_text,
 )
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session, repair_record
@@ -181,7 +170,7 @@ def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
         raise BagError(f"{folder} is not a folder: metadata.yaml describes the files in a folder")
     files = bag_files(folder)
     require_one_session(files)
-    infos: list[FileInfo] = []
+    infos: list[rosbag2_metadata.FileInfo] = []
     verdicts: list[FileVerdict] = []
     for scan, block in read_blocks(files, progress):
         if block is None:
@@ -190,10 +179,10 @@ def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
     _require_sound(folder, verdicts)
     session = judge_session(folder, verdicts)
     try:
-        old = read_description(folder)
+        old = rosbag2_metadata.read_description(folder)
     except BagError:
         old = None
-    information = bag_information(
+    information = rosbag2_metadata.bag_information(
         infos,
         (),
         ros_distro=old.ros_distro if old else "",
@@ -201,10 +190,12 @@ def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
         storage="mcap" if plain_name(files[0]).suffix.lower() == ".mcap" else "sqlite3",
         compression_mode=_compression_mode(files, old),
     )
-    path = folder / METADATA_FILE
+    path = folder / rosbag2_metadata.METADATA_FILE
     try:
         copy = _copy_old(path)
-        write_atomically(path, yaml_text({INFORMATION: information}))
+        write_atomically(
+            path, rosbag2_metadata.yaml_text({rosbag2_metadata.INFORMATION: information})
+        )
     except OSError as error:
         raise BagError(
             f"cannot write {path}: {error.strerror or error}; make room and the folder writable"
@@ -227,7 +218,7 @@ def finish_interrupted(folder: Path) -> None:
         reindex(folder)
 
 
-def _compression_mode(files: Iterable[Path], old: BagDescription | None) -> str:
+def _compression_mode(files: Iterable[Path], old: rosbag2_metadata.BagDescription | None) -> str:
     """Return rosbag2's name of how the bag is compressed: only zstd can be read.
 
     Raises BagError if some files are compressed as a whole and others are not.
@@ -251,11 +242,13 @@ def _require_sound(folder: Path, verdicts: Iterable[FileVerdict]) -> None:
         )
 
 
-def _custom(old: BagDescription | None, session: SessionVerdict) -> dict[str, str]:
-    custom = {LIBRARY_KEY: LIBRARY, **((old.custom if old else None) or {})}
-    custom.pop(MISSING_KEY, None)
+def _custom(
+    old: rosbag2_metadata.BagDescription | None, session: SessionVerdict
+) -> dict[str, str]:
+    custom = {rosbag2_metadata.LIBRARY_KEY: LIBRARY, **((old.custom if old else None) or {})}
+    custom.pop(rosbag2_metadata.MISSING_KEY, None)
     if session.missing:
-        custom[MISSING_KEY] = "\n".join(session.missing)
+        custom[rosbag2_metadata.MISSING_KEY] = "\n".join(session.missing)
     return custom
 
 

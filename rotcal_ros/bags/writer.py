@@ -21,15 +21,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions, schema_bytes
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE, FileInfo, bag_information, yaml_text
 from rotcal_ros.bags.settings import WriterSettings
-from rotcal_ros.foundation import disk
+from rotcal_ros.foundation import disk, files
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.files import (
-    DurableFile,
-    FolderLock,
-    make_folder,
-    sync_folder,
-    write_atomically,
-)
 
 T = TypeVar("T")
 
@@ -77,7 +70,7 @@ class BagWriter:
         self._unsynced = 0
         self._last_sync_ns: int | None = None
         self._watched = WatchedFiles(self.folder)
-        self._lock: FolderLock | None = None
+        self._lock: files.FolderLock | None = None
         self._open_files: list[McapFile] = []
         self._guarded(lambda: self._begin(resume=earlier is not None))
 
@@ -224,13 +217,13 @@ class BagWriter:
                 f"cannot continue {self.folder}: there is no such folder; name that of the "
                 "interrupted recording"
             )
-        self._lock = FolderLock(self.folder)
+        self._lock = files.FolderLock(self.folder)
         self.watch_earlier_files()
         self._begin_file()
 
     def _make_folder(self) -> None:
         try:
-            make_folder(self.folder)
+            files.make_folder(self.folder)
         except FileExistsError:
             raise BagError(
                 f"{self.folder} exists already and a bag never overwrites; choose another folder, "
@@ -252,7 +245,7 @@ class BagWriter:
         for channel in self._channels.values():
             file.register(channel)
         self._sync()
-        sync_folder(self.folder)
+        files.sync_folder(self.folder)
 
     def _sync(self) -> None:
         self._file.sync()
@@ -287,7 +280,7 @@ class BagWriter:
         """Write what rosbag2 wants to know, into the file and beside it."""
         information = self._note_description()
         text = yaml_text({"rosbag2_bagfile_information": information})
-        write_atomically(self.folder / METADATA_FILE, text)
+        files.write_atomically(self.folder / METADATA_FILE, text)
 
     def _note_description(self) -> dict[str, Any]:
         information = bag_information(
@@ -443,7 +436,7 @@ class McapFile:
 
     def __init__(self, path: Path, chunk_bytes: int, clock: Callable[[], int]) -> None:
         self.path, self._clock = path, clock
-        self._file = DurableFile(path)
+        self._file = files.DurableFile(path)
         self._writer = Writer(
             self._file,  # type: ignore[arg-type]
             chunk_size=chunk_bytes,

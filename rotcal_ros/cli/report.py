@@ -144,10 +144,11 @@ def _report(asked: _Asked) -> int:
 
 def _written(asked: _Asked, source: Path, output: Path) -> Result:
     """Write the page; return the result that it is about."""
+    from rotcal_ros.evaluation.truth_scores import read_document
     from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.page import write_measured, write_result
 
-    injected = None if asked.truth is None else _truth(asked.truth)
+    injected = None if asked.truth is None else read_document(asked.truth)
     given = asked.input(source)
     if source.suffix == ".json":
         return write_result(read_source(source, given), output, injected, asked.in_force)
@@ -184,21 +185,6 @@ def _acting(result: Result, in_force: Path | None) -> int:
     if effect is not None:
         say(f"warning: {effect.fault}" if effect.fault else f"table acts: {effect.in_words()}")
     return 1 if effect is not None and effect.fault else 0
-
-
-def _truth(path: Path) -> dict[str, Any]:
-    """Return what a simulation injected; BagError when the file does not say."""
-    from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
-
-    try:
-        truth = load_json(read_bytes(path))
-    except (OSError, ValueError) as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error
-    if not isinstance(truth, dict):
-        raise BagError(
-            f"{path} is not the truth.json of a simulation: expected a group of entries"
-        )
-    return truth
 
 
 def page_beside(source: Path) -> Path:

@@ -18,6 +18,7 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import TURN
 
 EVERY_TURN: Final = (-TURN, 2.0 * TURN)
@@ -153,3 +154,16 @@ class Controller(ABC):
     def busy_command(self) -> tuple[str, ...]:
         """Command that tells whether the machine is at work; see :mod:`.feed`; empty: none."""
         return ()
+
+
+@dataclass(frozen=True)
+class EveryTurnController(Controller):
+    """A controller that does not wrap: rows are written for every turn of the table's travel."""
+
+    first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
+    turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """First and last angle (rad) of the turns that are written."""
+        return self.first_turn * TURN, (self.first_turn + self.turns) * TURN

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.compensation.axis_location import AxisLine, Located
-from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
+from rotcal_ros.compensation.controller import EveryTurnController, Facts, Lag, Rule
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     every_turn,
@@ -87,7 +87,7 @@ class LoadedComp:
 
 
 @dataclass(frozen=True)
-class LinuxCnc(Controller):
+class LinuxCnc(EveryTurnController):
     """LinuxCNC: the rows are written for every turn of the travel."""
 
     suffixes = (".comp", ".ini")
@@ -102,8 +102,6 @@ class LinuxCnc(Controller):
 
     file_type: int = setting(1, doc="0: actual angles, 1: trims", minimum=0, maximum=1)
     joint: int = setting(0, doc="number in [JOINT_n]", minimum=0, maximum=15)
-    first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
-    turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
     machine_ini: str = setting(
         "",
         doc="ini file of the machine; gives the joint, the limits below, and whether it is at "
@@ -262,11 +260,6 @@ class LinuxCnc(Controller):
         )
         angles, up, down = every_turn(self.first_turn, self.turns, *columns)
         return angles, up, down
-
-    @property
-    def travel(self) -> tuple[float, float]:
-        """First and last angle (rad) of the turns that are written."""
-        return self.first_turn * TURN, (self.first_turn + self.turns) * TURN
 
     @property
     def busy_command(self) -> tuple[str, ...]:

@@ -16,7 +16,6 @@ repeatability alone. Noise of the measurement is in the scatter.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import hypot, inf, sqrt
@@ -28,17 +27,28 @@ from scipy.special import stdtrit
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.dataframes import ByAngle
-from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
 from rotcal_ros.foundation.sheets.words import answer
-from rotcal_ros.foundation.tables import csv_rows
+from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 ONLY_SCATTER: Final = (
     "U covers only the scatter of the runs: nothing is stated about errors that all runs share"
 )
+
+
+FIGURES: Final[Mapping[str, str]] = {
+    "reversal": noted("Reversal B"),
+    "mean_reversal": noted("Mean reversal"),
+    "repeatability": noted("Repeatability R"),
+    "systematic": noted("Systematic deviation E"),
+    "mean_range": noted("Range of the mean M"),
+    "accuracy": noted("Accuracy A"),
+}
+"""The figures of an axis, and what people call them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,37 +134,20 @@ class Iso230(ByAngle):
     uncertainties: Mapping[str, FigureUncertainty] = field(default_factory=dict)
     measurement_stated: bool = False
 
-    def summary(self) -> list[tuple[str, tuple[float | None, float | None, float | None]]]:
-        """Return each figure (rad) with its name: for both directions, forward, reverse."""
-        return [
-            (phrase("Reversal B"), (self.reversal, None, None)),
-            (phrase("Mean reversal"), (self.mean_reversal, None, None)),
-            (
-                phrase("Repeatability R"),
-                (self.repeatability, self.repeatability_forward, self.repeatability_reverse),
-            ),
-            (
-                phrase("Systematic deviation E"),
-                (self.systematic, self.systematic_forward, self.systematic_reverse),
-            ),
-            (phrase("Range of the mean M"), (self.mean_range, None, None)),
-            (phrase("Accuracy A"), (self.accuracy, self.accuracy_forward, self.accuracy_reverse)),
-        ]
+    def summary(self) -> list[tuple[str, tuple[float | None, ...], float]]:
+        """Return each figure (rad) with its name, and the U (95 %, rad) of both directions.
 
-    def expanded(self) -> list[float]:
-        """Return the expanded uncertainty (95 %, rad) of each figure of :meth:`summary`.
-
-        That of the figure of both directions.
+        The figure is for both directions, forward and reverse; None: it has no directions.
         """
-        names = (
-            "reversal",
-            "mean_reversal",
-            "repeatability",
-            "systematic",
-            "mean_range",
-            "accuracy",
-        )
-        return [self.uncertainties[name].expanded for name in names]
+        sides = ("", "_forward", "_reverse")
+        return [
+            (
+                phrase(text),
+                tuple(getattr(self, name + side, None) for side in sides),
+                self.uncertainties[name].expanded,
+            )
+            for name, text in FIGURES.items()
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; radians."""
@@ -242,13 +235,7 @@ class FigureUncertainty:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; rad, ``dof`` null when it is unlimited."""
-        return {
-            "sampling": self.sampling,
-            "measurement": self.measurement,
-            "std": self.std,
-            "dof": None if self.dof == inf else self.dof,
-            "expanded": self.expanded,
-        }
+        return {**plain_fields(self), "std": self.std, "expanded": self.expanded}
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,19 +337,23 @@ _Visit: TypeAlias = "tuple[float, str, str]"
 """A target angle in degrees, the run and the direction."""
 
 
-def read_runs(text: str, name: str) -> BidirectionalRuns:
-    """Return the runs in ``text``, the file ``name``.
+def read_runs(table: Table) -> BidirectionalRuns:
+    """Return the runs in a table of our own form.
 
     Every target must occur once in every run and direction. Raises BagError for other columns;
     DataError names what is missing, double or not a number.
     """
-    reader = csv_rows(text, name)
-    head = tuple(cell.strip() for cell in next(reader, []))
-    if head != HEADER:
-        columns = ", ".join(head) or "none"
-        raise BagError(f"{name}: the columns are {columns}, expected {', '.join(HEADER)}")
-    places = ((f"{name}, line {row}", cells) for row, cells in enumerate(reader, start=2) if cells)
-    return _complete(((place, *_row(cells, place)) for place, cells in places), name)
+    require_header(table, (HEADER,))
+    rows = []
+    for row in table.rows():
+        angle, run, direction, deviation = HEADER
+        if row.cells[direction] not in DIRECTIONS:
+            raise DataError(
+                f"{row.place}: direction {row.cells[direction]!r}, expected up or down"
+            )
+        visit = row.number(angle), row.cells[run], row.cells[direction]
+        rows.append((row.place, visit, row.number(deviation)))
+    return _complete(rows, str(table.path))
 
 
 def read_any_runs(
@@ -476,18 +467,3 @@ def require_runs(result: Result, source: str) -> BidirectionalRuns:
             "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
         )
     return runs
-
-
-def _row(cells: list[str], where: str) -> tuple[_Visit, float]:
-    if len(cells) != len(HEADER):
-        raise DataError(f"{where}: {len(cells)} columns, expected {len(HEADER)}")
-    angle, run, direction, deviation = (cell.strip() for cell in cells)
-    if direction not in DIRECTIONS:
-        raise DataError(f"{where}: direction {direction!r}, expected up or down")
-    try:
-        numbers = float(angle), float(deviation)
-    except ValueError as error:
-        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a number") from error
-    if not all(map(math.isfinite, numbers)):
-        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a finite number")
-    return (numbers[0], run, direction), numbers[1]

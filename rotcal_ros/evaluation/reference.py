@@ -17,11 +17,11 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
-from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.sheets.layout import TableColumn
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
 from rotcal_ros.foundation.sheets.words import answer
-from rotcal_ros.foundation.tables import Header, Table, csv_rows
+from rotcal_ros.foundation.tables import Header, Row, Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
@@ -55,9 +55,7 @@ def read_deviations(
     factor = 0.5 if stated == (_EXPANDED,) else 1.0
     rows = []
     for row in reading.table.rows():
-        angle, deviation, *u = (row.number(name) for name in reading.table.header)
-        if u and u[0] < 0.0:
-            raise DataError(f"{row.place}: the uncertainty is negative: {u[0] / ARCSEC:g} arcsec")
+        angle, deviation, *u = _numbers(row)
         rows.append((angle, deviation, u[0] * factor if u else (std or 0.0)))
     name = str(reading.table.path)
     return _curve(rows, name, stated=bool(stated) or std is not None)
@@ -76,29 +74,31 @@ def _require_known_factor(reading: Reading) -> None:
         )
 
 
-def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCurve:
-    """Return the curve in ``text``, the file ``name``: ``angle_deg,deviation_arcsec[,u_arcsec]``.
+def read_reference(table: Table, std: float | None = None) -> MeasuredCurve:
+    """Return the curve in a table of our own form: ``angle_deg,deviation_arcsec[,u_arcsec]``.
 
     Deviation = actual - commanded; u is the standard uncertainty (k = 1) of each value,
     independent of the others; ``std`` (rad) replaces it if the column is absent. A row at 360 deg
     repeats the one at 0 and must equal it within 4 standard uncertainties. Raises BagError for
-    other columns, DataError with the wrong line, or if nobody states u.
+    other columns, DataError with the wrong row, or if nobody states u.
     """
-    reader = csv_rows(text, name)
-    head = tuple(cell.strip() for cell in next(reader, []))
-    if head not in (COLUMNS, COLUMNS[:2]):
-        raise BagError(
-            f"{name}: the columns are {', '.join(head) or 'none'}, expected angle_deg, "
-            "deviation_arcsec, u_arcsec"
+    require_header(table, (COLUMNS, COLUMNS[:2]))
+    rows = []
+    for row in table.rows():
+        angle, deviation, *u = _numbers(row)
+        in_arcsec = u[0] if u else (std or 0.0) / ARCSEC
+        rows.append((angle * DEGREE, deviation * ARCSEC, in_arcsec * ARCSEC))
+    return _curve(rows, str(table.path), stated=std is not None or table.header == COLUMNS)
+
+
+def _numbers(row: Row) -> list[float]:
+    """Return angle, deviation and uncertainty, if there is one; DataError for a negative one."""
+    numbers = [row.number(name) for name in row.cells]
+    if numbers[2:] and numbers[2] < 0.0:
+        raise DataError(
+            f"{row.place}: the uncertainty is negative: {numbers[2]:g}: correct the row"
         )
-    rows = [
-        _numbers(cells, len(head), f"{name}, line {line}")
-        for line, cells in enumerate(reader, start=2)
-        if cells
-    ]
-    data = [[*row, (std or 0.0) / ARCSEC][:3] for row in rows]
-    in_si = [(angle * DEGREE, value * ARCSEC, u * ARCSEC) for angle, value, u in data]
-    return _curve(in_si, name, stated=std is not None or head == COLUMNS)
+    return numbers
 
 
 def _curve(
@@ -159,18 +159,6 @@ def without_polygon(reading: MeasuredCurve, polygon: MeasuredCurve) -> MeasuredC
         deviation=reading.deviation - polygon.deviation[rows],
         covariance=reading.covariance + faces,
     )
-
-
-def _numbers(cells: list[str], columns: int, where: str) -> list[float]:
-    if len(cells) != columns:
-        raise DataError(f"{where}: {len(cells)} columns, expected {columns}")
-    try:
-        values = [float(cell) for cell in cells]
-    except ValueError as error:
-        raise DataError(f"{where}: {error}; expected numbers only") from error
-    if not all(map(math.isfinite, values)) or (columns == 3 and values[2] < 0.0):
-        raise DataError(f"{where}: {', '.join(cells)}: expected finite numbers, u not negative")
-    return values
 
 
 def _sorted(

@@ -18,7 +18,7 @@ from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.results import Residuals, Result
+from rotcal_ros.foundation.results import Residuals, Result, plain
 from rotcal_ros.methods import Calibration
 
 ALPHA: Final = 0.001
@@ -95,8 +95,8 @@ class Reliability:
             "n_unchecked": int(self.unchecked.sum()),
             "mean_redundancy": float(self.redundancy.mean()) if len(self.row) else 0.0,
             "worst": [
-                {name: _finite(value) for name, value in zip(columns, row, strict=True)}
-                for row in zip(*(column.tolist() for column in columns.values()), strict=True)
+                dict(zip(columns, row, strict=True))
+                for row in zip(*map(plain, columns.values()), strict=True)
             ],
         }
 
@@ -203,8 +203,3 @@ def _in_std(result: Result, again: Result) -> Floats:
         stated = std > 0.0
         changes.append((again.deviations[name] - result.deviations[name])[stated] / std[stated])
     return np.concatenate(changes)
-
-
-def _finite(value: Any) -> Any:
-    """Return a number for JSON: None for infinity, which it lacks."""
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -23,7 +23,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, ROTATIONS, unit_of
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.results import Verdict
+from rotcal_ros.foundation.results import Verdict, finite_column, finite_columns
 from rotcal_ros.foundation.untrusted import load_json, read_text, reading
 from rotcal_ros.methods import find_method
 
@@ -31,7 +31,7 @@ TRUTH: Final = "truth.json"
 NO_EFFECT: Final = "none"
 LEAST: Final = 3
 """Angles that a result needs; those that it leaves out count as if they did not hold the truth."""
-SAME_ANGLE: Final = 1e-6
+ROUNDED_ANGLE: Final = 1e-6
 """rad; angles of a result may differ so much from those of the truth."""
 
 
@@ -158,13 +158,13 @@ def score_folder(folder: Path) -> tuple[Score, ...]:
 
 
 def _score_case(case: Path, folder: Path) -> Iterator[Score]:
-    document = _document(case / TRUTH)
+    document = read_document(case / TRUTH)
     truth = _read(case / TRUTH, document, _true_curves)
     effect = str(document.get("effect", NO_EFFECT))
     name = str(case.relative_to(folder)) if case != folder else case.name
     for path in sorted(case.glob("result*.json")):
         entry = path.stem.removeprefix("result").removeprefix("_") or "result"
-        given = _document(path)
+        given = read_document(path)
         method = str(document.get("method") or given.get("method", ""))
         curves = _read(path, given, _stated_curves)
         for component, comparison in _compared(path, curves, truth, method):
@@ -211,7 +211,7 @@ def _compared(
 
 def _rows(path: Path, given: Floats, true: Floats) -> list[int]:
     """Return which of the ``true`` angles (n,) rad the ``given`` ones are, in order."""
-    near = np.abs(given[:, None] - true) <= SAME_ANGLE
+    near = np.abs(given[:, None] - true) <= ROUNDED_ANGLE
     unknown = given[~near.any(axis=1)]
     rows: list[int] = near.argmax(axis=1).tolist()
     if unknown.size:
@@ -227,7 +227,8 @@ def _rows(path: Path, given: Floats, true: Floats) -> list[int]:
     return rows
 
 
-def _document(path: Path) -> Mapping[str, Any]:
+def read_document(path: Path) -> Mapping[str, Any]:
+    """Return the entries of a JSON file; BagError or DataError where it holds none."""
     with reading(path, BagError):
         text = read_text(path)
     try:
@@ -251,7 +252,7 @@ def _read(
 
 
 def _true_curves(document: Mapping[str, Any]) -> _Curves:
-    angles = _numbers("angles_rad", document["angles_rad"])
+    angles = finite_column(document["angles_rad"], "angles_rad")
     return _Curves(angles, _by_component(document, "deviations", angles.shape))
 
 
@@ -278,22 +279,8 @@ def _by_component(
     """Return an array of ``shape`` for each component in an entry."""
     if not isinstance(document[entry], Mapping):
         raise ValueError(f"{entry}: expected values by component")
-    columns = {
-        name: _numbers(f"{entry}.{name}", values)
-        for name, values in document[entry].items()
-        if name in COMPONENTS
-    }
-    for name, column in columns.items():
-        if column.shape != shape:
-            raise ValueError(f"{entry}.{name} has the shape {column.shape}, expected {shape}")
-    return columns
-
-
-def _numbers(where: str, values: Any) -> Floats:
-    numbers = np.asarray(values)
-    if numbers.dtype.kind not in "fiu" or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"{where}: expected finite numbers")
-    return numbers.astype(np.float64)
+    ours = {name: values for name, values in document[entry].items() if name in COMPONENTS}
+    return finite_columns(ours, entry, shape)
 
 
 def leaderboard(scores: Iterable[Score]) -> tuple[LeaderboardRow, ...]:

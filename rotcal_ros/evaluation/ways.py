@@ -11,11 +11,11 @@ import numpy as np
 
 from rotcal_ros.evaluation.marks import withheld
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import Calibration, Method, changed
 
-SAME_ANGLE = 1e-9  # rad
 EVALUATIONS = "evaluations"
 """The entry of a file with several evaluations."""
 

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
 from importlib import import_module
+from math import isfinite
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -426,7 +427,7 @@ class Result:
             if self.residuals.unit == "m":  # as it is where nothing is said
                 del columns["unit"]
             data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
-        return {name: _plain(value) for name, value in data.items()}
+        return {name: plain(value) for name, value in data.items()}
 
     def to_json(self) -> str:
         """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
@@ -555,22 +556,22 @@ def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
 
 def plain_fields(record: Any) -> dict[str, Any]:
     """Return the fields of a dataclass as plain values for JSON."""
-    return {field.name: _plain(getattr(record, field.name)) for field in fields(record)}
+    return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
 
 
-def _plain(value: Any) -> Any:
-    """Return arrays, mappings and tuples as lists and dicts of plain values, NaN as None."""
+def plain(value: Any) -> Any:
+    """Return arrays, mappings and tuples as plain values, NaN and infinity as None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
         items = value.tolist()
-        return items if np.all(np.isfinite(value)) else _plain(items)
+        return items if np.all(np.isfinite(value)) else plain(items)
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float) and value != value:
-        return None  # JSON has no NaN; reading null back into an array gives NaN again
+        return plain(value.tolist())
+    if isinstance(value, float) and not isfinite(value):
+        return None  # JSON has neither; reading null back into an array gives NaN
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value
 
 
@@ -606,13 +607,13 @@ def _result(data: Mapping[str, Any]) -> Result:
     plain = record(_Plain, {f.name: data[f.name] for f in fields(_Plain) if f.name in data})
     if plain.verdict not in get_args(Verdict):
         raise ValueError(f"verdict: {plain.verdict!r} is none of {', '.join(get_args(Verdict))}")
-    angles = _column(data["angles_rad"], "angles_rad")
+    angles = finite_column(data["angles_rad"], "angles_rad")
     n, runs = len(angles), _runs(plain.details.get(RUNS))
     budget = _budget(plain.details.get(BUDGET), n)
     error_motion = _error_motion(plain.details.get(ERROR_MOTION))
     typed = {RUNS: runs, BUDGET: budget, ERROR_MOTION: error_motion}
-    deviations = _columns(data["deviations"], "deviations", (n,))
-    std = _columns(data["std"], "std", (n,))
+    deviations = finite_columns(data["deviations"], "deviations", (n,))
+    std = finite_columns(data["std"], "std", (n,))
     if n == 0 or not std.keys() >= deviations.keys():
         raise ValueError("expected angles, and a std for each of the deviations")
     if any(np.any(column < 0.0) for column in std.values()):
@@ -650,7 +651,7 @@ def _zeros(data: Mapping[str, Any], n: int) -> Zeros:
     if data and data["within"] not in get_args(Verdict):
         raise ValueError(f"zeros.within: {data['within']!r:.60} is no verdict")
     free = [
-        FreeDirection(str(d["name"]), _columns(d["columns"], "zeros.free", (n,)))
+        FreeDirection(str(d["name"]), finite_columns(d["columns"], "zeros.free", (n,)))
         for d in data.get("free", ())
     ]
     counts_from = str(data.get("counts_from", UNKNOWN))
@@ -660,7 +661,7 @@ def _zeros(data: Mapping[str, Any], n: int) -> Zeros:
 def _runs(data: Any) -> RepeatedRuns | None:
     if not isinstance(data, Mapping) or "targets" not in data:
         return None
-    targets = _column(data["targets"], "runs.targets")
+    targets = finite_column(data["targets"], "runs.targets")
     sides = {name: _side(data.get(name), len(targets), name) for name in ("forward", "reverse")}
     shapes = {np.shape(side) for side in sides.values() if side is not None}
     if len(shapes) > 1:
@@ -687,13 +688,13 @@ def _error_motion(data: Any) -> ErrorMotion | None:
 
 
 def _placement(data: Mapping[str, Any]) -> Placement:
-    positions = _column(data["positions"], "placement.positions")
+    positions = finite_column(data["positions"], "placement.positions")
     stations = _floats(data["stations"], "placement.stations")
     if not np.all(np.isfinite(stations)) or np.any(positions % 1.0):
         raise ValueError("placement: expected finite stations, and whole numbers as positions")
     return Placement(
-        _column(data["point"], "placement.point"),
-        _column(data["direction"], "placement.direction"),
+        finite_column(data["point"], "placement.point"),
+        finite_column(data["direction"], "placement.direction"),
         positions.astype(np.int64),
         stations if stations.size else np.zeros((0, 3)),
     )
@@ -742,8 +743,11 @@ def _residuals(data: Mapping[str, Any]) -> Residuals:
     return Residuals(**columns, std=std, coordinates=coordinates, unit=unit)
 
 
-def _columns(data: Any, where: str, shape: tuple[int, ...]) -> dict[str, Floats]:
-    """Return arrays of finite numbers by component, all of one ``shape``."""
+def finite_columns(data: Any, where: str, shape: tuple[int, ...]) -> dict[str, Floats]:
+    """Return the arrays of finite numbers by component at ``where`` in a file, of one ``shape``.
+
+    ValueError for anything else.
+    """
     columns = {name: _floats(values, f"{where}.{name}") for name, values in dict(data).items()}
     for name, column in columns.items():
         if column.shape != shape or not np.all(np.isfinite(column)):
@@ -753,7 +757,7 @@ def _columns(data: Any, where: str, shape: tuple[int, ...]) -> dict[str, Floats]
 
 def _covariances(data: Any, n: int) -> dict[str, Floats]:
     """Return covariance matrices by component; none exceeds what its variances allow."""
-    found = _columns(data, "covariance", (n, n))
+    found = finite_columns(data, "covariance", (n, n))
     for name, matrix in found.items():
         std = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
         bound = np.outer(std, std) + _ROUNDING * float(np.max(std**2, initial=0.0))
@@ -762,7 +766,8 @@ def _covariances(data: Any, n: int) -> dict[str, Floats]:
     return found
 
 
-def _column(values: Any, where: str) -> Floats:
+def finite_column(values: Any, where: str) -> Floats:
+    """Return the list of finite numbers at ``where`` in a file; ValueError for anything else."""
     column = _floats(values, where)
     if column.ndim != 1 or not np.all(np.isfinite(column)):
         raise ValueError(f"{where}: expected a list of finite numbers")

@@ -17,16 +17,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
+from rotcal_ros.foundation import untrusted
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.untrusted import (
-    WORKBOOKS,
-    open_plain,
-    plain_file,
-    read_bytes,
-    read_text,
-    reading,
-    why,
-)
 
 Header = tuple[str, ...]
 
@@ -136,11 +128,11 @@ def is_table(path: Path) -> bool:
     ending = path.suffix.lower()
     if ending == ".csv" or ending in _WORKBOOKS:
         return True
-    if ending in _OTHERS or not plain_file(path):
+    if ending in _OTHERS or not untrusted.plain_file(path):
         return False
-    with open_plain(path) as file:
+    with untrusted.open_plain(path) as file:
         begin = file.read(_LOOK)
-    if begin.startswith((*WORKBOOKS, b"\xff\xfe", b"\xfe\xff")):  # the last two: UTF-16
+    if begin.startswith((*untrusted.WORKBOOKS, b"\xff\xfe", b"\xfe\xff")):  # the last two: UTF-16
         return ending in _TEXTS
     text = begin.decode("utf-8-sig", errors="replace")
     return "\0" not in text and _SEPARATED.search(text) is not None
@@ -148,10 +140,10 @@ def is_table(path: Path) -> bool:
 
 def is_workbook(path: Path) -> bool:
     """Return whether ``path`` is a file of a spreadsheet program, by its first bytes."""
-    if not plain_file(path):
+    if not untrusted.plain_file(path):
         return False
-    with open_plain(path) as file:
-        return file.read(8).startswith(WORKBOOKS)
+    with untrusted.open_plain(path) as file:
+        return file.read(8).startswith(untrusted.WORKBOOKS)
 
 
 def own_table(source: Path | Table, headers: Sequence[Header]) -> Table | None:
@@ -161,7 +153,7 @@ def own_table(source: Path | Table, headers: Sequence[Header]) -> Table | None:
     """
     if isinstance(source, Table):
         return source if source.header in headers else None
-    with reading(source, BagError, "the table "), open_plain(source) as file:
+    with untrusted.reading(source, BagError, "the table "), untrusted.open_plain(source) as file:
         begin = file.read(_LOOK)
     begins = begin.decode("utf-8-sig", errors="replace").splitlines()
     first = next((line for line in begins if line.strip() and line.lstrip()[0] != "#"), "")
@@ -172,14 +164,14 @@ def own_table(source: Path | Table, headers: Sequence[Header]) -> Table | None:
 def read_table(path: Path) -> Table:
     """Read a table file; raises BagError when that is not possible."""
     try:
-        text = read_text(path, "utf-8-sig")
+        text = untrusted.read_text(path, "utf-8-sig")
     except UnicodeDecodeError as error:
         raise BagError(
             f"cannot read the table {path}: it is not text in UTF-8: save it as CSV UTF-8 "
             f"({error})"
         ) from error
     except OSError as error:
-        raise BagError(f"cannot read the table {path}: {why(error)}") from error
+        raise BagError(f"cannot read the table {path}: {untrusted.why(error)}") from error
     lines = [
         (number, tuple(cell.strip() for cell in cells))
         for number, line in enumerate(text.splitlines(), start=1)
@@ -217,7 +209,7 @@ def hashes(*tables: Table) -> dict[str, str]:
 
 def _content(table: Table) -> bytes:
     if not table.in_memory:
-        return read_bytes(table.path)
+        return untrusted.read_bytes(table.path)
     rows = (table.header, *(cells for _, cells in table.lines))
     return "".join(",".join(row) + "\n" for row in rows).encode()
 

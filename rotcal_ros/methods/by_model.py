@@ -95,6 +95,7 @@ class ByModel:
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
     the result, and the curves from each side. ``nominal``: what is read at a step where nothing is
     wrong. ``wrong``: blocks of what may be wrong beside the table, with the effect that it is.
+    ``sign``: -1.0 where the model takes a reading with the other sign.
     """
 
     name: str
@@ -110,6 +111,7 @@ class ByModel:
     untold: Callable[[Configuration], Mapping[str, Floats]] = lambda _configuration: {}
     counts_from: str = "first angle"
     wrong: Mapping[str, Effect] = field(default_factory=dict)
+    sign: Callable[[Configuration], float] = lambda _configuration: 1.0
 
     def solve(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
@@ -180,6 +182,7 @@ class ByModel:
         The table deviates at random; all else is as near to perfect as the outputs allow.
         """
         see, count = self.nominal(configuration, plan), self.coordinates(configuration)
+        sign = self.sign(configuration)
         nothing = [step.observed(see(step)) for step in plan.steps]
         model = self.model(configuration, Readings.of(nothing))
         random = np.random.default_rng([seed, 2])
@@ -192,8 +195,8 @@ class ByModel:
         values = np.array([o.mean for o in nothing])
         first = slice(len(values) * count)  # what is known comes after them
         # of displacements a model has the places, which they are from where a nest was sent
-        sent = model.observed[first].reshape(-1, count) - values[:, :count]
-        values[:, :count] = found[first].reshape(-1, count) - sent
+        sent = model.observed[first].reshape(-1, count) - sign * values[:, :count]
+        values[:, :count] = sign * (found[first].reshape(-1, count) - sent)
         seen = zip(plan.steps, map(tuple, values.tolist()), strict=True)
         read = tuple(step.observed(point) for step, point in seen)
         further = self.further(configuration)

@@ -35,7 +35,7 @@ _SETTLED: Final = 0.02
 
 @dataclass(frozen=True)
 class TrialMotion:
-    """A trial of ``way`` (rad) from ``start``, ordered at ``ordered_s``, ended at ``ended_s``.
+    """A trial of ``way`` (rad) from ``start``, ordered at ``ordered_s``.
 
     ``table`` (n, 3) has time of arrival, angle and velocity of the feedback, ``lengths`` (m, 2)
     time and length; s since the same instant, rad and m. ``fault``: what ended it early.
@@ -44,7 +44,6 @@ class TrialMotion:
     start: float
     way: float
     ordered_s: float
-    ended_s: float
     table: Floats
     lengths: Floats
     probe: Point | None = None

@@ -47,23 +47,13 @@ from rotcal_ros.methods.configuration import Configuration, parse_configuration,
 from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.choices import UNTIL_GOAL
+from rotcal_ros.recordings import recorded_setup
 from rotcal_ros.recordings.missing_data import (
     PlacedDropout,
     doubtful,
     placed_in,
     require_accepted,
     sentences,
-)
-from rotcal_ros.recordings.recorded_setup import (
-    Decoders,
-    RecordedChoice,
-    as_recorded,
-    differences,
-    find_configuration,
-    recorded_configurations,
-    recorded_subjects,
-    require_its_method,
-    require_one_configuration,
 )
 from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
 from rotcal_ros.recordings.topics import RoleMessages, Topics, of_one_cell
@@ -99,7 +89,7 @@ class Recording:
     broken: Mapping[str, int]
     sha256: Mapping[str, str]
     attachments: Mapping[str, bytes]
-    choices: tuple[RecordedChoice, ...] = ()
+    choices: tuple[recorded_setup.RecordedChoice, ...] = ()
     announced: frozenset[str] = frozenset()
     other_axes: tuple[str, ...] = ()
     frames: tuple[StaticFrame, ...] = ()
@@ -188,7 +178,7 @@ class Recording:
             calibration = self._as_chosen()
             if calibration is None:
                 return ()
-            return differences(calibration, self.choices, self.observations)
+            return recorded_setup.differences(calibration, self.choices, self.observations)
         except RotcalError as error:
             return (f"the policy cannot choose again: {error}",)
 
@@ -251,7 +241,7 @@ def _recording(
     """Do as :func:`read_recording`; raise SeveralCells if it is not clear which one is meant."""
     given = configuration is not None
     if configuration is None:
-        configuration = find_configuration(files, topics, limits)
+        configuration = recorded_setup.find_configuration(files, topics, limits)
     topics.follow(configuration.topics.renamed())
     calibration = methods.prepare(configuration)
     make = partial(_feeder, calibration, configuration)
@@ -262,20 +252,22 @@ def _recording(
     verdicts = tuple(scan.verdict() for scan in contents.scans)
     _require_messages(verdicts, path)
     if not given:
-        require_one_configuration(contents.scans, contents.planned, path)
+        recorded_setup.require_one_configuration(contents.scans, contents.planned, path)
     attachments = {n: a.data for scan in contents.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
     texts = (attached, *contents.planned)
-    set_ups = tuple(recorded_configurations(texts))
-    require_its_method(configuration, set_ups, path)
+    set_ups = tuple(recorded_setup.recorded_configurations(texts))
+    recorded_setup.require_its_method(configuration, set_ups, path)
     judged_live = contents.recorded if same_limit(configuration, set_ups[:1]) else ()
     captured = judged_as_live(feeder.observations, feeder.offsets, judged_live)
     captured = known_to_later_runs(captured, contents.recorded, contents.scans)
     broken = {c.topic: d.broken for c, d in contents.decoders.items() if d.broken}
     note_unread((*topics.unreadable.values(), *_undecoded(broken)))
-    subjects = tuple(recorded_subjects(texts, contents.scans))
+    subjects = tuple(recorded_setup.recorded_subjects(texts, contents.scans))
     return Recording(
-        calibration=replace(calibration, configuration=as_recorded(configuration, subjects)),
+        calibration=replace(
+            calibration, configuration=recorded_setup.as_recorded(configuration, subjects)
+        ),
         source=source,
         observations=captured if source == "streams" else tuple(contents.recorded),
         recorded=tuple(contents.recorded),
@@ -357,12 +349,12 @@ class _BagContents:
 
     recorded: list[Observation] = field(default_factory=list)
     planned: list[str] = field(default_factory=list)
-    choices: list[RecordedChoice] = field(default_factory=list)
+    choices: list[recorded_setup.RecordedChoice] = field(default_factory=list)
     announced: set[tuple[str, str]] = field(default_factory=set)
     frames: dict[str, StaticFrame] = field(default_factory=dict)
     scans: list[Scan] = field(default_factory=list)
     order: TimeOrders = field(default_factory=TimeOrders)
-    decoders: Decoders = field(default_factory=dict)
+    decoders: recorded_setup.Decoders = field(default_factory=dict)
 
     def add(self, part: RoleMessages, block: Block) -> None:
         """Add the messages of a part that is not a stream."""
@@ -371,7 +363,7 @@ class _BagContents:
         elif part.role == names.PLAN:
             self.planned += (message.configuration for _, message in part.messages(block))
         elif part.role == names.STEP_CHOICE:
-            self.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
+            self.choices += (recorded_setup.RecordedChoice.of(m) for _, m in part.messages(block))
         elif part.role == names.TABLE_IN_FORCE:
             self.announced |= {(m.axis, m.in_force) for _, m in part.messages(block)}
         elif part.role == names.TF_STATIC:

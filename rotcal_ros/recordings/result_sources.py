@@ -30,8 +30,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings
 from rotcal_ros.foundation.tables import is_table, own_table
-from rotcal_ros.foundation.untrusted import load_json, read_bytes, reading, why
-from rotcal_ros.foundation.untrusted import read_text as text_of_file
+from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
@@ -143,13 +142,7 @@ def read_repeated_runs(
     if own is None:
         return read_any_runs(path, sheet, announce)
     announce(Reading(own))
-    return read_runs(read_text(path), str(path))
-
-
-def read_text(path: Path) -> str:
-    """Return the text of ``path`` without a byte order mark; raises BagError."""
-    with reading(path, BagError):
-        return text_of_file(path, "utf-8-sig")
+    return read_runs(own)
 
 
 @dataclass(frozen=True)
@@ -173,8 +166,9 @@ class References:
 
     def faces(self, path: Path) -> MeasuredCurve:
         """Return the curve in a table as it stands there."""
-        if own_table(path, (COLUMNS, COLUMNS[:2])) is not None:
-            return read_reference(read_text(path), str(path), self.std)
+        own = own_table(path, (COLUMNS, COLUMNS[:2]))
+        if own is not None:
+            return read_reference(own, self.std)
         return read_deviations(path, self.std, self.sheet, self.announce)
 
 

@@ -76,7 +76,7 @@ def section(result: Result) -> str | None:
     figures = iso230(runs)
     rows = [
         [phrase(name), *("–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded))]
-        for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
+        for name, values, expanded in figures.summary()
     ]
     drawn = diagrams(runs, figures)
     notes = () if figures.measurement_stated else (phrase(ONLY_SCATTER),)

@@ -138,7 +138,7 @@ def test_reference_in_the_wrong_unit_or_sense_is_named(tmp_path, change, reason)
     ("text", "code", "found"),
     [
         ("angle,correction\n0,1\n", 2, "no column deviation_rad"),
-        ("angle_deg,deviation_arcsec\n0,1\n10,x\n20,1\n", 3, "line 3"),
+        ("angle_deg,deviation_arcsec\n0,1\n10,x\n20,1\n", 3, "row 3"),
         ("angle_deg,deviation_arcsec\n0,1\n0,1\n20,1\n", 3, "occurs twice"),
         ("angle_deg,deviation_arcsec\n0,1\n180,2\n270,2\n360,9\n", 3, "same table position"),
         ("angle_deg,deviation_arcsec\n0,1\n120,1\n240,1\n", 3, "states no uncertainty"),

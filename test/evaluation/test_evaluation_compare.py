@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG
+from text_tables import table_in
 
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
@@ -172,7 +173,7 @@ def test_autocollimator_and_polygon():
     polygon = "angle_deg,deviation_arcsec,u_arcsec\n" + "".join(
         f"{a},{f:.12f},0.4\n" for a, f in zip(angles[:-1], faces[:-1], strict=True)
     )
-    table = without_polygon(read_reference(reading, "r.csv"), read_reference(polygon, "p.csv"))
+    table = without_polygon(read_reference(table_in(reading)), read_reference(table_in(polygon)))
     assert len(table.angles) == 24
     np.testing.assert_allclose(table.deviation, truth(table.angles), atol=1e-15)
     np.testing.assert_allclose(np.sqrt(np.diag(table.covariance)), 0.5 * ARCSEC)
@@ -183,10 +184,10 @@ def test_autocollimator_and_polygon():
 
 def test_polygon_without_a_face_is_refused():
     reading = read_reference(
-        "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n120,2,0\n240,3,0\n", "r.csv"
+        table_in("angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n120,2,0\n240,3,0\n")
     )
     polygon = read_reference(
-        "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n90,2,0\n180,3,0\n270,1,0\n", "p.csv"
+        table_in("angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n90,2,0\n180,3,0\n270,1,0\n")
     )
     with pytest.raises(DataError, match="no face for 120 deg"):
         without_polygon(reading, polygon)
@@ -196,10 +197,16 @@ def test_polygon_without_a_face_is_refused():
     ("text", "expected"),
     [
         ("angle_deg,deviation_arcsec\n0,1\n90,1\n", "2 rows, expected at least 3"),
-        ("angle_deg,deviation_arcsec\n0,1\n90\n180,1\n", "line 3: 1 columns"),
-        ("angle_deg,deviation_arcsec\n0,1\n90,one\n180,1\n", "line 3: .*numbers only"),
-        ("angle_deg,deviation_arcsec\n0,1\n90,inf\n180,1\n", "line 3.*finite"),
-        ("angle_deg,deviation_arcsec,u_arcsec\n0,1,1\n90,1,-1\n180,1,1\n", "u not negative"),
+        ("angle_deg,deviation_arcsec\n0,1\n90\n180,1\n", "row 3: expected 2 values .*, found 1"),
+        (
+            "angle_deg,deviation_arcsec\n0,1\n90,one\n180,1\n",
+            "row 3: deviation_arcsec must be .* found 'one'",
+        ),
+        ("angle_deg,deviation_arcsec\n0,1\n90,inf\n180,1\n", "row 3.*finite"),
+        (
+            "angle_deg,deviation_arcsec,u_arcsec\n0,1,1\n90,1,-1\n180,1,1\n",
+            "row 3: the uncertainty is negative",
+        ),
         ("angle_deg,deviation_arcsec\n0,1\n90,1\n90,2\n180,1\n", "90 deg occurs twice"),
         (
             "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n120,1,0\n240,1,0\n360,9,0\n",
@@ -214,13 +221,13 @@ def test_polygon_without_a_face_is_refused():
 )
 def test_bad_references_are_refused_with_the_place(text, expected):
     with pytest.raises(DataError, match=expected):
-        read_reference(text, "ref.csv")
+        read_reference(table_in(text, "ref.csv"))
 
 
-@pytest.mark.parametrize(("text", "found"), [("", "none"), ("angle,dev\n", "angle, dev")])
+@pytest.mark.parametrize(("text", "found"), [("", "''"), ("angle,dev\n", "'angle,dev'")])
 def test_other_columns_are_no_reference(text, found):
-    with pytest.raises(BagError, match=rf"ref\.csv: the columns are {found}, expected angle_deg"):
-        read_reference(text, "ref.csv")
+    with pytest.raises(BagError, match=rf"ref\.csv: expected the header .*, found {found}"):
+        read_reference(table_in(text, "ref.csv"))
 
 
 def test_an_input_that_is_suspect_or_not_protected_is_named_even_where_curves_agree():

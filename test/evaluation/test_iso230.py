@@ -2,6 +2,7 @@ from statistics import mean, stdev
 
 import numpy as np
 import pytest
+from text_tables import table_in
 
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230, read_runs
 from rotcal_ros.foundation.errors import BagError, DataError
@@ -89,7 +90,7 @@ def test_runs_come_from_a_table_in_any_order():
     runs = hand_checked_runs()
     head, *lines = csv_of(runs).splitlines()
     mixed = np.random.default_rng(2).permutation(lines).tolist()
-    back = read_runs("\n".join([head, *mixed]), "runs.csv")
+    back = read_runs(table_in("\n".join([head, *mixed])))
     np.testing.assert_allclose(back.forward, runs.forward, atol=1e-18)
     np.testing.assert_allclose(back.reverse, runs.reverse, atol=1e-18)
 
@@ -98,23 +99,23 @@ def test_runs_come_from_a_table_in_any_order():
     ("change", "text"),
     [
         (lambda lines: lines[:5] + lines[6:], r"missing 0 deg in run 5 up"),
-        (lambda lines: [*lines, lines[3]], r"line 82: 0 deg, run 3 up occurs twice"),
-        (lambda lines: [*lines, "0,6,left,1"], "line 82: direction 'left'"),
-        (lambda lines: [*lines, "0,6,up,x"], "'x' is not a number"),
-        (lambda lines: [*lines, "0,6,up,nan"], "not a finite number"),
-        (lambda lines: [*lines, "0,6"], "line 82: 2 columns, expected 4"),
-        (lambda lines: lines[:1], "0 targets"),
+        (lambda lines: [*lines, lines[3]], r"row 82: 0 deg, run 3 up occurs twice"),
+        (lambda lines: [*lines, "0,6,left,1"], "row 82: direction 'left'"),
+        (lambda lines: [*lines, "0,6,up,x"], "must be a finite number, found 'x'"),
+        (lambda lines: [*lines, "0,6,up,nan"], "must be a finite number, found 'nan'"),
+        (lambda lines: [*lines, "0,6"], "row 82: expected 4 values .*, found 2"),
+        (lambda lines: lines[:1], "has a header but no rows"),
     ],
 )
 def test_bad_tables_of_runs_are_refused_with_the_place(change, text):
     lines = change(csv_of(hand_checked_runs()).splitlines())
     with pytest.raises(DataError, match=text):
-        read_runs("\n".join(lines), "runs.csv")
+        read_runs(table_in("\n".join(lines)))
 
 
 def test_other_columns_are_no_table_of_runs():
-    with pytest.raises(BagError, match="columns are a, b, expected angle_deg"):
-        read_runs("a,b\n0,1\n", "runs.csv")
+    with pytest.raises(BagError, match=r"expected the header line 'angle_deg,run,.*, found 'a,b'"):
+        read_runs(table_in("a,b\n0,1\n"))
 
 
 def test_runs_that_do_not_fit_are_refused():

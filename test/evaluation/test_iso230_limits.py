@@ -7,6 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from text_tables import table_in
 
 from rotcal_ros.evaluation.iso230 import (
     BidirectionalRuns,
@@ -126,7 +127,8 @@ def test_every_figure_per_target_by_hand():
 
 
 def test_the_summary_names_each_figure():
-    figures = [(name, tuple(values)) for name, values in uneven().summary()]
+    found = uneven()
+    figures = [(name, values) for name, values, _ in found.summary()]
     assert [name for name, _ in figures] == [
         "Reversal B", "Mean reversal", "Repeatability R", "Systematic deviation E",
         "Range of the mean M", "Accuracy A",
@@ -137,6 +139,9 @@ def test_the_summary_names_each_figure():
     ]  # fmt: skip
     for (name, values), wanted in zip(figures, expected, strict=True):
         assert values == pytest.approx(wanted, abs=1e-12), name
+    stated = [expanded for *_, expanded in found.summary()]
+    assert stated[0] == found.uncertainties["reversal"].expanded
+    assert stated[-1] == found.uncertainties["accuracy"].expanded
 
 
 # Tables and results that hold runs.
@@ -161,7 +166,7 @@ ROWS = [
 def test_a_table_of_runs_is_read_in_degrees_and_arcseconds():
     """The value is 10 target + 3 run + 1 on the way up; spaces and blank lines do not matter."""
     text = text_of(ROWS).replace(",up,", " , up ,").replace("\n30,", "\n\n30,")
-    found = read_runs(text, "r.csv")
+    found = read_runs(table_in(text))
     np.testing.assert_allclose(found.targets, np.deg2rad([0.0, 30.0, 60.0]))
     down = np.array([[3.0, 6.0], [13.0, 16.0], [23.0, 26.0]])
     np.testing.assert_allclose(found.reverse / ARCSEC, down)
@@ -182,18 +187,18 @@ def test_a_table_of_runs_is_read_in_degrees_and_arcseconds():
 def test_three_that_are_missing_are_named_and_the_others_counted(gone, words):
     left = [row for k, row in enumerate(ROWS) if k not in gone]
     with pytest.raises(DataError, match=words):
-        read_runs(text_of(left), "r.csv")
+        read_runs(table_in(text_of(left)))
 
 
 def test_a_table_without_a_line_has_no_columns():
-    with pytest.raises(BagError, match=r"r\.csv: the columns are none, expected angle_deg, run"):
-        read_runs("", "r.csv")
+    with pytest.raises(BagError, match=r"r\.csv: expected the header .*, found ''"):
+        read_runs(table_in("", "r.csv"))
 
 
 @pytest.mark.parametrize("row", [["x", 1, "up", 2], [0, 1, "up", "x"], ["inf", 1, "up", 2]])
 def test_numbers_are_numbers(row):
-    with pytest.raises(DataError, match=r"r\.csv, line 14: .* is not a (finite )?number"):
-        read_runs(text_of([*ROWS, row]), "r.csv")
+    with pytest.raises(DataError, match=r"r\.csv, row 14: .* must be a finite number"):
+        read_runs(table_in(text_of([*ROWS, row]), "r.csv"))
 
 
 def result(forward, reverse, kept=True):

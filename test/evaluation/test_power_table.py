@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.power_table import Bench, PowerRow, power_rows
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR, Protection
 from rotcal_ros.foundation.units import MICROMETRE
@@ -17,6 +16,8 @@ from rotcal_ros.methods import prepare, read_configuration
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "what_could_be_wrong.md"
 PLANS = ROOT / "scripts" / "power_plans"
+SCRIPT = runpy.run_path(str(ROOT / "scripts" / "power_table.py"))
+Bench, PowerRow, power_rows = (SCRIPT[name] for name in ("Bench", "PowerRow", "power_rows"))
 ROW = PowerRow("drift", "it drifts", "tested", "um", 1.0, True, False, 2.0, False)
 
 
@@ -60,7 +61,7 @@ def test_what_the_table_really_does_is_no_error_of_an_effect():
 
 
 def test_an_effect_is_explained_again_where_it_is_another():
-    once = runpy.run_path(str(ROOT / "scripts" / "power_table.py"))["_once"]
+    once = SCRIPT["_once"]
     told = {}
     first = "table\n\n* drift: of the machine\n* knock: of the\n  tracer\n"
     assert once(first, told) == first

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from text_tables import table_in
 
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
@@ -14,7 +15,9 @@ TAU = 2.0 * np.pi
 def read(rows, columns=3):
     head = ["angle_deg", "deviation_arcsec", "u_arcsec"][:columns]
     lines = [",".join(map(str, row[:columns])) for row in [head, *rows]]
-    return read_reference("\n".join(lines) + "\n", "ref.csv", 0.0 if columns == 2 else None)
+    return read_reference(
+        table_in("\n".join(lines) + "\n", "ref.csv"), 0.0 if columns == 2 else None
+    )
 
 
 def test_rows_in_any_order_become_a_circle_from_zero():
@@ -75,10 +78,16 @@ def test_three_rows_are_enough(rows, enough):
     [
         ([(0, 1, 0), (40, 1, 0), (40, 2, 0), (70, 1, 0)], "the angle 40 deg occurs twice"),
         ([(0, 1, 0), (70, 1, 0), (40, 2, 0), (40, 1, 0)], "the angle 40 deg occurs twice"),
-        ([(0, 1, 0), (90, 1, -0.5), (180, 1, 0)], r"line 3: 90, 1, -0.5: expected finite numbers"),
-        ([(0, 1, 0), (90, 1, 0), (180, "nan", 0)], r"line 4: 180, nan, 0: expected finite"),
-        ([(0, 1, 0), (90, 1), (180, 1, 0)], "line 3: 2 columns, expected 3"),
-        ([(0, 1, 0), ("",), (90, 1, 0), (1, "x", 0)], "line 5: could not convert"),
+        ([(0, 1, 0), (90, 1, -0.5), (180, 1, 0)], r"row 3: the uncertainty is negative: -0.5"),
+        (
+            [(0, 1, 0), (90, 1, 0), (180, "nan", 0)],
+            r"row 4: deviation_arcsec must be .* found 'nan'",
+        ),
+        ([(0, 1, 0), (90, 1), (180, 1, 0)], r"row 3: expected 3 values .*, found 2"),
+        (
+            [(0, 1, 0), ("",), (90, 1, 0), (1, "x", 0)],
+            r"row 5: deviation_arcsec must be .* found 'x'",
+        ),
     ],
 )
 def test_a_row_that_cannot_be_is_named(rows, words):

@@ -1,5 +1,6 @@
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from rotcal_ros.foundation.results import (
     Rejection,
     Residuals,
     Result,
+    plain_fields,
 )
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -173,3 +175,16 @@ def test_reversal_is_forward_less_reverse_with_its_own_uncertainty():
     np.testing.assert_allclose(both.reversal_std, np.sqrt([4.0 / 7.0, 6.0 / 7.0]))
     tied = np.kron(np.ones((2, 2)), np.eye(2))  # what both have in common is in no reversal
     np.testing.assert_allclose(with_directions(covariance=tied).reversal_std, 0.0, atol=1e-12)
+
+
+def test_what_json_lacks_is_null():
+    @dataclass(frozen=True)
+    class Found:
+        size: float
+        column: np.ndarray
+        by_name: dict[str, float]
+
+    found = plain_fields(Found(inf, np.array([1.0, -inf, nan]), {"knock": inf, "drift": 2.0}))
+    assert json.loads(json.dumps(found, allow_nan=False)) == {
+        "size": None, "column": [1.0, None, None], "by_name": {"knock": None, "drift": 2.0},
+    }  # fmt: skip

@@ -29,7 +29,7 @@ def turn(*, ratio=1.0, velocity=1.0, table_late_s=0.0, creep_s=0.0, seen=1.0, **
     table = np.column_stack([times, 0.3 + ratio * WAY * moved, moving])
     noise = np.random.default_rng(11).normal(0.0, 1e-7, len(times))
     lengths = np.column_stack([times, 0.5 + 8e-3 * seen * part(0.0, 1.0 + creep_s) + noise])
-    return TrialMotion(0.3, WAY, 1.0, 6.0, table, lengths, **more)
+    return TrialMotion(0.3, WAY, 1.0, table, lengths, **more)
 
 
 def told(motion, beams=(8e-3, -3e-3)):

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.controller import EveryTurnController, Facts
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     even_interval_deg,
@@ -30,8 +30,7 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.units import DEGREE, TURN
+from rotcal_ros.foundation.units import DEGREE
 
 DECIMALS: Final = 9
 PLACES: Final = 6
@@ -56,7 +55,7 @@ class CommandedTable:
 
 
 @dataclass(frozen=True)
-class Kflop(Controller):
+class Kflop(EveryTurnController):
     """Dynomotion KFLOP or Kogna: the rows are written for every turn of the travel."""
 
     suffixes = (".txt",)
@@ -73,9 +72,6 @@ class Kflop(Controller):
         "the two columns of a point: read off a user's table in the maker's forum",
         "what the control does beyond the table: keep the travel inside",
     )
-
-    first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
-    turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table; ConfigurationError for an arc or uneven rows."""
@@ -109,8 +105,3 @@ class Kflop(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return the last decimal, in rad."""
         return 10.0**-DECIMALS * DEGREE
-
-    @property
-    def travel(self) -> tuple[float, float]:
-        """First and last angle (rad) of the turns that are written."""
-        return self.first_turn * TURN, (self.first_turn + self.turns) * TURN

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.controller import EveryTurnController, Facts
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     every_turn,
@@ -33,7 +33,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 BEND_DEG: Final = 0.01
 """Half the stretch around a row in which the multiplier changes."""
@@ -73,7 +73,7 @@ class PitchPoints:
 
 
 @dataclass(frozen=True)
-class Smoothieware(Controller):
+class Smoothieware(EveryTurnController):
     """Smoothieware of the Carvera, for a table that is driven as X, Y or Z."""
 
     suffixes = (".dat",)
@@ -94,8 +94,6 @@ class Smoothieware(Controller):
     letter: str = setting(
         "X", doc="axis of the control that drives the table", choices=("X", "Y", "Z")
     )
-    first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
-    turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the points; ConfigurationError unless the table is zero at 0 and holds 0."""
@@ -145,11 +143,6 @@ class Smoothieware(Controller):
         widest = np.spacing(np.float32(np.max(np.diff(angles))))
         target = np.spacing(np.float32(np.max(np.abs(self.travel)) / DEGREE))
         return float(2.0 * (2.0 * bend + ROUNDINGS * widest + target) * DEGREE)
-
-    @property
-    def travel(self) -> tuple[float, float]:
-        """First and last angle (rad) of the turns that are written."""
-        return self.first_turn * TURN, (self.first_turn + self.turns) * TURN
 
 
 def _points(angles: Floats, added: Floats) -> list[tuple[float, float]]:

@@ -117,7 +117,7 @@ def _of_its_table(recording: Recording) -> Result:
     return replace(result, circumstances=known)
 
 
-FORM: Final = 2
+FORM: Final = 3
 """Of what the cache keeps."""
 AGREED: Final = ("tolerance_arcsec", "tolerance_um")
 TAIL_BYTES: Final = 1 << 16
@@ -128,7 +128,6 @@ TAIL_BYTES: Final = 1 << 16
 class BagOutcome:
     """The outcome of one bag; ``error`` is empty if there is a result.
 
-    ``set_aside``: no worker survived or finished it.
     ``start_ns`` is the log time of the first message, ``session`` is the same for a recording, its
     copies and its repaired twins. ``cached`` says
     that nothing had to be computed, ``healed`` that the cached entry was damaged and was computed
@@ -143,7 +142,6 @@ class BagOutcome:
     warnings: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     error: str = ""
-    set_aside: bool = False
     seconds: float = 0.0
     cached: bool = False
     healed: bool = False

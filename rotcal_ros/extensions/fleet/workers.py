@@ -282,7 +282,7 @@ class Supervised:
 
 
 def _set_aside(source: str, reason: str) -> BagOutcome:
-    return BagOutcome(source, "", error=f"set aside: {reason}", set_aside=True)
+    return BagOutcome(source, "", error=f"set aside: {reason}")
 
 
 def _blamed(deaths: Sequence[str]) -> bool:

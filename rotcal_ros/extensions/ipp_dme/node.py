@@ -21,14 +21,7 @@ from rotcal_ros.extensions.ipp_dme.protocol import DmeError
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.node_state import LOADING, NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
-from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.announced_plan import (
-    RUN,
-    PlanSubscription,
-    calibration_of,
-    load_method,
-    run_name,
-)
+from rotcal_ros.nodes.runtime import announced_plan, conversions
 from rotcal_ros.nodes.runtime.beat_values import BLOCKED, show
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
@@ -53,7 +46,7 @@ class DmeAdapter(CellNode):
 
     def configure(self) -> None:
         """Prepare the session with the machine, which begins with the first activation."""
-        load_method(self)
+        announced_plan.load_method(self)
         settings = self.settings("dme", DmeSettings)
         self._joint = self.settings("cell", CellSettings).joint or "table"
         self._plan: Plan | None = None
@@ -70,7 +63,7 @@ class DmeAdapter(CellNode):
         self._stop = EmergencyStop(
             self, self.settings("safety", SafetySettings), "the machine is stopped", self._halt
         )
-        PlanSubscription(self, self._take_plan)
+        announced_plan.PlanSubscription(self, self._take_plan)
         self.every(WATCH_PERIOD_S, self._watch)
 
     def deactivated(self) -> None:
@@ -99,11 +92,11 @@ class DmeAdapter(CellNode):
         """Take the plan, which says which ball is touched how often."""
         self._follow_planner()
         early, self._early = self._early, None
-        self._plan, self._run, self._loading = None, run_name(message), True
+        self._plan, self._run, self._loading = None, announced_plan.run_name(message), True
         self._orders.clear()
         self.health.beat()
         try:
-            self._plan = calibration_of(message).plan
+            self._plan = announced_plan.calibration_of(message).plan
         finally:
             self._loading = False
         if early is not None and early[0] == self._run:
@@ -146,7 +139,7 @@ class DmeAdapter(CellNode):
         """Return for which run of a plan the planner works; None: for none, or unknown."""
         if PLANNER in self.health.lost:
             return None
-        return self.health.values(PLANNER).get(RUN)
+        return self.health.values(PLANNER).get(announced_plan.RUN)
 
     def _follow_planner(self) -> None:
         """Drop the plan and its orders when its calibration has ended."""

@@ -22,23 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.extensions.scene.drawing import (
-    Balls,
-    Colour,
-    Disc,
-    Errors,
-    Label,
-    Lines,
-    SceneLayout,
-    SceneProgress,
-    Shape,
-    Transform,
-    draw_moving,
-    draw_still,
-    layout_of,
-    moving_frames,
-    standing_frames,
-)
+from rotcal_ros.extensions.scene import drawing
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.units import DEGREE
@@ -49,13 +33,13 @@ from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 from rotcal_ros.nodes.runtime.running import run
 
 
-def markers(shapes: Iterable[Shape], stamp_ns: int) -> MarkerArray:
+def markers(shapes: Iterable[drawing.Shape], stamp_ns: int) -> MarkerArray:
     """Return a whole scene, which replaces what its topic has shown before."""
     clear = Marker(header=header(stamp_ns), action=Marker.DELETEALL)
     return MarkerArray(markers=[clear, *(_marker(shape, stamp_ns) for shape in shapes)])
 
 
-def transform(frame: Transform, stamp_ns: int) -> TransformStamped:
+def transform(frame: drawing.Transform, stamp_ns: int) -> TransformStamped:
     """Return the message of a frame."""
     message = TransformStamped(header=header(stamp_ns, frame.parent), child_frame_id=frame.child)
     message.transform.translation = _vector(*frame.translation)
@@ -64,27 +48,27 @@ def transform(frame: Transform, stamp_ns: int) -> TransformStamped:
     return message
 
 
-def _marker(shape: Shape, stamp_ns: int) -> Marker:
+def _marker(shape: drawing.Shape, stamp_ns: int) -> Marker:
     marker = Marker(header=header(stamp_ns), ns=shape.name, id=0, action=Marker.ADD)
     match shape:
-        case Disc():
+        case drawing.Disc():
             marker.type = Marker.CYLINDER
             marker.pose.position = _point(shape.centre)
             diameter = 2.0 * shape.radius
             marker.scale = _vector(diameter, diameter, shape.thickness)
             marker.color = _colour(shape.colour)
-        case Lines():
+        case drawing.Lines():
             marker.type = Marker.LINE_LIST
             marker.points = _points(shape.points)
             marker.scale.x = shape.width
             marker.color = _colour(shape.colour)
-        case Balls():
+        case drawing.Balls():
             marker.type = Marker.SPHERE_LIST
             marker.points = _points(shape.points)
             marker.scale = _vector(*[shape.diameter] * 3)
             marker.colors = [_colour(colour) for colour in shape.colours]
             marker.color = marker.colors[0]
-        case Label():
+        case drawing.Label():
             marker.type = Marker.TEXT_VIEW_FACING
             marker.pose.position = _point(shape.place)
             marker.scale.z = shape.height
@@ -106,7 +90,7 @@ def _vector(x: float, y: float, z: float) -> Vector3:
     return Vector3(x=x, y=y, z=z)
 
 
-def _colour(colour: Colour) -> ColorRGBA:
+def _colour(colour: drawing.Colour) -> ColorRGBA:
     red, green, blue, opacity = colour
     return ColorRGBA(r=red, g=green, b=blue, a=opacity)
 
@@ -133,9 +117,9 @@ class SceneNode(CellNode):
     def configure(self) -> None:
         """Wait for a plan."""
         self._exaggeration = self._wanted_exaggeration()
-        self._layout: SceneLayout | None = None
-        self._progress: SceneProgress | None = None
-        self._errors: Errors | None = None
+        self._layout: drawing.SceneLayout | None = None
+        self._progress: drawing.SceneProgress | None = None
+        self._errors: drawing.Errors | None = None
         self._announced = False
         self._joint, self._heard = "", set[str]()
         self._state = NO_PLAN
@@ -161,8 +145,8 @@ class SceneNode(CellNode):
         self._joint = calibration.configuration.cell.joint
         topics = calibration.configuration.topics.renamed()
         self._hear_feedback(topics.get(names.JOINT_STATES, names.JOINT_STATES))
-        self._layout = layout_of(calibration)
-        self._progress = SceneProgress(self._layout)
+        self._layout = drawing.layout_of(calibration)
+        self._progress = drawing.SceneProgress(self._layout)
         self._errors, self._step, self._shown, self._changed = None, None, None, True
         self._announced = False
         self._state = NodeState.of(State.WORKING, Why.DRAWING, message.method)
@@ -174,7 +158,7 @@ class SceneNode(CellNode):
         ]
         angles = np.array(message.angles)
         table = np.stack([column + np.zeros(len(angles)) for column in columns], axis=1)
-        self._errors = Errors(angles, table[:, :3], table[:, 3:])
+        self._errors = drawing.Errors(angles, table[:, :3], table[:, 3:])
         self._changed = True
 
     def _take_order(self, message: ProbeTarget) -> None:
@@ -215,7 +199,9 @@ class SceneNode(CellNode):
         if self._layout is None or self._progress is None or not self._changed:
             return
         self._changed = False
-        shapes = draw_still(self._layout, self._progress.states, self._errors, self._exaggeration)
+        shapes = drawing.draw_still(
+            self._layout, self._progress.states, self._errors, self._exaggeration
+        )
         self._scene.publish(markers(shapes, self.now_ns()))
         if self._errors is not None and not self._announced:
             self._announced = True
@@ -226,13 +212,13 @@ class SceneNode(CellNode):
             return
         angle, now_ns = self._angle(), self.now_ns()
         step = None if self._step is None else self._layout.steps[self._step]
-        self._frames.publish(moving_frames(self._layout, angle, step), now_ns)
+        self._frames.publish(drawing.moving_frames(self._layout, angle, step), now_ns)
         if self._shown is not None:
             before, step_before = self._shown
             if abs(angle - before) < LEAST_TURN and self._step == step_before:
                 return
         self._shown = angle, self._step
-        self._moving.publish(markers(draw_moving(self._layout, angle, step), now_ns))
+        self._moving.publish(markers(drawing.draw_moving(self._layout, angle, step), now_ns))
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {"tf": self._frames.published}
@@ -247,15 +233,15 @@ class Frames:
             self._tf = node.create_publisher(TFMessage, "/tf", EVENT)
             self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
             now_ns = node.get_clock().now().nanoseconds
-            self._tf_static.publish(_frames_message(standing_frames(), now_ns))
+            self._tf_static.publish(_frames_message(drawing.standing_frames(), now_ns))
 
-    def publish(self, frames: Iterable[Transform], stamp_ns: int) -> None:
+    def publish(self, frames: Iterable[drawing.Transform], stamp_ns: int) -> None:
         """Publish frames that move."""
         if self.published:
             self._tf.publish(_frames_message(frames, stamp_ns))
 
 
-def _frames_message(frames: Iterable[Transform], stamp_ns: int) -> Any:
+def _frames_message(frames: Iterable[drawing.Transform], stamp_ns: int) -> Any:
     transforms: list[TransformStamped] = [transform(frame, stamp_ns) for frame in frames]
     return TFMessage(transforms=transforms)
 

@@ -201,7 +201,13 @@ def _reference(details: Mapping[str, Any]) -> str:
     return style.svg(ax)
 
 
-METHOD: Final = ByModel(NAME, model, states, arrivals=arrivals).method(
+METHOD: Final = ByModel(
+    NAME,
+    model,
+    states,
+    arrivals=arrivals,
+    sign=lambda configuration: configuration.solver.sign,
+).method(
     title="Two circles: polygon, indexing table or encoder beside the table",
     page="angle_comparison",
     plan_settings=ComparisonPlanSettings,

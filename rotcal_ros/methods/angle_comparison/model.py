@@ -140,7 +140,6 @@ def model_of(
     """
     circles, settings = Circles.of(plan), len(plan.shifts_deg)
     certified = known_reference(solver, circles)
-    sign = 1.0 if solver.readings_count == "with the table" else -1.0
     blocks = {
         "table angle": circles.n_table,
         "reference mark": len(circles.marks) if certified or settings > 1 else 0,
@@ -154,7 +153,7 @@ def model_of(
     reference = {REFERENCE: from_mean(blocks, "reference mark")} if mark else {}
     model = Model(
         blocks=blocks,
-        observed=sign * read.value,
+        observed=solver.sign * read.value,
         std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
         equations=linear(csr_array(design)),
         outputs=positions - positions[0],

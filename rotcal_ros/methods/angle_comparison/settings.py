@@ -70,6 +70,11 @@ class ComparisonSolverSettings:
         minimum=1e-3,
     )
 
+    @property
+    def sign(self) -> float:
+        """1.0 where a table that turns too far reads more, -1.0 where it reads less."""
+        return 1.0 if self.readings_count == "with the table" else -1.0
+
 
 @dataclass(frozen=True)
 class SimulatedReferenceSettings:

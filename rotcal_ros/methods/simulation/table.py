@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation import plain_csv
 from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.observations import Approach, TableSample
@@ -94,6 +93,9 @@ def correction(settings: TableSettings, angles: Floats, approach: Approach) -> F
     rows = settings.compensation
     if not rows.angles_deg:
         return np.zeros_like(angles)
+    # Solving a bag loads the simulated instrument, and needs no controller.
+    from rotcal_ros.compensation import plain_csv
+
     table = plain_csv.CsvTable(
         angle_deg=np.array(rows.angles_deg),
         forward_arcsec=np.array(rows.forward_arcsec),

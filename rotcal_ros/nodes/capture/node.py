@@ -17,23 +17,7 @@ from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.capture.instrument_streams import InstrumentStreams
-from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.announced_plan import (
-    RUN,
-    PlanSubscription,
-    calibration_of,
-    load_method,
-    run_name,
-)
-from rotcal_ros.nodes.runtime.beat_values import (
-    CLOCK_DOUBT,
-    COMPLAINT,
-    HOPELESS,
-    OFFSET,
-    REJECTED,
-    WAITING_FOR,
-    show,
-)
+from rotcal_ros.nodes.runtime import announced_plan, beat_values, conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import run
@@ -58,33 +42,33 @@ class CaptureWarnings:
     def begin(self) -> None:
         """Forget what belongs to an earlier plan."""
         self._rejections, self._kinds = Rejections(), dict[str, str]()
-        for key in (REJECTED, COMPLAINT):
-            show(self._health, key, None)
+        for key in (beat_values.REJECTED, beat_values.COMPLAINT):
+            beat_values.show(self._health, key, None)
 
     def observed(self, observation: Observation) -> None:
         """Note an observation: three rejected in a row are an error, fewer a warning."""
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
         alarm, text = self._rejections.alarming, self._rejections.in_words()
-        show(self._health, REJECTED, text, alarm=alarm)
+        beat_values.show(self._health, beat_values.REJECTED, text, alarm=alarm)
         if text:
             self._health.beat()  # at once: the goal may end with this rejection
 
     def complain(self, text: str | None) -> None:
         """Report what is wrong with the present order; None: nothing."""
-        self._tell(COMPLAINT, text)
+        self._tell(beat_values.COMPLAINT, text)
 
     def offset(self, offsets: StampOffsets) -> None:
         """Report streams whose clocks differ too much, or seem to differ a little."""
-        self._tell(OFFSET, offsets.reason_to_reject())
-        self._tell(CLOCK_DOUBT, offsets.doubt())
+        self._tell(beat_values.OFFSET, offsets.reason_to_reject())
+        self._tell(beat_values.CLOCK_DOUBT, offsets.doubt())
 
     def _tell(self, key: str, text: str | None) -> None:
         """Show a text while it holds; each kind has one line."""
         if text and kind_of(text) != self._kinds.get(key):
             self._logger.warning(text)
             self._kinds[key] = kind_of(text)
-        show(self._health, key, text)
+        beat_values.show(self._health, key, text)
 
 
 class CaptureNode(CellNode):
@@ -95,7 +79,7 @@ class CaptureNode(CellNode):
 
     def configure(self) -> None:
         """Subscribe to instruments, plans and orders."""
-        load_method(self)
+        announced_plan.load_method(self)
         self._capture: Capture | None = None
         self._finder: StepFinder | None = None
         self._run, self._state = "", NO_PLAN
@@ -104,7 +88,7 @@ class CaptureNode(CellNode):
         self._trigger = LengthTrigger(self)
         self._warnings = CaptureWarnings(self.health, self.get_logger())
         self._observations = self.create_publisher(msg.Observation, names.OBSERVATION, EVENT)
-        PlanSubscription(self, self._take_plan)
+        announced_plan.PlanSubscription(self, self._take_plan)
         self._instruments = InstrumentStreams(self, self._hear)
         self._orders = self.take_orders(self._take_order)
         self.every(PERIOD_S, self._ask)
@@ -148,7 +132,7 @@ class CaptureNode(CellNode):
         self._state = LOADING
         self.health.beat()
         try:
-            calibration = calibration_of(message)
+            calibration = announced_plan.calibration_of(message)
             settings = calibration.configuration.capture
             self._instruments.use(calibration.configuration)
             topics = self._instruments.topics.settings
@@ -164,13 +148,13 @@ class CaptureNode(CellNode):
         except Exception as error:
             self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
-        self._run, self._needed = run_name(message), calibration.topics
+        self._run, self._needed = announced_plan.run_name(message), calibration.topics
         self._instruments.not_silent()
         self._verdicts.clear()
         self._state = NodeState.of(State.WORKING, Why.CAPTURING, calibration.method.name)
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
-        values: dict[str, Any] = {RUN: self._run, **self._verdicts}
+        values: dict[str, Any] = {announced_plan.RUN: self._run, **self._verdicts}
         values |= self._instruments.values(self._needed)
         self._warnings.offset(self._instruments.offsets)
         if self._capture is not None:
@@ -178,9 +162,9 @@ class CaptureNode(CellNode):
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}
             found = self._finder.complaint() if self._finder is not None else None
             found = found or self._trigger.complaint
-            values[WAITING_FOR] = found or self._capture.waiting_for or ""
+            values[beat_values.WAITING_FOR] = found or self._capture.waiting_for or ""
             if hopeless := self._capture.hopeless():
-                values[HOPELESS] = hopeless
+                values[beat_values.HOPELESS] = hopeless
             self._warnings.complain(found or self._capture.complaint())
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)

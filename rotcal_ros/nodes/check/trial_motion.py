@@ -97,14 +97,14 @@ class TrialMotionNode(CellNode):
             await until(lambda: time.monotonic() > begun_s + BEFORE_S, 2.0 * BEFORE_S)
         absent = None if ready else "the table or its feedback is not there"
         if fault := self._why_not() or absent:
-            return TrialMotion(0.0, 0.0, 0.0, 0.0, np.empty((0, 3)), np.empty((0, 2)), fault=fault)
+            return TrialMotion(0.0, 0.0, 0.0, np.empty((0, 3)), np.empty((0, 2)), fault=fault)
         start = self._table[-1][1]
         way = self._way(start)
         ordered_s = time.monotonic()
         self._order(start + way)
         await self._rest(start + way, ordered_s)
         return TrialMotion(
-            start, way, ordered_s, time.monotonic(),
+            start, way, ordered_s,
             np.array(self._table), np.array(self._lengths).reshape(-1, 2), self._probe,
             f"emergency stop: {self._stop.latched}" if self._stop.latched else "",
         )  # fmt: skip

@@ -155,7 +155,7 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
 
 def _say_figures(figures: Iso230) -> None:
     """Print the figures of the axis, for both directions and for each."""
-    for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True):
+    for name, values, expanded in figures.summary():
         both, up, down = ("" if v is None else f"{v / ARCSEC:.3f}" for v in values)
         sides = f"; {up} up, {down} down" if up else ""
         print_words(f"{name}: {both} arcsec, U (95 %) {expanded / ARCSEC:.3f}{sides}")

@@ -111,3 +111,13 @@ def test_the_command_names_the_session_of_a_bag_that_is_here(tmp_path):
         f"--resume {tmp_path / 'table'}"
     )
     assert page_sections.command("") == ""
+
+
+def test_a_drift_is_the_slope_of_the_last_hour_and_known_after_a_minute():
+    from rotcal_ros.extensions.page.node.operator_page import drift
+
+    hour = [(1.7e9 + 10.0 * k, 20.0 + 0.36 * k / 360.0) for k in range(361)]
+    assert drift(tuple(hour)) == 0.36
+    assert drift(((hour[0][0] - 60.0, 99.0), *hour)) == 0.36
+    assert drift(tuple(hour[:6])) is None
+    assert drift(tuple(hour[:7])) == 0.36

@@ -138,6 +138,21 @@ def test_readings_that_count_against_the_table_are_turned_round():
     assert found.value == pytest.approx(world.true, abs=1e-17)
 
 
+@pytest.mark.parametrize("counting", ["with the table", "against the table"])
+def test_a_measurement_that_is_drawn_counts_as_the_configuration_says(counting):
+    calibration = prepare(
+        changed(
+            read_configuration(CONFIG / "angle_comparison.yaml"),
+            [f"solver.readings_count={counting}"],
+        )
+    )
+    drawn = calibration.measured({}, 3)
+    result = calibration.solve(drawn.observations)
+    error = result.deviations["ECC"] - (drawn.truth["ECC"] - drawn.truth["ECC"][0])
+    assert (np.abs(error) <= 4.5 * np.maximum(result.std["ECC"], 1e-18)).all()
+    assert np.ptp(drawn.truth["ECC"]) > 20.0 * result.std["ECC"].max()
+
+
 @pytest.mark.parametrize("steps", [(0, 1), (0, 1, 5), (0, 2, 3, 7), tuple(range(12))])
 def test_the_uncertainty_of_each_order_is_that_of_the_closed_form(steps):
     """Var = K / (K^2 - |S|^2) sigma^2 / N; written down from the two normal equations by hand."""

@@ -20,6 +20,7 @@ from rotcal_ros.extensions.design.tracer.optimum import Optimum, ideal_plan
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.results import plain
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.exchange import Demands, Progress, fewest_lengths
 from rotcal_ros.methods.tracer.policy.information import (
@@ -118,9 +119,9 @@ class TracerDesign:
             "checked": self.settings.checked,
             "smallest_redundancy": float(self.checks.redundancy.min()),
             "unchecked": int((self.checks.redundancy < UNCHECKED).sum()),
-            "largest_detectable_m": finite(self.checks.detectable.max()),
-            "largest_undetected_in_u": finite(self.checks.share.max()),
-            "largest_undetected_arcsec": finite(np.abs(self.checks.effect).max() / ARCSEC),
+            "largest_detectable_m": plain(self.checks.detectable.max()),
+            "largest_undetected_in_u": plain(self.checks.share.max()),
+            "largest_undetected_arcsec": plain(np.abs(self.checks.effect).max() / ARCSEC),
         }
 
 
@@ -304,11 +305,6 @@ class _Parts:
                 self._progress(number * total + done, self._parts * total)
 
         return shown
-
-
-def finite(value: float) -> float | None:
-    """Return a number for JSON: None for infinity, which it lacks."""
-    return float(value) if np.isfinite(value) else None
 
 
 def _pool_and_start(

@@ -14,6 +14,7 @@ from rotcal_ros.extensions.design.verbs.options import numbers, positive, whole_
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
+from rotcal_ros.foundation.results import plain
 from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE
 from rotcal_ros.methods.ball_plate.materials import EXPANSION
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
@@ -284,30 +285,24 @@ def _std(error: float) -> str:
 def forecast_dict(forecast: OrderForecast, material: str, warming_k: float) -> dict[str, Any]:
     """Return the forecast in SI; None where nothing is found, or nothing bounds an error."""
     growth, grown = forecast.growth, EXPANSION[material] * warming_k
-    return {
+    found: dict[str, Any] = plain({
         "growth": {
             "material": material,
             "warming_k": warming_k,
             "error": {name: grown * error for name, error in growth.error.items()},
-            "found_from_k": _finite(growth.found_from / EXPANSION[material]),
-            "unseen_std": _finite(growth.unseen),
+            "found_from_k": growth.found_from / EXPANSION[material],
+            "unseen_std": growth.unseen,
         },
-        "unseen_std": {
-            "drift": _finite(forecast.drift_unseen),
-            "knock": _finite(forecast.knock_unseen),
-        },
+        "unseen_std": {"drift": forecast.drift_unseen, "knock": forecast.knock_unseen},
         "effects": [
             {
                 "kind": effect.kind,
                 "axis": effect.axis,
                 "error_per_unit": effect.error,
-                "found_from": _finite(effect.found_from),
-                "unseen_std": _finite(effect.unseen),
+                "found_from": effect.found_from,
+                "unseen_std": effect.unseen,
             }
             for effect in forecast.effects
         ],
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
+    })  # fmt: skip
+    return found

@@ -17,6 +17,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from math import ceil
+from statistics import linear_regression
 from typing import Any, Final
 
 import numpy as np
@@ -542,10 +543,7 @@ def drift(course: Points) -> float | None:
     last = [(t, y) for t, y in course if t >= course[-1][0] - HOUR_S]
     if len(last) < 3 or last[-1][0] - last[0][0] < 60.0:
         return None
-    mean_t = sum(t for t, _ in last) / len(last)
-    mean_y = sum(y for _, y in last) / len(last)
-    above = sum((t - mean_t) * (y - mean_y) for t, y in last)
-    return round(above / sum((t - mean_t) ** 2 for t, _ in last) * HOUR_S, 3)
+    return round(linear_regression(*zip(*last, strict=True)).slope * HOUR_S, 3)
 
 
 BRIDGE: Final = "bridge"
