@@ -24,6 +24,7 @@ from rotcal_ros.methods.angle_comparison.model import (
     readings_of,
 )
 from rotcal_ros.methods.angle_comparison.settings import (
+    SIGNS,
     ComparisonPlanSettings,
     ComparisonSimulationSettings,
     ComparisonSolverSettings,
@@ -206,7 +207,7 @@ METHOD: Final = ByModel(
     model,
     states,
     arrivals=arrivals,
-    sign=lambda configuration: configuration.solver.sign,
+    sign=lambda configuration: SIGNS[configuration.solver.readings_count],
 ).method(
     title="Two circles: polygon, indexing table or encoder beside the table",
     page="angle_comparison",

@@ -37,6 +37,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.methods.angle_comparison.settings import (
+    SIGNS,
     ComparisonPlanSettings,
     ComparisonSolverSettings,
 )
@@ -153,7 +154,7 @@ def model_of(
     reference = {REFERENCE: from_mean(blocks, "reference mark")} if mark else {}
     model = Model(
         blocks=blocks,
-        observed=solver.sign * read.value,
+        observed=SIGNS[solver.readings_count] * read.value,
         std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
         equations=linear(csr_array(design)),
         outputs=positions - positions[0],

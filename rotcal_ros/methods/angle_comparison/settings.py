@@ -15,6 +15,8 @@ from rotcal_ros.methods.simulation.settings import (
 from rotcal_ros.planning.table_angles import TableAngleSettings
 
 Counting = Literal["with the table", "against the table"]
+SIGNS: Final[Mapping[Counting, float]] = {"with the table": 1.0, "against the table": -1.0}
+"""Of a reading where the table has turned too far."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,6 @@ class ComparisonSolverSettings:
         minimum=1e-3,
     )
 
-    @property
-    def sign(self) -> float:
-        """1.0 where a table that turns too far reads more, -1.0 where it reads less."""
-        return 1.0 if self.readings_count == "with the table" else -1.0
-
 
 @dataclass(frozen=True)
 class SimulatedReferenceSettings:
@@ -89,6 +86,9 @@ class SimulatedReferenceSettings:
     )
     setting_arcsec: float = setting(
         10.0, doc="arcsec, standard deviation with which a person aligns it", minimum=0.0
+    )
+    readings_count: Counting = setting(
+        "with the table", doc="as solver.readings_count, as it is really read"
     )
 
 

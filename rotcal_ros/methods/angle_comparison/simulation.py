@@ -10,7 +10,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.observations import Command
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.angle_comparison.settings import ComparisonSimulationSettings
+from rotcal_ros.methods.angle_comparison.settings import SIGNS, ComparisonSimulationSettings
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
 from rotcal_ros.methods.simulation.instrument import AngleReader, Table
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
@@ -52,4 +52,5 @@ class SimulatedComparison(AngleReader):
         shown = order.table_angle - self._reference.shifts_deg[setting] * DEGREE
         pose = self._table.poses(np.array([stamp_ns]))[0][0]
         ahead = wrap_angle(np.arctan2(pose[1, 0], pose[0, 0]) - order.table_angle)
-        return np.array([ahead - self.reference_error(shown) + self._zero[setting], 0.0])
+        sign = SIGNS[self._reference.readings_count]
+        return np.array([sign * (ahead - self.reference_error(shown) + self._zero[setting]), 0.0])

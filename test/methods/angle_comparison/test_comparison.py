@@ -383,8 +383,13 @@ def test_the_plan_of_the_demonstration_asks_for_each_setting():
     assert "shows its zero with the table at -30 deg" in plan.pauses[1].instruction
 
 
-def test_the_simulated_cell_is_solved_to_its_truth_and_says_all_nine_effects():
-    configuration = read_configuration(CONFIG / "angle_comparison_demo.yaml")
+@pytest.mark.parametrize("count", ["with", "against"])
+def test_the_simulated_cell_is_solved_to_its_truth_and_says_all_nine_effects(count):
+    counting = f"readings_count={count} the table"
+    configuration = changed(
+        read_configuration(CONFIG / "angle_comparison_demo.yaml"),
+        (f"solver.{counting}", f"simulation.reference.{counting}"),
+    )
     calibration = prepare_to_measure(configuration)
     seen = [o for event in simulated_run(calibration) for o in event.observed if o.accepted]
     result = calibration.method.solve(configuration, calibration.plan, seen)
