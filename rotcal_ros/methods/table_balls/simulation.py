@@ -16,8 +16,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.ball_plate.simulation import SimulatedTouchProbe
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
-from rotcal_ros.methods.simulation.cell import Ticks
-from rotcal_ros.methods.simulation.instrument import Table
+from rotcal_ros.methods.simulation.instrument import Table, Ticks
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.table_balls.settings import BallsSimulationSettings, SimulatedBallsSettings
 from rotcal_ros.planning.points import triples

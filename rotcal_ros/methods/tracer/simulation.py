@@ -42,8 +42,7 @@ from rotcal_ros.methods.disturbance import (
     times,
 )
 from rotcal_ros.methods.simulation.air import SimulatedAir, SimulatedTemperature
-from rotcal_ros.methods.simulation.cell import Ticks
-from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table, Ticks
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.tracer.settings import (
