@@ -18,29 +18,41 @@ import numpy as np
 from rotcal_ros.extensions.papers.reproduction import PrintedTable, Reproduction
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.geometry.rotations import align, rotation_about_z, wrap_angle
+from rotcal_ros.geometry.rotations import align, wrap_angle
 from rotcal_ros.methods.figures import Figure, style
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    FlatMirror,
-    TrackerStation,
-    reflector_places,
+from rotcal_ros.methods.plane_mirror.plan import (
+    mirror_plan,
+    nominal_mirror,
+    position_angles,
+    tracker_sees,
+    tracker_stands,
 )
-from rotcal_ros.methods.plane_mirror.settings import Way
-from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem, TrackerNoise, solve
+from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings, Way
+from rotcal_ros.methods.plane_mirror.solver import (
+    PlaneMirrorProblem,
+    TrackerNoise,
+    problem_from_observations,
+    solve,
+)
 
-POSITIONS: Final = 17
-STEP: Final = 22.5 * DEGREE
-VISITS: Final = (*(tuple(range(first, first + 4)) for first in range(0, 15, 3)), (15, 16))
-"""Positions that stations A to F see, from 0: each shares one with the next."""
-NESTS: Final = 6
-STAND_OFF: Final = 2.0
-REACH: Final = 1.5
-"""Metres from the axis to the tracker, and from the glass to the reflector."""
-MIRROR: Final = FlatMirror()
-"""Leans by 1.4 degrees."""
+SETTINGS: Final = MirrorPlanSettings(
+    table_step_deg=22.5,
+    table_positions=17,
+    closing_nests=False,
+    nests_m=(
+        1.53, 0.47, 0.10, 0.39, 1.73, 0.55, -1.37, 1.35, 1.00,
+        -2.02, -0.62, 0.10, -0.35, -1.56, 0.55, 1.26, -1.24, 1.00,
+    ),
+    mirror_lean_deg=1.4,
+)  # fmt: skip
+"""The experiment: six nests at places without symmetry, which would hide exchanged ones."""
+STANDS: Final = tracker_stands(SETTINGS)
+"""Stations A to F; each shares one position with the next."""
+STEP: Final = SETTINGS.table_step_deg * DEGREE
+MIRROR: Final = nominal_mirror(SETTINGS)
 NORMAL_STD: Final = 1.0 * ARCSEC
 """Of a normal about each of its axes, for the spread of the recipes."""
 NEST_STD: Final = 5e-6
@@ -78,7 +90,7 @@ def reproduce() -> Reproduction:
 
 def angles() -> Floats:
     """Return the commanded angles (17,), rad."""
-    return np.asarray(STEP * np.arange(POSITIONS), dtype=np.float64)
+    return np.array(position_angles(SETTINGS))
 
 
 def true_errors() -> Floats:
@@ -87,51 +99,23 @@ def true_errors() -> Floats:
     return ARCSEC * (4.0 * np.cos(a + 0.3) + 1.5 * np.cos(2 * a - 1.3) + 0.6 * np.cos(4 * a + 2.4))
 
 
-def stations() -> tuple[TrackerStation, ...]:
-    """Return the six stations, each opposite to the middle of what it sees."""
-    middle = [float(angles()[list(visit)].mean()) for visit in VISITS]
-    return tuple(
-        TrackerStation((STAND_OFF * np.cos(a), STAND_OFF * np.sin(a), 0.35), 2.3 * a + 0.4)
-        for a in middle
-    )
-
-
-def nests() -> Floats:
-    """Return the six nests (6, 3), m: no symmetry lets exchanged ones go unnoticed."""
-    around = np.arange(NESTS) * 2.0 * np.pi / NESTS + 0.3
-    reach, height = 1.6 + 0.17 * (np.arange(NESTS) % 4), 0.1 + 0.45 * (np.arange(NESTS) % 3)
-    return np.column_stack([reach * np.cos(around), reach * np.sin(around), height])
-
-
 def measured(errors: Floats, rng: np.random.Generator) -> PlaneMirrorProblem:
     """Return all points of the experiment, one reflector at each position, with usual noise."""
-    noise, rows, points = TrackerNoise(), [], []
-    for s, (station, visit) in enumerate(zip(stations(), VISITS, strict=True)):
-        for k, nest in enumerate(nests(), start=1):
-            rows.append((-1, s, PointKind.NEST, k))
-            points.append(station.seen(nest))
-        for i in visit:
-            pose = MIRROR.pose(rotation_about_z(angles()[i] + errors[i]))
-            (place,) = reflector_places(station.place, *pose, 1, REACH, MIRROR.width)
-            for kind, seen in (
-                (PointKind.DIRECT, place),
-                (PointKind.MIRRORED, MIRROR.image(pose, station, place, f"position {i}")),
-            ):
-                rows.append((i, s, kind, 1))
-                points.append(station.seen(seen))
-    position, number, kind, nest = np.array(rows, dtype=np.int64).T
-    exact = np.array(points)
-    scatter = np.linalg.cholesky(noise.covariance(exact)) @ rng.standard_normal((*exact.shape, 1))
-    return PlaneMirrorProblem(
-        angles(), position, number, kind, nest, exact + scatter[..., 0], noise
-    )
+    see, observations = tracker_sees(SETTINGS), list[Observation]()
+    for step in mirror_plan(SETTINGS).steps:
+        turned = step.table_angle + errors[step.table_position]
+        exact = np.array(see(replace(step, table_angle=turned)))
+        root = np.linalg.cholesky(TrackerNoise().covariance(exact))
+        x, y, z = (exact + root @ rng.standard_normal(3)).tolist()
+        observations.append(step.observed((x, y, z)))
+    return problem_from_observations(observations, angles())
 
 
 def _seen_normals(problem: PlaneMirrorProblem) -> tuple[Floats, Floats]:
     """Return normals (22, 3), each in the frame of its station, and rotations (6, 3, 3) to A."""
     kind, xyz = problem.kind, problem.xyz
     across = xyz[kind == PointKind.DIRECT] - xyz[kind == PointKind.MIRRORED]
-    seen = xyz[kind == PointKind.NEST].reshape(len(VISITS), NESTS, 3)
+    seen = xyz[kind == PointKind.NEST].reshape(len(STANDS), -1, 3)
     frames = align(seen, seen[:1])[0]
     return across / np.linalg.norm(across, axis=1, keepdims=True), frames
 
@@ -142,16 +126,16 @@ def recipes(normals: Floats, frames: Floats) -> Recipes:
     The paper's errors are commanded - measured, its angles arccos without a sense; here the sign
     is turned, and the sense is that of the table.
     """
-    first = np.cumsum([0, *(len(visit) for visit in VISITS)])
+    first = np.cumsum([0, *(len(stand.visit) for stand in STANDS)])
     parts = [normals[:, a:b] for a, b in pairwise(first.tolist())]
     axes = [plane_axes(part) for part in parts[:-1]]
     heights = [np.einsum("ti,tki->tk", *pair) for pair in zip(axes, parts, strict=False)]
     last, cone = parts[-1], np.concatenate(heights, axis=1).mean(axis=1)
     turns = [about(axis, part) for axis, part in zip(axes, parts, strict=False)]
-    stitched, bare = (np.zeros((len(normals), POSITIONS)) for _ in range(2))
+    stitched, bare = (np.zeros((len(normals), len(angles()))) for _ in range(2))
     for curve, of_last in ((stitched, about(cone_axis(last, cone), last)), (bare, between(last))):
-        for turned, visit in zip((*turns, of_last), VISITS, strict=True):
-            curve[:, list(visit)] = turned + curve[:, [visit[0]]]
+        for turned, stand in zip((*turns, of_last), STANDS, strict=True):
+            curve[:, list(stand.visit)] = turned + curve[:, [stand.visit[0]]]
     together = np.concatenate(
         [
             np.einsum("tij,tkj->tki", frames[:, s], part[:, int(s > 0) :])
@@ -201,16 +185,11 @@ def between(normals: Floats) -> Floats:
 def spread_of_recipes() -> Recipes:
     """Return the rms error of each recipe at each position (17,), rad, by RUNS simulations."""
     rng = np.random.default_rng(SEED)
-    exact = np.array(
-        [
-            rotation_about_z(-station.heading) @ cone(angles()[[i]], MIRROR.lean)[0]
-            for station, visit in zip(stations(), VISITS, strict=True)
-            for i in visit
-        ]
-    )
+    exact = cone(angles()[[i for stand in STANDS for i in stand.visit]], MIRROR.lean)
     normals = exact + NORMAL_STD * rng.standard_normal((RUNS, *exact.shape))
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    seen = np.array([station.seen(nests()) for station in stations()])
+    nests = np.reshape(SETTINGS.nests_m, (-1, 3))
+    seen = np.array([nests - stand.place for stand in STANDS])
     scattered = seen + NEST_STD * rng.standard_normal((RUNS, *seen.shape))
     frames = align(scattered, scattered[:, :1])[0]
     found = recipes(normals, frames)
@@ -225,7 +204,7 @@ def spread_of_recipes() -> Recipes:
 def _values(
     truth: Floats, ours: Mapping[Way, Result], printed: Recipes, scattered: Recipes
 ) -> dict[str, float]:
-    closing = POSITIONS - 1
+    closing = len(truth) - 1
     lean = MIRROR.lean
     two_flat = between(cone(np.array([0.0, STEP]), lean)[None])[0, 1]
     values = {

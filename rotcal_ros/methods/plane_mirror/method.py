@@ -29,19 +29,17 @@ from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
-from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import measured_in_words
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.plane_mirror.figures import figures, tables
-from rotcal_ros.methods.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.methods.plane_mirror.plan import (
     check_plan,
-    nominal_mirror,
     plan,
     position_angles,
+    tracker_sees,
     tracker_stands,
 )
 from rotcal_ros.methods.plane_mirror.settings import (
@@ -58,7 +56,7 @@ from rotcal_ros.methods.plane_mirror.solver.prepare import not_an_image
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
 from rotcal_ros.methods.plane_mirror.solver.registration import MIN_APART
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
-from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
 
 COLUMNS: Final = {"position": "table_position"}
@@ -338,19 +336,8 @@ def zero(result: Result) -> tuple[str, ...]:
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
-    """Return what a tracker sees that looks along +x at every station; the mirror is flat."""
-    settings: MirrorPlanSettings = configuration.plan
-    stations = [TrackerStation(stand.place) for stand in tracker_stands(settings)]
-    mirror = nominal_mirror(settings)
-
-    def see(step: Step) -> tuple[float, ...]:
-        station, place = stations[step.station], np.array(step.position)
-        if step.kind is PointKind.MIRRORED:
-            pose = mirror.pose(rotation_about_z(step.table_angle))
-            place = mirror.image(pose, station, place, f"step {step.index}")
-        return tuple(station.seen(place).tolist())
-
-    return see
+    """Return what the tracker sees where nothing is wrong."""
+    return tracker_sees(configuration.plan)
 
 
 def stations(configuration: Configuration) -> Stations:

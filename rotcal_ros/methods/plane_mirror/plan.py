@@ -18,8 +18,10 @@ from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.method import See
 from rotcal_ros.methods.plane_mirror.mirror_physics import (
     FlatMirror,
+    TrackerStation,
     incidence,
     on_circle,
     reflector_places,
@@ -178,6 +180,21 @@ def nominal_mirror(settings: MirrorPlanSettings) -> FlatMirror:
         width=width,
         height=height,
     )
+
+
+def tracker_sees(settings: MirrorPlanSettings) -> See:
+    """Return what a tracker sees that looks along +x at every station; the mirror is flat."""
+    stations = [TrackerStation(stand.place) for stand in tracker_stands(settings)]
+    mirror = nominal_mirror(settings)
+
+    def see(step: Step) -> tuple[float, ...]:
+        station, place = stations[step.station], np.array(step.position)
+        if step.kind is PointKind.MIRRORED:
+            pose = mirror.pose(rotation_about_z(step.table_angle))
+            place = mirror.image(pose, station, place, f"step {step.index}")
+        return tuple(station.seen(place).tolist())
+
+    return see
 
 
 Row = tuple[int, int, PointKind, int, Point]

@@ -128,8 +128,8 @@ def test_exact_points_give_the_errors_by_both_recipes():
     normals = np.array(
         [
             mirror.cone(np.array([mirror.angles()[i] + errors[i]]), mirror.MIRROR.lean)[0]
-            for visit in mirror.VISITS
-            for i in visit
+            for stand in mirror.STANDS
+            for i in stand.visit
         ]
     )
     found = mirror.recipes(normals[None], np.broadcast_to(np.eye(3), (1, 6, 3, 3)))

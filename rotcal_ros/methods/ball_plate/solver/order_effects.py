@@ -11,14 +11,15 @@ motion finds what is too small for it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import f_isf, f_sf, noncentrality
-from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test
+from rotcal_ros.adjust.distributions import f_sf, noncentrality
+from rotcal_ros.adjust.effects import Seen, effect_test
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -245,33 +246,6 @@ class DriftTest:
         )
 
 
-@dataclass(frozen=True)
-class MotionTest:
-    """The most likely motion of the plate: from ``row`` on, shift (3,) m, rotation (3,) rad."""
-
-    row: int
-    shift: Floats
-    rotation: Floats
-    p_value: float
-
-    def turned(self, rotation: Floats) -> MotionTest:
-        """Return the same in another frame, to which ``rotation`` (3, 3) takes vectors."""
-        return replace(self, shift=rotation @ self.shift, rotation=rotation @ self.rotation)
-
-    @property
-    def significant(self) -> bool:
-        """Whether the plate has moved."""
-        return self.p_value < SIGNIFICANCE
-
-    def sentence(self) -> str:
-        """Say in words what seems to have moved when."""
-        return (
-            f"the plate seems to have moved on the table near row {self.row} by "
-            f"{triple(self.shift / MICROMETRE, 3)} um and {triple(self.rotation / ARCSEC, 3)} "
-            f"arcsec (p = {self.p_value:.2g}): look at its clamping, or measure again"
-        )
-
-
 def triple(values: Floats, digits: int) -> str:
     """Write three numbers in brackets."""
     return "(" + ", ".join(f"{value:.{digits}f}" for value in values) + ")"
@@ -288,41 +262,10 @@ def find_drift(
     if kept < VISIBLE or solution.dof < SPARE:
         return None
     score = np.einsum("nia,ni->a", columns, problem.weights * solution.residuals)
-    test = _tested(effects.drift, score, solution, least_noise(problem, solution))
+    seen, rest = replace(effects.drift.seen, score=score), solution.weighted_square_sum
+    test = effect_test(seen, (rest, solution.dof), least_noise(problem, solution), NOTHING)
     std = np.sqrt(test.variance * np.diag(test.covariance))
     return DriftTest(test.size, std, test.probability, estimated=False)
-
-
-def find_motion(
-    problem: BallPlateProblem, solution: Solution, effects: OrderEffects
-) -> MotionTest | None:
-    """Look for a motion of the plate at each of the moments of ``effects``."""
-    if solution.dof < SPARE:
-        return None
-    order, later = _pulled(problem, solution, plate_motion(problem))
-    best: MotionTest | None = None
-    least = least_noise(problem, solution)
-    for moment, knock in zip(effects.moments, effects.knocks, strict=True):
-        if moment >= len(order):
-            continue  # after the last row nothing shows it
-        test = _tested(knock, later[moment], solution, least)
-        # Bonferroni: the best of so many
-        p_value = min(1.0, test.probability * len(effects.knocks))
-        if best is None or p_value < best.p_value:
-            row = int(problem.rows[order[moment]])
-            best = MotionTest(row, test.size[:3], test.size[3:] / problem.radius, p_value)
-    return best
-
-
-def _pulled(problem: BallPlateProblem, solution: Solution, motion: Floats) -> tuple[Ints, Floats]:
-    """Return what the residuals say of a ``motion`` (n, 3, 6) of the plate.
-
-    The rows in the order of measurement (n,), and the right-hand side (n, 6) of the motion of all
-    rows from each one on.
-    """
-    order = np.argsort(problem.rows, kind="stable")
-    pulled = np.einsum("nij,ni->nj", motion, problem.weights * solution.residuals)[order]
-    return order, _from_the_end(pulled)
 
 
 def _from_the_end(rows: Floats) -> Floats:
@@ -337,14 +280,6 @@ def least_noise(problem: BallPlateProblem, solution: Solution) -> float:
     return max(least_variance(problem, solution.estimate), (SETTLED * stated) ** 2)
 
 
-def _tested(
-    pattern: DisplacementPatterns, score: Floats, solution: Solution, least: float
-) -> EffectTest:
-    """Return the F test of what residuals say of a pattern, by a variance of ``least`` or more."""
-    rest = solution.weighted_square_sum, solution.dof
-    return effect_test(replace(pattern.seen, score=score), rest, least, NOTHING)
-
-
 def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
     """Test the linear part of an estimated drift."""
     linear = drift.unit_covariance[:3, :3]
@@ -356,13 +291,14 @@ def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
 
 
 @dataclass(frozen=True)
-class Knock:
-    """The plate moved between the rows ``last`` and ``first`` (row numbers).
+class PlateMotion:
+    """The plate moved between the rows ``last`` and ``first``, or most likely so.
 
     ``shift`` (3,) metres and ``rotation`` (3,) radians are its motion on the table, in the
     table's frame at position 0, ``gain`` what it explains of w'w, ``scatter`` the variance it was
     tested against. Motions that the CMM's own errors can imitate are found as zero: they do no
-    harm either.
+    harm either. ``p_value``: how probably chance makes as much of one. ``knock``: it is beyond
+    doubt, and explains more than a single centre.
     """
 
     last: int
@@ -373,8 +309,15 @@ class Knock:
     rotation: Floats
     gain: float
     scatter: float
+    p_value: float
+    knock: bool = False
 
-    def in_whole(self, whole: BallPlateProblem, rotation: Floats) -> Knock:
+    @property
+    def significant(self) -> bool:
+        """Whether the plate has moved."""
+        return self.p_value < SIGNIFICANCE
+
+    def in_whole(self, whole: BallPlateProblem, rotation: Floats) -> PlateMotion:
         """Return the same in the numbers of ``whole``, in the frame that ``rotation`` leads to."""
         at = int(np.flatnonzero(whole.rows == self.first)[0])
         return replace(
@@ -385,50 +328,102 @@ class Knock:
             rotation=rotation @ self.rotation,
         )
 
+    def details(self) -> dict[str, Any]:
+        """Return it for the details of a result, SI."""
+        moved = {"shift": self.shift, "rotation": self.rotation}
+        if self.knock:
+            return {"last_row": self.last, "first_row": self.first, **moved}
+        return {"row": self.first, **moved, "p_value": self.p_value}
+
     def sentence(self) -> str:
         """Say in words what happened and when."""
+        if self.knock:
+            return (
+                f"the plate moved on the table between rows {self.last} and {self.first} (before "
+                f"ball step {self.ball_step} at table position {self.position}): all later "
+                f"centres are displaced by about {triple(self.shift / MICROMETRE, 2)} um and "
+                f"turned by {triple(self.rotation / ARCSEC, 2)} arcsec; fix the plate and measure "
+                "again"
+            )
         return (
-            f"the plate moved on the table between rows {self.last} and {self.first} (before "
-            f"ball step {self.ball_step} at table position {self.position}): all later centres "
-            f"are displaced by about {triple(self.shift / MICROMETRE, 2)} um and turned by "
-            f"{triple(self.rotation / ARCSEC, 2)} arcsec; fix the plate and measure again"
+            f"the plate seems to have moved on the table near row {self.first} by "
+            f"{triple(self.shift / MICROMETRE, 3)} um and {triple(self.rotation / ARCSEC, 3)} "
+            f"arcsec (p = {self.p_value:.2g}): look at its clamping, or measure again"
         )
 
 
 def find_knock(
     problem: BallPlateProblem, linear: LinearFit, solution: Solution, sigma: float | None
-) -> Knock | None:
-    """Look along the rows in their order of measurement for a moment when the plate moved.
+) -> PlateMotion | None:
+    """Look between any two rows for a moment when the plate moved; None when none stands out.
 
-    The motion has six parameters from the moment on; the gain of w'w is tested against the
-    remaining scatter, or the stated ``sigma`` (of unit weight) where that is larger. None when no
-    moment stands out.
+    From the remaining scatter, or the stated ``sigma`` (of unit weight) where that is larger.
     """
     if solution.dof <= 12:  # six parameters, and too little left to test them by
         return None
-    motion = plate_motion(problem)
-    order, later = _pulled(problem, solution, motion)
+    order, later = _pulled(problem, solution)
     place = np.argsort(order)  # of each row in the order of measurement
-    fitted = []
-    for start in sorted(_candidates(later, motion, problem.weights, order)):
-        seen = replace(_alike(linear.seen_of_plate(place >= start)), score=later[start])
-        fitted.append((start, effect_test(seen, nothing=IMITATED)))
-    start, found = max(fitted, key=lambda each: each[1].squares)
-    gain = found.squares
-    rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
-    scatter = max(rest, (sigma or 0.0) ** 2, least_variance(problem, solution.estimate))
-    if gain / 6.0 < scatter * f_isf(FALSE_KNOCK / len(order), 6, solution.dof - 6):
+    starts = sorted(_candidates(later, plate_motion(problem), problem.weights, order))
+    tried = {start: _alike(linear.seen_of_plate(place >= start)) for start in starts}
+    least = max((sigma or 0.0) ** 2, least_variance(problem, solution.estimate))
+    found = _likeliest(problem, solution, tried, (least, IMITATED), len(order))
+    return replace(found, knock=True) if found and found.p_value < FALSE_KNOCK else None
+
+
+def find_motion(
+    problem: BallPlateProblem, solution: Solution, effects: OrderEffects
+) -> PlateMotion | None:
+    """Return the most likely motion of the plate at one of the moments of ``effects``."""
+    if solution.dof < SPARE:
         return None
-    row = order[start]
-    return Knock(
+    tried = dict(zip(effects.moments.tolist(), (k.seen for k in effects.knocks), strict=True))
+    limits = least_noise(problem, solution), NOTHING
+    return _likeliest(problem, solution, tried, limits, len(tried))
+
+
+def _pulled(problem: BallPlateProblem, solution: Solution) -> tuple[Ints, Floats]:
+    """Return what the residuals say of a motion of the plate.
+
+    The rows in the order of measurement (n,), and the right-hand side (n, 6) of the motion of all
+    rows from each one on.
+    """
+    order = np.argsort(problem.rows, kind="stable")
+    weighted = problem.weights * solution.residuals
+    return order, _from_the_end(np.einsum("nij,ni->nj", plate_motion(problem), weighted)[order])
+
+
+def _likeliest(
+    problem: BallPlateProblem,
+    solution: Solution,
+    tried: Mapping[int, Seen],
+    limits: tuple[float, float],
+    count: int,
+) -> PlateMotion | None:
+    """Return the likeliest of the motions that were ``tried``, by the row they begin with.
+
+    ``limits``: variance and ``nothing`` as of :func:`~rotcal_ros.adjust.effects.effect_test`. Of
+    ``count`` moments (Bonferroni); after the last row nothing shows one.
+    """
+    order, later = _pulled(problem, solution)
+    rest = solution.weighted_square_sum, solution.dof
+    tests = [
+        (start, effect_test(replace(seen, score=later[start]), rest, *limits))
+        for start, seen in tried.items()
+        if start < len(order)
+    ]
+    if not tests:
+        return None
+    start, test = min(tests, key=lambda each: (each[1].probability, -each[1].squares))
+    return PlateMotion(
         last=int(problem.rows[order[start - 1]]),
-        first=int(problem.rows[row]),
-        ball_step=int(problem.ball_step[row]),
-        position=int(problem.position[row]),
-        shift=found.size[:3],
-        rotation=found.size[3:] / problem.radius,
-        gain=gain,
-        scatter=scatter,
+        first=int(problem.rows[order[start]]),
+        ball_step=int(problem.ball_step[order[start]]),
+        position=int(problem.position[order[start]]),
+        shift=test.size[:3],
+        rotation=test.size[3:] / problem.radius,
+        gain=test.squares,
+        scatter=test.variance,
+        p_value=min(1.0, test.probability * count),
     )
 
 

@@ -21,7 +21,7 @@ from rotcal_ros.methods.ball_plate.solver.estimate import solved
 from rotcal_ros.methods.ball_plate.solver.gathering import Taken, gathered, left_out, suspected
 from rotcal_ros.methods.ball_plate.solver.growth import Growth, find_growth
 from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Solution
-from rotcal_ros.methods.ball_plate.solver.order_effects import Knock, find_knock
+from rotcal_ros.methods.ball_plate.solver.order_effects import PlateMotion, find_knock
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.separability import (
     MIN_BALLS,
@@ -74,7 +74,7 @@ class Fitted:
     solution: Solution
     test: CentreTest
     rejected: tuple[Rejection, ...]
-    knock: Knock | None
+    knock: PlateMotion | None
     growth: Growth
     grown: bool = False
     gathering: Gathering = field(default_factory=Gathering)
@@ -171,7 +171,7 @@ def _without_poor_positions(
     return (problem.take(~away) if rejected else problem), rejected
 
 
-def _more_than_one_centre(knock: Knock, test: CentreTest, dof: int) -> bool:
+def _more_than_one_centre(knock: PlateMotion, test: CentreTest, dof: int) -> bool:
     """Tell whether a jump (six parameters) explains more than the worst centre alone (three).
 
     One bad centre at the end of a series looks like a jump of its own row, and the jump takes some

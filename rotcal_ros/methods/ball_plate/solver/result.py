@@ -36,9 +36,8 @@ from rotcal_ros.methods.ball_plate.solver.model import least_variance, of_compon
 from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     DriftTest,
-    Knock,
-    MotionTest,
     OrderEffects,
+    PlateMotion,
     drift_error,
     find_drift,
     find_motion,
@@ -134,14 +133,13 @@ class Findings:
     """What the tests in the order of measurement found in one group of table positions.
 
     ``effects`` are what drift and knocks do in this order, in the frame of the group; all else is
-    told in the frame and the numbers of the whole. Knock, drift, motion and growth of the plate
-    and repeatability (``scatter``) are None where there is none, or they cannot be told.
+    told in the frame and the numbers of the whole. Drift, motion and growth of the plate and
+    repeatability (``scatter``) are None where they cannot be told.
     """
 
     effects: OrderEffects
-    knock: Knock | None
     drift: DriftTest | None
-    motion: MotionTest | None
+    motion: PlateMotion | None
     scatter: Repeatability | None
     growth: GrowthTest | None
     closures: tuple[PlateClosure, ...]
@@ -172,12 +170,11 @@ def _findings(
         )
     fixed, on_table = rotation_about_z(group.turn), rotation_about_z(group.on_table)
     drift = find_drift(problem, solution, effects)
-    motion = find_motion(problem, solution, effects) if fit.knock is None else None
+    motion = fit.knock or find_motion(problem, solution, effects)
     return Findings(
         effects,
-        None if fit.knock is None else fit.knock.in_whole(whole, on_table),
         None if drift is None else drift.turned(fixed),
-        None if motion is None else motion.turned(on_table),
+        None if motion is None else motion.in_whole(whole, on_table),
         None if scatter is None else scatter.turned(fixed),
         likelier([test for test in (fit.growth.test, grown) if test is not None]),
         tuple(replace(c.turned(fixed), position=int(group.positions[c.position])) for c in closed),
@@ -214,8 +211,8 @@ def _warnings(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
             "group has its own zero"
         )
     for (_, fit), mine in zip(solution.parts, found, strict=True):
-        if mine.knock is not None:
-            warnings.append(mine.knock.sentence())
+        if mine.motion is not None and mine.motion.knock:
+            warnings.append(mine.motion.sentence())
         weak = separability(fit.problem.grid, fit.problem.balls).sentences()
         warnings += [sentence for sentence in weak if sentence not in warnings]
     if solution.problem.closed_form and any(
@@ -236,10 +233,10 @@ def _doubts(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
     A drift looks like a small motion, and either a little like a growth: only the likeliest of
     them is told.
     """
-    tests: list[DriftTest | MotionTest | GrowthTest] = [
+    tests: list[DriftTest | PlateMotion | GrowthTest] = [
         *(f.growth for f in found if f.growth is not None),
         *(f.drift for f in found if f.drift is not None and not f.drift.estimated),
-        *(f.motion for f in found if f.motion is not None),
+        *(f.motion for f in found if f.motion is not None and not f.motion.knock),
     ]
     likeliest = sorted((t for t in tests if t.significant), key=lambda t: t.p_value)[:1]
     return [
@@ -314,12 +311,13 @@ def _details(
     """Everything else the method knows, in SI; one entry per group under ``groups``."""
     whole, noise = solution.whole, solution.noise
     order = np.argsort(whole.rows)
-    findings: dict[str, list[Any]] = {
-        "closure": [closure for f in found for closure in f.closures],
-        "drift": [f.drift for f in found if f.drift is not None],
-        "growth": [f.growth for f in found if f.growth is not None],
-        "plate_motion": [f.motion for f in found if f.motion is not None],
-        "repeatability": [f.scatter for f in found if f.scatter is not None],
+    motions = [f.motion for f in found if f.motion is not None]
+    findings: dict[str, list[dict[str, Any]]] = {
+        "closure": [plain_fields(closure) for f in found for closure in f.closures],
+        "drift": [plain_fields(f.drift) for f in found if f.drift is not None],
+        "growth": [plain_fields(f.growth) for f in found if f.growth is not None],
+        "plate_motion": [motion.details() for motion in motions if not motion.knock],
+        "repeatability": [plain_fields(f.scatter) for f in found if f.scatter is not None],
     }
     return {
         "grid": whole.grid,
@@ -333,7 +331,7 @@ def _details(
             "passed": not noise.contradicts,
         },
         "groups": [
-            _group_details(*part, mine.knock, noise.scale)
+            _group_details(*part, mine.motion, noise.scale)
             for part, mine in zip(solution.parts, found, strict=True)
         ],
         "residual_rows": {
@@ -342,12 +340,12 @@ def _details(
             "vector": vectors,
         },
         "gathering": gathering.details([fit.gathering for _, fit in solution.parts]),
-        **{name: [plain_fields(f) for f in each] for name, each in findings.items() if each},
+        **{name: each for name, each in findings.items() if each},
     }
 
 
 def _group_details(
-    group: PositionGroup, fit: Fitted, knock: Knock | None, scale: Floats
+    group: PositionGroup, fit: Fitted, motion: PlateMotion | None, scale: Floats
 ) -> dict[str, Any]:
     problem, solution = fit.problem, fit.solution
     names = {
@@ -367,13 +365,8 @@ def _group_details(
     for field, name in names.items():
         details[name] = getattr(solution.estimate, field)
         details[f"{name}_std"] = getattr(std, field)
-    if knock is not None:
-        details["knock"] = {
-            "last_row": knock.last,
-            "first_row": knock.first,
-            "shift": knock.shift,
-            "rotation": knock.rotation,
-        }
+    if motion is not None and motion.knock:
+        details["knock"] = motion.details()
     return details
 
 

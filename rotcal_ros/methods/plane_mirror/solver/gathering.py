@@ -19,7 +19,7 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf
-from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, Words
+from rotcal_ros.adjust.gathering import SUSPECTED, Gathering
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.judgement import Belief
 from rotcal_ros.adjust.reliability import hidden
@@ -33,7 +33,7 @@ from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.plane_mirror.settings import DIRECT
 from rotcal_ros.methods.plane_mirror.solver.linear import Elements, Linear, linear
 from rotcal_ros.methods.plane_mirror.solver.prepare import ScreenedPoints, prepare
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.solver.problem import WORDS, PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.ways import (
     PreparedNormals,
     PreparedPoints,
@@ -58,9 +58,6 @@ MOST_TIMES: Final = 6
 """Subsets that are left out one after the other; of more, the data are beyond help."""
 LARGEST: Final = 1e-3
 """Error (m) of several readings that nobody would overlook."""
-WORDS: Final = Words(
-    "readings", "warm air, a person, an obstacle or a smear", "in the beams", "in its beams"
-)
 
 
 class Settled(NamedTuple):

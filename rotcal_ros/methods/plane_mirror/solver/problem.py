@@ -12,9 +12,11 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass, field
+from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
@@ -26,6 +28,9 @@ from rotcal_ros.methods.plane_mirror.settings import (
     Way,
 )
 
+WORDS: Final = Words(
+    "readings", "warm air, a person, an obstacle or a smear", "in the beams", "in its beams"
+)
 _DEFAULTS = MirrorSolverSettings()
 _KINDS = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
 

@@ -18,15 +18,18 @@ from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
-from scipy.linalg import block_diag
 
+from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.distributions import chi2_isf
+from rotcal_ros.adjust.effects import EffectTest, effect_test
+from rotcal_ros.adjust.model import Fit, Model, linear
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import align, cross_matrix, require_spread, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver.drift import displaced_nests, find_drift
 from rotcal_ros.methods.plane_mirror.solver.problem import (
+    WORDS,
     Nests,
     PlaneMirrorProblem,
     find_nests,
@@ -84,34 +87,42 @@ class Poses:
         return Poses(rotation, translation)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NestFit:
-    """Residuals (Q, 3) of nests in m along the common axes, and their cofactors.
+    """Residuals (Q, 3) of nests in m along the common axes, and what the engine makes of them.
 
-    ``weight`` and ``cofactor`` (3 Q, 3 Q) are the inverse covariance of the observations (1/m^2)
-    and the covariance of the residuals (m^2).
+    ``fit``: of rows that ``root`` (Q, 3, 3) whitened, three for each reading. ``dof``: less what
+    the drift took.
     """
 
     residual: Floats
-    weight: Floats
-    cofactor: Floats
-    chi_square: float
+    root: Floats
+    fit: Fit
     dof: int
+
+    @property
+    def chi_square(self) -> float:
+        """The weighted sum of squares of all residuals."""
+        return self.fit.chi2
 
     @property
     def redundancy(self) -> Floats:
         """Share (Q,) of each nest observation that is checked by the others, 0 to 1."""
-        share: Floats = np.einsum("ij,ji->i", self.cofactor, self.weight).reshape(-1, 3).mean(1)
-        return np.clip(share, 0.0, 1.0)
+        return np.asarray(self.fit.redundancy.reshape(-1, 3).mean(axis=1))
 
     @property
     def test_value(self) -> Floats:
         """Normalised residual (Q,): 1 is expected, 0 where nothing checks the observation."""
-        v = self.residual
-        square = (v * (self.weight @ v.ravel()).reshape(-1, 3)).sum(axis=1)
+        square = (self.fit.white.reshape(-1, 3) ** 2).sum(axis=1)
         share = 3.0 * self.redundancy
         value: Floats = np.sqrt(square / np.where(share > 1e-6, share, np.inf))
         return value
+
+    def moved(self, members: Bools) -> EffectTest:
+        """Test whether the readings ``members`` (Q,) show their nest shifted together (3,), m."""
+        columns = (self.root * members[:, None, None]).reshape(-1, 3)
+        rest = self.chi_square, self.dof
+        return effect_test(seen_by(self.fit, columns), rest, 1.0, _MIN_REDUNDANCY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,25 +192,23 @@ def check_nests(
 def nest_fit(
     points: Floats, nests: Nests, weight: Floats, poses: Poses, taken: int = 0
 ) -> NestFit:
-    """Return residuals, cofactors and chi square of the registration at its solution.
+    """Return residuals and chi square of the registration at its solution.
 
     ``taken`` as in :func:`register`.
     """
     _, _, residual = nest_equations(points, nests, weight, poses)
-    rotation = poses.rotation[nests.station]
-    n, n_stations = len(nests.row), len(poses.rotation)
-    full: Floats = block_diag(*(rotation @ weight @ np.swapaxes(rotation, 1, 2)))
-    arm = poses.turned(points[nests.row], nests.station)
-    design = np.zeros((n, 3, 3 * nests.n_points))
-    axes = np.arange(3)
-    design[np.arange(n)[:, None], axes, 3 * nests.point[:, None] + axes] = -1.0
-    poses_part = pose_jacobian(arm, nests.station, n_stations)
-    jacobian = np.concatenate([poses_part, design], axis=2).reshape(3 * n, -1)
-    normal = jacobian.T @ full @ jacobian
-    cofactor = np.linalg.inv(full) - jacobian @ np.linalg.solve(normal, jacobian.T)
-    v = residual.ravel()
-    dof = max(3 * n - jacobian.shape[1] - taken, 0)
-    return NestFit(residual, full, cofactor, float(v @ full @ v), dof)
+    root = np.linalg.cholesky(weight).swapaxes(1, 2) @ poses.rotation[nests.station].swapaxes(1, 2)
+    arm, n = poses.turned(points[nests.row], nests.station), len(nests.row)
+    by_nest, axes = np.zeros((n, 3, 3 * nests.n_points)), np.arange(3)
+    by_nest[np.arange(n)[:, None], axes, 3 * nests.point[:, None] + axes] = 1.0
+    by_pose = -pose_jacobian(arm, nests.station, len(poses.rotation))
+    design = (root @ np.concatenate([by_pose, by_nest], axis=2)).reshape(3 * n, -1)
+    white, ones = (root @ residual[:, :, None]).ravel(), np.ones(3 * n)
+    blocks = {"stations": by_pose.shape[2], "nests": by_nest.shape[2]}
+    nothing = np.zeros((0, design.shape[1]))
+    model = Model(blocks, white, ones, linear(design), nothing, WORDS)
+    fit = Fit(model, np.zeros(design.shape[1]), white, ones, model.may_go, design)
+    return NestFit(residual, root, fit, max(fit.dof - taken, 0))
 
 
 def place_stations(problem: PlaneMirrorProblem, nests: Nests) -> Poses:
@@ -336,16 +345,18 @@ def _moved_nest(problem: PlaneMirrorProblem, nests: Nests, fit: NestFit) -> Move
     if fit.dof == 0 or fit.chi_square <= chi2_isf(problem.significance, fit.dof):
         return None
     hypotheses = _hypotheses(problem, nests)
+    limit = chi2_isf(problem.significance / len(hypotheses), 3)
     best: tuple[float, Moved] | None = None
     for members, number, where in hypotheses:
-        drop, shift = _gain(fit, members)
-        rest = max(1.0, (fit.chi_square - drop) / max(fit.dof - 3, 1))
-        if drop / rest > chi2_isf(problem.significance / len(hypotheses), 3) and (
-            best is None or drop > best[0]
-        ):
+        test = fit.moved(members)
+        # of fewer axes: too few nests, the rest would not fix the stations
+        if test.rank < 3 or test.squares <= limit * test.variance:
+            continue
+        if best is None or test.squares > best[0]:
             name = nests.name[nests.point[members][0]]
-            text = f"nest {name} {where} (by {np.linalg.norm(shift) * 1e3:.3f} mm)"
-            best = drop, Moved(members, number, f"{text}; it counts as another nest there")
+            text = f"nest {name} {where} (by {np.linalg.norm(test.size) * 1e3:.3f} mm)"
+            text = f"{text}; it counts as another nest there"
+            best = test.squares, Moved(members, number, text)
     return None if best is None else best[1]
 
 
@@ -371,22 +382,6 @@ def _hypotheses(problem: PlaneMirrorProblem, nests: Nests) -> list[tuple[Bools, 
                 text = f"{text} in one of its rounds"
             found.append((own & (nests.round == seen[now]), seen[now], text))
     return found
-
-
-def _gain(fit: NestFit, members: Bools) -> tuple[float, Floats]:
-    """Return the drop of chi square and the shift (3,), m, if the members moved together.
-
-    With the residuals v, their cofactor R and the weights W of all, S selects the members: the
-    shift is (S' W R W S)^-1 S' W v, as of three unknowns more in the adjustment.
-    """
-    select = np.kron(members[:, None].astype(float), np.eye(3))
-    weighted = fit.weight @ select
-    inner = weighted.T @ fit.cofactor @ weighted
-    if np.linalg.eigvalsh(inner)[0] < _MIN_REDUNDANCY * np.trace(select.T @ weighted) / 3.0:
-        return 0.0, np.zeros(3)  # too few nests: the rest would not fix the stations
-    push = weighted.T @ fit.residual.ravel()
-    shift = np.asarray(np.linalg.solve(inner, push), dtype=np.float64)
-    return float(push @ shift), shift
 
 
 def _check_apart(problem: PlaneMirrorProblem, nests: Nests) -> None:

@@ -26,7 +26,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.plane_mirror.solver import gathering
 from rotcal_ros.methods.plane_mirror.solver.drift import DriftCorrection, swings
 from rotcal_ros.methods.plane_mirror.solver.normals import image_response, incidence, tangent_frame
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.solver.problem import WORDS, PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.readings import cones, islands
 from rotcal_ros.methods.plane_mirror.solver.ways import (
     AdjustedCurve,
@@ -78,7 +78,7 @@ def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
     repeats = closures(angles, deviations, LowRank.whole(covariance), np.arange(len(angles)), side)
     std, closure = _std(covariance), _whole_turn(repeats, angles)
     limits = engine.GatheringLimits(gathering.USUAL_SHARE, problem.significance)
-    gathers = engine.doubts(gathered, limits, gathering.WORDS)
+    gathers = engine.doubts(gathered, limits, WORDS)
     warnings = [
         *screened.warnings,
         *gathers,
@@ -94,7 +94,7 @@ def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
     ]
     details = {**_details(prepared, curve), "repeats": again, **closure}
     if gathered.judgement is not None:
-        details["gathering"] = engine.details(gathered, gathering.WORDS.elements)
+        details["gathering"] = engine.details(gathered, WORDS.elements)
     steps = np.diff(np.eye(len(angles)), axis=0)
     result = Result(
         method=METHOD,
