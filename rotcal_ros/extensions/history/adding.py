@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +12,9 @@ import numpy as np
 
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.extensions.history.database import (
+    ENTRIES,
     ITEMS,
+    REPLACED,
     RESULT,
     Added,
     ParkHistory,
@@ -83,8 +86,10 @@ def add_found(
     added = [history.add_result(found.result, **given, where=str(source))]
     report, entry = SessionFolder(source).report, added[0].entry
     if source.is_dir() and report.is_file():
-        about = (entry.serial, entry.axis, "report", report.name, entry.measured_ns)
-        added.append(history.add_document(*about, report.read_bytes()))
+        content = report.read_bytes()
+        added.append(
+            history.add_document(entry, "report", report.name, entry.measured_ns, content)
+        )
     return added
 
 
@@ -106,23 +111,25 @@ def keep_measurement(history: ParkHistory, result: Result, serial: str, source: 
     known = result.circumstances
     serial, begun = known.identity.serial or serial, known.from_ns
     ended = max(begun, known.ended_ns or 0)
-    about = serial, known.axis, result.method, (begun - LONGEST_NS, ended)
-    for entry in history.measured_between(*about):
-        earlier = result_of(entry)
-        if not _same_measurement(result, earlier):
-            continue
-        fuller = _observed(earlier) > _observed(result)
-        if fuller or canonical(earlier) == canonical(result):
-            return Added(entry, new=False)
-        why = f"{source}, solved again"
-        return history.add_result(result, serial=serial, why=why, corrects=entry.id, where=source)
-    for entry in history.measured_between(*about, valid=False):
-        if _same_measurement(result, result_of(entry)):
-            raise DataError(
-                f"entry {entry.id} of the same measurement was taken from this table: add it with "
-                "`rotcal history add` if it counts after all"
-            )
-    return history.add_result(result, serial=serial, why=source, where=source)
+    about = (
+        ITEMS.c.serial == serial, ITEMS.c.axis == known.axis, ENTRIES.c.kind == RESULT,
+        ENTRIES.c.what == result.method,
+        ENTRIES.c.measured_ns.between(begun - LONGEST_NS, ended),
+    )  # fmt: skip
+    near = ((entry, result_of(entry)) for entry in history.entries(*about, content=True))
+    same = [(entry, earlier) for entry, earlier in near if _same_measurement(result, earlier)]
+    add, why = partial(history.add_result, result, serial, where=source), f"{source}, solved again"
+    for entry, earlier in same:
+        if entry.state != REPLACED:
+            fuller = _observed(earlier) > _observed(result)
+            as_before = fuller or canonical(earlier) == canonical(result)
+            return Added(entry, new=False) if as_before else add(why=why, corrects=entry)
+    if same:
+        raise DataError(
+            f"entry {same[-1][0].id} of the same measurement was taken from this table: add it "
+            "with `rotcal history add` if it counts after all"
+        )
+    return add(why=source)
 
 
 def _same_measurement(result: Result, earlier: Result) -> bool:
@@ -142,13 +149,15 @@ def _observed(result: Result) -> int:
 
 def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str, str] | None:
     """Return title and HTML of the changes since the newest result before; None without one."""
-    axis = result.circumstances.axis or axis
-    serial = result.circumstances.identity.serial
+    known = result.circumstances
+    about = ITEMS.c.serial == known.identity.serial, ITEMS.c.axis == (known.axis or axis)
+    earlier = ENTRIES.c.kind == RESULT, ENTRIES.c.measured_ns < known.from_ns
     with ParkHistory(database) as history:
-        earlier = _earlier(history, result, serial, axis)
-    if earlier is None:
-        return None
-    day, last = earlier
+        before = [e for e in history.entries(*about, *earlier) if e.state != REPLACED]
+        if not before:
+            return None
+        entry = max(before, key=lambda entry: (entry.measured_ns, entry.id))
+        day, last = entry.day, result_of(history.entry(entry.id))
     changes, now = [], SPOKEN.get().say(phrase("now"))
     for name in result.components:
         try:
@@ -189,16 +198,3 @@ def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, f
         zeros=Zeros(newest.zeros.counts_from),
     )  # fmt: skip
     return result, room
-
-
-def _earlier(
-    history: ParkHistory, result: Result, serial: str, axis: str
-) -> tuple[str, Result] | None:
-    until = result.circumstances.from_ns or 1 << 62
-    for item in history.items(ITEMS.c.serial == serial, ITEMS.c.axis == axis):
-        for entry in reversed(history.of_item(item)):
-            if entry.kind == RESULT and entry.measured_ns < until:
-                last = result_of(history.entry(entry.id))
-                if canonical(last) != canonical(result):
-                    return entry.day, last
-    return None

@@ -250,29 +250,24 @@ def _due(
 
 
 def _findings(view: DeviationOutlook) -> list[TableFinding]:
-    name, newest = view.component, view.times_ns[-1]
-    jump_ns = newest if view.alarm is None else view.times_ns[view.alarm]
-    seen: tuple[tuple[Kind, bool, int, str], ...] = (
-        (
-            "jump",
-            view.alarm is not None,
-            jump_ns,
-            phrase(
-                "{0} jumped before {1}: look at the table, then note what happened as an event",
-                name,
-                day_of(jump_ns),
-            ),
-        ),
-        ("beyond", view.decision == "beyond", newest, phrase("{0} is beyond its tolerance", name)),
-        (
-            "wear",
-            view.alarm is None and view.wearing,
-            newest,
-            phrase("{0} does not drift evenly: something wears, such as a bearing", name),
-        ),
-        ("drift", view.moved, newest, phrase("drift: {0}", view.trend)),
-    )
-    return [TableFinding(kind, time_ns, words) for kind, there, time_ns, words in seen if there]
+    name, newest, found = view.component, view.times_ns[-1], list[TableFinding]()
+    if view.alarm is not None:
+        time_ns = view.times_ns[view.alarm]
+        words = phrase(
+            "{0} jumped before {1}: look at the table, then note what happened as an event",
+            name,
+            day_of(time_ns),
+        )
+        found.append(TableFinding("jump", time_ns, words))
+    if view.decision == "beyond":
+        words = phrase("{0} is beyond its tolerance", name)
+        found.append(TableFinding("beyond", newest, words))
+    if view.wearing and view.alarm is None:
+        words = phrase("{0} does not drift evenly: something wears, such as a bearing", name)
+        found.append(TableFinding("wear", newest, words))
+    if view.moved:
+        found.append(TableFinding("drift", newest, phrase("drift: {0}", view.trend)))
+    return found
 
 
 def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> DeviationOutlook:
@@ -345,9 +340,7 @@ def expected_curve(curves: DeviationSeries, trend: Trend, time_ns: int) -> tuple
 def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, int, bool]:
     """Return the change per year where it is largest, and whether it is one at all."""
     moved, std, years = trend.change()
-    curve = curves.curves_of(moved, np.zeros(1))
-    basis = curves.basis if curves.zero is None else curves.basis - curves.basis[curves.zero]
-    deviation = np.sqrt((basis**2) @ std**2)
+    curve, deviation = curves.basis @ moved, np.sqrt(curves.basis**2 @ std**2)
     at = int(np.argmax(np.abs(curve)))
     if years <= 0.0:
         return None, 0.0, at, False

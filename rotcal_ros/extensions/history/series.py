@@ -30,8 +30,8 @@ class DeviationSeries:
 
     ``campaigns`` (m) are those of ``series``. A curve at the angles of the newest one is ``rest``
     plus ``basis`` (n, p) times the coefficients; ``rest`` (n,) with ``rest_covariance`` (n, n) is
-    what the modes leave of the newest. ``zero`` is the angle whose deviation is zero by
-    definition, None if there is none.
+    what the modes leave of the newest. All of them are zero at the angle ``zero``, whose
+    deviation is zero by definition; None if there is none.
     """
 
     component: str
@@ -55,10 +55,8 @@ class DeviationSeries:
         return newest.tolerance_m if self.component in TRANSLATIONS else newest.tolerance_rad
 
     def curves_of(self, coefficients: Floats, rest: Floats) -> Floats:
-        """Return curves (..., n) of coefficients (..., p), with their zero where it belongs."""
-        curves = rest + coefficients @ self.basis.T
-        moved = curves if self.zero is None else curves - curves[..., self.zero, None]
-        return np.asarray(moved, dtype=np.float64)
+        """Return curves (..., n) of coefficients (..., p) and of what they leave."""
+        return np.asarray(rest + coefficients @ self.basis.T, dtype=np.float64)
 
     def drawn_rest(self, draws: int) -> Floats:
         """Return draws (draws, 1, n) of what the modes leave."""
@@ -108,9 +106,12 @@ def _series(
     if not fits or not np.all(variances > 0.0):
         return None
     newest = kept[-1].curves[component]
-    basis, estimator = _modes(newest, orders)
-    left = np.eye(len(newest.angles)) - basis[:, 1:] @ estimator[1:]
-    zero = np.flatnonzero(np.diag(newest.covariance) <= 0.0)
+    basis = _modes(newest, orders)[0][:, 1:]
+    left = np.eye(len(newest.angles)) - basis @ estimators[-1]
+    zeros = np.flatnonzero(np.diag(newest.covariance) <= 0.0)
+    zero = int(zeros[0]) if len(zeros) == 1 else None
+    if zero is not None:
+        basis, left = basis - basis[zero], left - left[zero]
     numbers = np.arange(1, orders + 1)
     temperatures = [c.temperature_c for c in kept]
     series = CampaignSeries(
@@ -126,8 +127,8 @@ def _series(
     words = f"{dropped} of {len(campaigns)} results of {component}: too few angles, or another arc"
     notes = (words,) if dropped else ()
     return DeviationSeries(
-        component, tuple(kept), series, basis[:, 1:], left @ newest.deviation,
-        left @ newest.covariance @ left.T, int(zero[0]) if len(zero) == 1 else None, notes,
+        component, tuple(kept), series, basis, left @ newest.deviation,
+        left @ newest.covariance @ left.T, zero, notes,
     )  # fmt: skip
 
 

@@ -22,8 +22,8 @@ from rotcal_ros.extensions.history.settings import (
     HistorySettings,
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.dates import time_of, today
-from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.dates import day_of, time_of, today
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say, tell
@@ -95,17 +95,7 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
     if as_json:
         print_json({"tables": [_plain(view) for view in views]})
         return 0
-    views.sort(key=lambda o: (not o.urgent, o.due_ns, o.title))
-    print_table(
-        [
-            Column("Table", [o.title for o in views]),
-            Column("Last", [o.last for o in views]),
-            Column("Verdict", [o.verdict_line for o in views]),
-            Column("Trend", [o.trend for o in views]),
-            Column("Due", [o.due for o in views]),
-            Column("Why", [o.reason for o in views]),
-        ]
-    )
+    _print_tables(sorted(views, key=lambda o: (not o.urgent, o.due_ns, o.title)))
     tables = "1 table" if len(views) == 1 else f"{len(views)} tables"
     print_words(f"{tables}, {sum(bool(o.urgent) for o in views)} to look at")
     return 0
@@ -167,7 +157,7 @@ def _add_document(
 ) -> list[Any]:
     item = history.item(given["serial"], given["axis"])
     day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
-    return [history.add_document(item.serial, item.axis, kind, source.name, day, content)]
+    return [history.add_document(item, kind, source.name, day, content)]
 
 
 @command.command()
@@ -185,8 +175,7 @@ def event(serial: str, what: str, axis: str, day: str, why: str, settings: Histo
     """
     with _open(settings) as history:
         item = history.item(serial, axis)
-        added = history.add_event(item.serial, item.axis, what, time_of(day), why)
-        say(added.in_words())
+        say(history.add_event(item, what, time_of(day), why).in_words())
     return 0
 
 
@@ -227,16 +216,20 @@ def show(
     with _open(settings) as history:
         item = history.item(serial, axis)
         if number is not None and output is not None:
-            _write_content(history.entry(number), output)
+            entry = history.entry(number)
+            if (entry.serial, entry.axis) != (item.serial, item.axis):
+                raise DataError(
+                    f"entry {number} is of {entry.title}, not of {item.title}: name that table"
+                )
+            _write_content(entry, output)
             return 0
-        entries, verdicts = history.of_item(item, valid=False), history.verdicts(item)
+        entries = history.of_item(item, valid=False)
         known = next((o for o in park(history, settings) if o.title == item.title), None)
     if as_json:
         outlook = None if known is None else _plain(known)
-        facts = [_facts(e) | {"verdict_line": verdicts.get(e.id, "")} for e in entries]
-        print_json({"entries": facts, "outlook": outlook})
+        print_json({"entries": [_facts(e) for e in entries], "outlook": outlook})
         return 0
-    _print_entries(entries, verdicts)
+    _print_entries(entries)
     if known is not None:
         _print_outlook(known, settings.database)
     return 0
@@ -277,7 +270,7 @@ def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> 
 
 
 @command.command()
-@click.option("--before", default="", help="Day, as 2026-03-31; default: today.")
+@click.option("--before", default="", help="Day, as 2026-03-31; default: tomorrow.")
 @click.option("--ics", type=NamedFile(".ics"), help="Also write the dates as an iCalendar.")
 @click.option("--mail", is_flag=True, help="Print the text of an e-mail.")
 @asked
@@ -287,11 +280,11 @@ def due(
 ) -> int:
     """Tell which tables are due before a day; the exit code is 1 if there are any."""
     from rotcal_ros.extensions.history.exchange import calendar, letter
+    from rotcal_ros.extensions.history.outlook import DAY_NS
 
-    day = before or today()
-    limit = time_of(day)
-    found = [o for o in _park(settings) if o.due_ns < limit]
-    found.sort(key=lambda o: (o.due_ns, o.title))
+    limit = time_of(before) if before else time_of(today()) + DAY_NS
+    day, views = day_of(limit), sorted(_park(settings), key=lambda o: (o.due_ns, o.title))
+    found = [o for o in views if o.due_ns < limit]
     if ics is not None:
         write_atomically(ics, calendar(found, datetime.now(timezone.utc)))
         say(f"calendar: {ics.absolute()}")
@@ -300,13 +293,7 @@ def due(
     elif mail:
         tell(*letter(found, day).splitlines())
     elif found:
-        print_table(
-            [
-                Column("Due", [o.due for o in found]),
-                Column("Table", [o.title for o in found]),
-                Column("Why", [o.reason for o in found]),
-            ]
-        )
+        _print_tables(found)
     else:
         say(f"no table is due before {day}")
     return int(bool(found))
@@ -400,8 +387,20 @@ def _facts(entry: HistoryEntry) -> dict[str, Any]:
     return facts
 
 
-def _print_entries(entries: Sequence[HistoryEntry], verdicts: Mapping[int, str]) -> None:
-    replaced = {entry.replaces for entry in entries}
+def _print_tables(views: Sequence[Outlook]) -> None:
+    print_table(
+        [
+            Column("Table", [o.title for o in views]),
+            Column("Last", [o.last for o in views]),
+            Column("Verdict", [o.verdict_line for o in views]),
+            Column("Trend", [o.trend for o in views]),
+            Column("Due", [o.due for o in views]),
+            Column("Why", [o.reason for o in views]),
+        ]
+    )
+
+
+def _print_entries(entries: Sequence[HistoryEntry]) -> None:
     print_table(
         [
             Column("Entry", [e.id for e in entries]),
@@ -410,10 +409,7 @@ def _print_entries(entries: Sequence[HistoryEntry], verdicts: Mapping[int, str])
             Column("What", [e.what for e in entries]),
             Column("By", [e.added_by for e in entries]),
             Column("Why", [e.why for e in entries]),
-            Column(
-                "State",
-                ["replaced" if e.id in replaced else verdicts.get(e.id, "") for e in entries],
-            ),
+            Column("State", [e.state for e in entries]),
         ]
     )
 

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,24 @@ def test_what_happened_is_noted_and_mistakes_are_corrected(history, results, tmp
     assert back.returncode == 0, back.stderr
     original = next(path for path in results if path.name == "STAYS_00.json")
     assert json.loads((tmp_path / "back.json").read_text()) == json.loads(original.read_text())
+
+
+def test_an_entry_of_another_table_is_not_written(history, results, tmp_path):
+    history("add", results[0], results[-1])
+    refused = history("show", "DRIFTS", "--entry", 2, "-o", "two.json")
+    assert refused.returncode == 3
+    assert "entry 2 is of STAYS/C, not of DRIFTS/C: name that table" in refused.stderr
+    assert not (tmp_path / "two.json").exists()
+    history("correct", 2, "--withdraw", "--why", "upside down")
+    assert history("show", "STAYS", "--entry", 2, "-o", "two.json").returncode == 0
+    assert json.loads((tmp_path / "two.json").read_text()) == json.loads(results[-1].read_text())
+
+
+def test_what_is_due_today_is_due(history, tmp_path):
+    now = result("NOW", time.time_ns(), np.zeros(24), 0.3, verdict="suspect")
+    (tmp_path / "now.json").write_text(now.to_json())
+    history("add", "now.json")
+    assert history("due").returncode == 1
 
 
 def test_a_result_of_nobody_gets_its_table_by_option(history):
