@@ -30,7 +30,7 @@ from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.dates import time_of
-from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result, Zeros
 from rotcal_ros.foundation.session_folder import SessionFolder
@@ -40,64 +40,66 @@ from rotcal_ros.report.comparison import curves_and_errors
 TITLE = phrase("Since last time")
 AT_ONCE: Final = 50
 """Results in files that are added in one transaction."""
+REFUSALS: Final = (DataError, ConfigurationError)
+"""Of one addition; others are of the history."""
 LONGEST_NS: Final = 86_400_000_000_000
 """No measurement takes longer."""
 
 
 def add_sources(
-    history: ParkHistory,
-    sources: Iterable[Path],
-    read: Callable[[Path], Any],
-    add: Callable[[Path, Any], list[Added]],
+    history: ParkHistory, sources: Iterable[Path], given: Mapping[str, Any], kind: str | None
 ) -> Iterator[list[Added] | RotcalError]:
-    """Yield what ``add`` made of what ``read`` found in each source, or why it was not added.
+    """Yield what was added of each source, or why nothing was; files of a ``kind`` as they are.
 
-    It is on the medium then: of result files AT_ONCE share a transaction. Raises BagError where
-    the history does not take them.
+    It is on the medium then: of result files AT_ONCE share a transaction. ``given`` is what a
+    result does not state. Raises BagError where the history does not take them.
     """
+    read: Callable[[Path], Any] = Path.read_bytes if kind else read_source
+    add = partial(_add_document, history, given, kind) if kind else partial(_add, history, given)
     for files, alike in groupby(sources, lambda source: source.suffix == ".json"):
         while group := list(islice(alike, AT_ONCE if files else 1)):
-            found = [_or_error(RotcalError, read, source) for source in group]
+            found = [(source, _or_error(RotcalError, read, source)) for source in group]
             with history.together():
                 done = [
-                    each
-                    if isinstance(each, RotcalError)
-                    else _or_error(DataError, add, source, each)
-                    for source, each in zip(group, found, strict=True)
+                    one if isinstance(one, RotcalError) else _or_error(REFUSALS, add, source, one)
+                    for source, one in found
                 ]
             yield from done
 
 
-def _or_error(kind: type[RotcalError], function: Callable[..., Any], *given: Any) -> Any:
+def _or_error(kinds: Any, function: Callable[..., Any], *given: Any) -> Any:
     try:
         return function(*given)
-    except kind as error:
+    except kinds as error:
         return error
 
 
-def add_found(
+def _add(
     history: ParkHistory, given: Mapping[str, Any], source: Path, found: ResultSource
 ) -> list[Added]:
-    """Add the result that was found in a file, bag or session, and the report of a session.
-
-    ``given`` is what the result does not state; raises what :meth:`ParkHistory.add_result` does.
-    """
+    """Add the result that was found in a file, bag or session, and the report of a session."""
     given = {**given, "axis": given.get("axis") or found.axis or ""}
     added = [history.add_result(found.result, **given, where=str(source))]
     report, entry = SessionFolder(source).report, added[0].entry
     if source.is_dir() and report.is_file():
-        content = report.read_bytes()
-        added.append(
-            history.add_document(entry, "report", report.name, entry.measured_ns, content)
-        )
+        about = entry, "report", report.name, entry.measured_ns
+        added.append(history.add_document(*about, report.read_bytes()))
     return added
+
+
+def _add_document(
+    history: ParkHistory, given: Mapping[str, Any], kind: str, source: Path, content: bytes
+) -> list[Added]:
+    item = history.item(given["serial"], given["axis"])
+    day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
+    return [history.add_document(item, kind, source.name, day, content)]
 
 
 def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
     """Add the result and the report of a session to a history; return what became of it."""
     with ParkHistory(database) as history:
         found = read_source(folder.path)
-        return add_found(history, {"axis": axis}, folder.path, found)[0].in_words()
+        return _add(history, {"axis": axis}, folder.path, found)[0].in_words()
 
 
 def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
@@ -147,15 +149,15 @@ def _observed(result: Result) -> int:
     return result.n_observations + len(result.rejected)
 
 
-def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str, str] | None:
-    """Return title and HTML of the changes since the newest result before; None without one."""
+def since_last_time(result: Result, database: str, axis: str = "") -> list[tuple[str, str]]:
+    """Return title and HTML of the changes since the newest result before, if there is one."""
     known = result.circumstances
     about = ITEMS.c.serial == known.identity.serial, ITEMS.c.axis == (known.axis or axis)
     earlier = ENTRIES.c.kind == RESULT, ENTRIES.c.measured_ns < known.from_ns
     with ParkHistory(database) as history:
         before = [e for e in history.entries(*about, *earlier) if e.state != REPLACED]
         if not before:
-            return None
+            return []
         entry = max(before, key=lambda entry: (entry.measured_ns, entry.id))
         day, last = entry.day, result_of(history.entry(entry.id))
     changes, now = [], SPOKEN.get().say(phrase("now"))
@@ -168,7 +170,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str,
         unit, label = unit_of(name)
         words = phrase("{0} against {1}: {2}", name, day, phrase(found.in_words(unit, label)))
         changes.append((words, curves_and_errors(curves, {(now, day): found}, name), name))
-    return (TITLE, render("since_last_time", changes=changes)) if changes else None
+    return [(TITLE, render("since_last_time", changes=changes))] if changes else []
 
 
 def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, float]:

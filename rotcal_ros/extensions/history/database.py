@@ -121,9 +121,7 @@ CURVES: Final = _table(
 
 FORECASTS: Final = _table(
     "forecasts",
-    _own("item_id", WHOLE, sa.ForeignKey("items.id")),
     _own("basis", sa.Text),
-    *_given(WHOLE, "made_ns"),
     *_given(sa.Text, "content"),
 )
 """What was forecast of an axis; ``basis`` hashes the entries and settings it was made from."""
@@ -196,7 +194,8 @@ class Added:
 
     def in_words(self) -> str:
         """Return it in a line."""
-        entry, state = self.entry, "added" if self.new else "there already"
+        entry, but = self.entry, ", but replaced" * (self.entry.state == REPLACED)
+        state = "added" if self.new else f"there already{but}"
         return f"entry {entry.id}: {entry.kind} of {entry.title}, {entry.day}, {state}"
 
 
@@ -267,7 +266,7 @@ class ParkHistory:
         DataError for a result without identity or date, or of another table than it says, and for
         one that is there as the result of another table.
         """
-        serial, axis = _identified(result, serial, axis, where, corrected=bool(corrects))
+        serial, axis = _identified(result, serial, axis, where)
         measured_ns = result.circumstances.from_ns or measured_ns
         if not measured_ns:
             raise DataError(
@@ -291,19 +290,21 @@ class ParkHistory:
         return self._add(entry, None, name)
 
     def correct(self, entry_id: int, why: str, *, serial: str = "", axis: str = "") -> Added:
-        """Move an entry to another table, or withdraw it where neither is given."""
+        """Move an entry to another table, or withdraw it where neither is given.
+
+        In the place of a withdrawal what was withdrawn comes back.
+        """
         if not why:
             raise ConfigurationError("a correction says why: give the reason")
-        old, where = self.entry(entry_id), f"entry {entry_id}"
+        old = counted = self.entry(entry_id)
         if not (serial or axis):
             new = _entry(old.serial, old.axis, WITHDRAWAL, "", old.measured_ns, why, b"")
-            return self._add(new, old, where)
-        about = serial or old.serial, axis or old.axis
-        if old.kind == RESULT:
-            moved = partial(self.add_result, result_of(old), *about, measured_ns=old.measured_ns)
-            return moved(why=why, corrects=old, where=where)
-        new = _entry(*about, old.kind, old.what, old.measured_ns, why, old.content)
-        return self._add(new, old, where)
+            return self._add(new, old, f"entry {entry_id}")
+        if old.kind == WITHDRAWAL and old.replaces is not None:
+            counted = self.entry(old.replaces)
+        what, day, content = counted.what, counted.measured_ns, counted.content
+        new = _entry(serial or old.serial, axis or old.axis, counted.kind, what, day, why, content)
+        return self._add(new, old, f"entry {entry_id}")
 
     def restore(self, entry: HistoryEntry, replaced: str) -> Added:
         """Add an entry of another history as it is there; ``replaced``: hash of what it replaces.
@@ -391,20 +392,15 @@ class ParkHistory:
                 hashes.setdefault(item_id, sha256()).update(own.encode())
         return {item_id: found.hexdigest() for item_id, found in hashes.items()}
 
-    def forecasts(self) -> dict[tuple[int, str], str]:
-        """Return what was forecast last, by number of the axis and basis."""
-        own = FORECASTS.c.item_id, FORECASTS.c.made_ns
-        newest = sa.select(own[0], sa.func.max(own[1])).group_by(own[0])
-        asked = sa.select(FORECASTS).where(sa.tuple_(*own).in_(newest))
+    def forecasts(self, bases: Iterable[str]) -> dict[str, str]:
+        """Return what was forecast before, by its basis."""
+        asked = sa.select(FORECASTS).where(FORECASTS.c.basis.in_(bases))
         with self._connected() as connection:
-            return {(row.item_id, row.basis): row.content for row in connection.execute(asked)}
+            return {row.basis: row.content for row in connection.execute(asked)}
 
-    def note_forecasts(self, forecasts: Iterable[tuple[int, str, str]]) -> None:
-        """Keep forecasts as (axis, basis, content)."""
-        rows = [
-            {"item_id": item, "basis": basis, "made_ns": time.time_ns(), "content": content}
-            for item, basis, content in forecasts
-        ]
+    def note_forecasts(self, forecasts: Mapping[str, str]) -> None:
+        """Keep forecasts by their basis."""
+        rows = [{"basis": basis, "content": text} for basis, text in forecasts.items()]
         if rows:
             with self._connected(writing=True) as connection:
                 connection.execute(_insertion(connection.dialect.name, FORECASTS), rows)
@@ -628,16 +624,14 @@ def _user() -> str:
         return f"user {os.getuid()}"
 
 
-def _identified(
-    result: Result, serial: str, axis: str, where: str, *, corrected: bool
-) -> tuple[str, str]:
+def _identified(result: Result, serial: str, axis: str, where: str) -> tuple[str, str]:
     """Return serial number and axis, stated by the result or given; DataError without either."""
     known, found = result.circumstances, []
     for words, option, own, given in (
         ("serial number", "serial", known.identity.serial.strip(), serial.strip()),
         ("axis", "axis", known.axis, axis),
     ):
-        if own and given and own != given and not corrected:
+        if own and given and own != given:
             raise DataError(
                 f"{where} is of the {words} {own!r}, not {given!r}: leave out --{option}, or add "
                 f"it and correct it with `{_VERB} correct`"

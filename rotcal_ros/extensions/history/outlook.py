@@ -164,22 +164,22 @@ def park(
 
     They are computed where something is new.
     """
-    bases, known = history.bases(), history.forecasts()
     plain = replace(settings, database="", period_s=1.0)  # the others change what is forecast
-    items, found, new = history.items(), list[Outlook](), list[tuple[int, str, str]]()
-    for done, item in enumerate(items, 1):
-        basis = sha256(f"{VERSION} {plain} {bases.get(item.id)}".encode()).hexdigest()
+    items, hashes = history.items(), history.bases()
+    bases = [sha256(f"{VERSION} {plain} {hashes.get(i.id)}".encode()).hexdigest() for i in items]
+    known, new, found = history.forecasts(bases), dict[str, str](), list[Outlook]()
+    for done, (item, basis) in enumerate(zip(items, bases, strict=True), 1):
         view = None
         with suppress(ValueError, KeyError):
-            view = Outlook.from_json(known[item.id, basis])
+            view = Outlook.from_json(known[basis])
         if view is None and (view := outlook_of(history, item, settings)) is not None:
-            new.append((item.id, basis, view.to_json()))
+            new[basis] = view.to_json()
         if view is not None:
             found.append(view)
         if len(new) >= KEPT_AFTER or done == len(items):
             with suppress(BagError):  # a history that may only be read is shown all the same
                 history.note_forecasts(new)
-            new = []
+            new.clear()
         progress(done, len(items))
     return _with_swaps(found)
 

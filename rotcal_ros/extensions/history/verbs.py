@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -33,6 +33,14 @@ if TYPE_CHECKING:  # what takes a second to load is imported where it is used
     from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook
 
 VARIABLE: Final = "ROTCAL_HISTORY"
+OF_TABLE: Final = {
+    "Table": "title", "Last": "last", "Verdict": "verdict_line", "Trend": "trend", "Due": "due",
+    "Why": "reason",
+}  # fmt: skip
+OF_ENTRY: Final = {
+    "Entry": "id", "Date": "day", "Kind": "kind", "What": "what", "By": "added_by", "Why": "why",
+    "State": "state",
+}  # fmt: skip
 
 
 def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> HistorySettings:
@@ -95,7 +103,7 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
     if as_json:
         print_json({"tables": [_plain(view) for view in views]})
         return 0
-    _print_tables(sorted(views, key=lambda o: (not o.urgent, o.due_ns, o.title)))
+    _print(OF_TABLE, sorted(views, key=lambda o: (not o.urgent, o.due_ns, o.title)))
     tables = "1 table" if len(views) == 1 else f"{len(views)} tables"
     print_words(f"{tables}, {sum(bool(o.urgent) for o in views)} to look at")
     return 0
@@ -122,42 +130,28 @@ def add(
     check, a report, a table in force. Of several the others are added where one is refused; the
     exit code is then 1.
     """
-    from rotcal_ros.extensions.history.adding import add_found, add_sources
+    from rotcal_ros.extensions.history.adding import add_sources
     from rotcal_ros.extensions.history.database import ParkHistory
-    from rotcal_ros.recordings.result_sources import read_source
 
-    done, refused, settings = [], list[str](), asked.pop("settings")
+    done, refused, settings = [], list[RotcalError](), asked.pop("settings")
     given = {**asked, "measured_ns": time_of(measured) if measured else 0}
     with ParkHistory(settings.database) as history, progress("adding") as shown:
-        read, add_one = (
-            (read_source, partial(add_found, history, given))
-            if kind is None
-            else (Path.read_bytes, partial(_add_document, history, given, kind))
-        )
-        for number, came in enumerate(add_sources(history, sources, read, add_one), 1):
+        for number, came in enumerate(add_sources(history, sources, given, kind), 1):
             shown(number, len(sources))
             if isinstance(came, RotcalError):
                 if len(sources) == 1:
                     raise came
-                refused.append(str(came))
+                refused.append(came)
                 say(f"not added: {came}")
-                continue
-            for addition in came:
-                done.append({"new": addition.new, **_facts(addition.entry)})
-                say(addition.in_words())
+            else:
+                done += came
+                say("\n".join(each.in_words() for each in came))
     if as_json:
-        print_json({"entries": done, "refused": refused})
+        entries = [{"new": each.new, **_facts(each.entry)} for each in done]
+        print_json({"entries": entries, "refused": [str(error) for error in refused]})
     if refused:
         say(f"{len(refused)} of {len(sources)} were not added; what is added once stays so")
     return int(bool(refused))
-
-
-def _add_document(
-    history: ParkHistory, given: Mapping[str, Any], kind: str, source: Path, content: bytes
-) -> list[Any]:
-    item = history.item(given["serial"], given["axis"])
-    day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
-    return [history.add_document(item, kind, source.name, day, content)]
 
 
 @command.command()
@@ -229,7 +223,7 @@ def show(
         outlook = None if known is None else _plain(known)
         print_json({"entries": [_facts(e) for e in entries], "outlook": outlook})
         return 0
-    _print_entries(entries)
+    _print(OF_ENTRY, entries)
     if known is not None:
         _print_outlook(known, settings.database)
     return 0
@@ -293,7 +287,7 @@ def due(
     elif mail:
         tell(*letter(found, day).splitlines())
     elif found:
-        _print_tables(found)
+        _print(OF_TABLE, found)
     else:
         say(f"no table is due before {day}")
     return int(bool(found))
@@ -387,31 +381,10 @@ def _facts(entry: HistoryEntry) -> dict[str, Any]:
     return facts
 
 
-def _print_tables(views: Sequence[Outlook]) -> None:
-    print_table(
-        [
-            Column("Table", [o.title for o in views]),
-            Column("Last", [o.last for o in views]),
-            Column("Verdict", [o.verdict_line for o in views]),
-            Column("Trend", [o.trend for o in views]),
-            Column("Due", [o.due for o in views]),
-            Column("Why", [o.reason for o in views]),
-        ]
-    )
-
-
-def _print_entries(entries: Sequence[HistoryEntry]) -> None:
-    print_table(
-        [
-            Column("Entry", [e.id for e in entries]),
-            Column("Date", [e.day for e in entries]),
-            Column("Kind", [e.kind for e in entries]),
-            Column("What", [e.what for e in entries]),
-            Column("By", [e.added_by for e in entries]),
-            Column("Why", [e.why for e in entries]),
-            Column("State", [e.state for e in entries]),
-        ]
-    )
+def _print(columns: Mapping[str, str], rows: Sequence[Any]) -> None:
+    """Print a table of what rows say under these names, by heading."""
+    found = {head: [getattr(row, name) for row in rows] for head, name in columns.items()}
+    print_table([Column(head, values) for head, values in found.items()])
 
 
 def _print_outlook(known: Outlook, database: str) -> None:

@@ -136,11 +136,23 @@ def test_one_result_is_of_one_table_until_it_is_corrected(database):
         assert history.check() == []
 
 
+def test_what_was_withdrawn_by_mistake_comes_back(database):
+    with ParkHistory(database) as history:
+        history.add_result(some())
+        withdrawn = history.correct(1, "upside down").entry
+        again = history.add_result(some())
+        assert again.in_words().endswith("there already, but replaced")
+        back = history.correct(withdrawn.id, "it was not", serial="4711").entry
+        assert (back.kind, back.content) == ("result", canonical(some()))
+        assert len(history.campaigns(history.item("4711"))) == 1
+        assert history.check() == []
+
+
 @pytest.mark.parametrize("statement", ["UPDATE {} SET {} = {}", "DELETE FROM {}"])
 def test_no_row_is_ever_changed(database, statement):
     with ParkHistory(database) as history:
         history.add_result(some())
-        history.note_forecasts([(history.item("4711").id, "basis", "{}")])
+        history.note_forecasts({"basis": "{}"})
         for table in METADATA.sorted_tables:
             column = next(iter(table.c)).name
             with (
