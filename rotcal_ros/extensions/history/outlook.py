@@ -239,6 +239,8 @@ def _due(
         agreed = newest.measured_ns + round(settings.interval_days * DAY_NS)
         few, none = phrase("fewer than 3 results"), phrase("no tolerance agreed")
         why = few if any(d.tolerance for d in each) else none
+        if not each:
+            why = phrase("no curves that can be compared")
         words = phrase("{0} days, as agreed ({1})", f"{settings.interval_days:g}", why)
         return min(agreed, latest), words
     first = min(forecast, key=lambda d: d.due_ns or 0)
@@ -291,7 +293,7 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
         found=tuple(curves.series.values[watched].tolist()),
     )  # fmt: skip
     since_step = int(np.sum(curves.series.steps == curves.series.steps[-1]))
-    if not tolerance or since_step < ENOUGH:
+    if not tolerance or since_step < ENOUGH or times[0] == times[-1]:
         return found
     due_ns, probability = due_date(curves, trend, tolerance, settings)
     days = (

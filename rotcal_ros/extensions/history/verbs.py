@@ -404,7 +404,7 @@ def _print_outlook(known: Outlook, database: str) -> None:
 def _lines(view: DeviationOutlook) -> Iterator[str]:
     """Yield what is known of one deviation."""
     unit, label = unit_of(view.component)
-    yield view.trend if view.rate is not None else f"{view.component}: one result"
+    yield view.trend if view.rate is not None else f"{view.component}: no drift known"
     if view.probability is not None:
         yield f"{view.component} is within its tolerance with {100.0 * view.probability:.1f} %"
     if view.intervals_days:
