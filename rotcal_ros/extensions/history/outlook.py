@@ -292,14 +292,17 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
         alarm=alarm, expected=tuple(tuple(row.tolist()) for row in trend.expected(watched)),
         found=tuple(curves.series.values[watched].tolist()),
     )  # fmt: skip
-    since_step = int(np.sum(curves.series.steps == curves.series.steps[-1]))
-    if not tolerance or since_step < ENOUGH or times[0] == times[-1]:
+    since = int(np.sum(curves.series.steps == curves.series.steps[-1]))
+    if not tolerance or since < ENOUGH or times[0] == times[-1]:
         return found
     due_ns, probability = due_date(curves, trend, tolerance, settings)
     days = (
         (phrase("model"), (due_ns - times[-1]) / DAY_NS),
         (phrase("staircase"), _staircase(largest, tolerance, settings)),
-        (phrase("control chart"), _control_chart(times, largest, tolerance, settings)),
+        (
+            phrase("control chart"),
+            _control_chart(times[-since:], largest[-since:], tolerance, settings),
+        ),
     )
     return replace(found, due_ns=due_ns, probability=probability, intervals_days=days)
 

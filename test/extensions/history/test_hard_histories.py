@@ -104,3 +104,14 @@ def test_temperatures_that_rise_with_time_make_no_table_due_at_once(tmp_path):
     assert view.due_ns > view.last_ns + 0.25 * YEAR_NS
     (curve,) = view.deviations
     assert curve.per_kelvin is not None
+
+
+def test_an_explained_jump_is_no_drift_of_a_control_chart(tmp_path):
+    """Still before and after: nothing reaches the tolerance, by whatever method."""
+    rng = np.random.default_rng(8)
+    with ParkHistory(str(tmp_path / "history.db")) as history:
+        for year in YEARS:
+            history.add_result(noisy(year, rng, size=1.0 if year < 2.5 else 5.0))
+        history.add_event(history.item("X"), "crash", BEGIN_NS + round(2.5 * YEAR_NS), "")
+        (view,) = park(history, HistorySettings())
+    assert dict(view.deviations[0].intervals_days)["control chart"] > 300.0
