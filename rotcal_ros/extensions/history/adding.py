@@ -34,6 +34,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalEr
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result, Zeros
 from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.untrusted import read_bytes, reading
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.comparison import curves_and_errors
 
@@ -54,7 +55,7 @@ def add_sources(
     It is on the medium then: of result files AT_ONCE share a transaction. ``given`` is what a
     result does not state. Raises BagError where the history does not take them.
     """
-    read: Callable[[Path], Any] = Path.read_bytes if kind else read_source
+    read: Callable[[Path], Any] = _content if kind else read_source
     add = partial(_add_document, history, given, kind) if kind else partial(_add, history, given)
     for files, alike in groupby(sources, lambda source: source.suffix == ".json"):
         while group := list(islice(alike, AT_ONCE if files else 1)):
@@ -65,6 +66,11 @@ def add_sources(
                     for source, one in found
                 ]
             yield from done
+
+
+def _content(path: Path) -> bytes:
+    with reading(path, DataError):
+        return read_bytes(path)
 
 
 def _or_error(kinds: Any, function: Callable[..., Any], *given: Any) -> Any:

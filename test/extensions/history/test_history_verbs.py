@@ -139,6 +139,9 @@ def test_files_that_cannot_be_read_keep_no_other_out(history, results, tmp_path)
     told = json.loads(added.stdout)
     assert (len(told["entries"]), len(told["refused"])) == (len(results), 1)
     assert "broken.json" in told["refused"][0]
+    reports = ("--as", "report", "--serial", "STAYS", "--json")
+    told = json.loads(history("add", "no.html", "broken.json", *reports).stdout)
+    assert (len(told["entries"]), len(told["refused"])) == (1, 1)
 
 
 def test_a_history_that_is_not_there_is_not_begun_by_a_look(history, tmp_path):
