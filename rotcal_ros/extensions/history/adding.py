@@ -62,8 +62,8 @@ def add_sources(
             found = [(source, _or_error(RotcalError, read, source)) for source in group]
             with history.together():
                 done = [
-                    one if isinstance(one, RotcalError) else _or_error(REFUSALS, add, source, one)
-                    for source, one in found
+                    new if isinstance(new, RotcalError) else _or_error(REFUSALS, add, source, new)
+                    for source, new in found
                 ]
             yield from done
 
