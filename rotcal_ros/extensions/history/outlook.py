@@ -31,7 +31,7 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.units import DEGREE
 
-VERSION: Final = 2
+VERSION: Final = 3
 """A forecast of another version is made again."""
 DAY_NS: Final = 86_400_000_000_000
 ENOUGH: Final = 3
@@ -68,7 +68,8 @@ class DeviationOutlook:
 
     ``largest`` |deviation| of each campaign at ``times_ns``. ``rate`` per year with its standard
     uncertainty, at the ``angle`` (rad) that moves most; ``moved``: more than chance explains.
-    ``wearing``: its drift changes itself.
+    ``wearing``: its drift changes itself. ``harmonics`` holds order, change per year and its
+    standard uncertainty of each coefficient: cosine and sine by turns on a circle.
     ``due_ns`` is None where nothing can be forecast. ``probability`` is that of conformity on the
     day of the newest campaign. ``intervals_days`` by method. ``per_kelvin`` is the temperature
     coefficient at that angle and its standard uncertainty. ``alarm`` is the campaign of a jump;
@@ -87,6 +88,7 @@ class DeviationOutlook:
     angle: float = 0.0
     moved: bool = False
     wearing: bool = False
+    harmonics: tuple[tuple[int, float, float], ...] = ()
     due_ns: int | None = None
     probability: float | None = None
     intervals_days: tuple[tuple[str, float], ...] = ()
@@ -287,7 +289,7 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
     watched = len(times) - 1 if alarm is None else alarm
     found = replace(
         plain, rate=rate, rate_std=rate_std, angle=float(curve.angles[at]), moved=moved,
-        wearing=_alarm(trend, "cusum") is not None,
+        wearing=_alarm(trend, "cusum") is not None, harmonics=_harmonics(trend),
         per_kelvin=kelvin and (float(row @ kelvin[0]), float(np.sqrt(row**2 @ kelvin[1] ** 2))),
         alarm=alarm, expected=tuple(tuple(row.tolist()) for row in trend.expected(watched)),
         found=tuple(curves.series.values[watched].tolist()),
@@ -351,6 +353,14 @@ def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, i
         return None, 0.0, at, False
     normal = np.abs(moved) > _SIGNIFICANT * std
     return float(curve[at] / years), float(deviation[at] / years), at, bool(np.any(normal))
+
+
+def _harmonics(trend: Trend) -> tuple[tuple[int, float, float], ...]:
+    moved, std, years = trend.change()
+    if years <= 0.0:
+        return ()
+    orders, rates, stds = trend.series.orders, moved / years, std / years
+    return tuple(zip(orders.tolist(), rates.tolist(), stds.tolist(), strict=True))
 
 
 def _alarm(trend: Trend, chart: Chart) -> int | None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from functools import wraps
+from itertools import groupby
+from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -405,6 +407,9 @@ def _lines(view: DeviationOutlook) -> Iterator[str]:
     """Yield what is known of one deviation."""
     unit, label = unit_of(view.component)
     yield view.trend if view.rate is not None else f"{view.component}: no drift known"
+    if view.harmonics:
+        orders = ", ".join(_orders(view, unit))
+        yield f"{view.component}, change per year by order / {label}: {orders}"
     if view.probability is not None:
         yield f"{view.component} is within its tolerance with {100.0 * view.probability:.1f} %"
     if view.intervals_days:
@@ -413,6 +418,14 @@ def _lines(view: DeviationOutlook) -> Iterator[str]:
     if view.per_kelvin is not None:
         value, std = (number / unit for number in view.per_kelvin)
         yield f"{view.component}: {value:+.2g} ± {COVERAGE_FACTOR * std:.2g} {label}/K"
+
+
+def _orders(view: DeviationOutlook, unit: float) -> Iterator[str]:
+    """Yield how much each harmonic changes in a year, whatever its phase."""
+    for order, found in groupby(view.harmonics, lambda each: each[0]):
+        _, rates, stds = zip(*found, strict=True)
+        spread = COVERAGE_FACTOR * hypot(*stds) / len(stds) ** 0.5
+        yield f"{order}: {hypot(*rates) / unit:.2g} ± {spread / unit:.2g}"
 
 
 def _write_content(entry: HistoryEntry, output: Path) -> None:

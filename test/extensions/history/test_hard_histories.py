@@ -115,3 +115,18 @@ def test_an_explained_jump_is_no_drift_of_a_control_chart(tmp_path):
         history.add_event(history.item("X"), "crash", BEGIN_NS + round(2.5 * YEAR_NS), "")
         (view,) = park(history, HistorySettings())
     assert dict(view.deviations[0].intervals_days)["control chart"] > 300.0
+
+
+def test_the_drift_of_each_harmonic_is_that_of_the_table(tmp_path):
+    rng = np.random.default_rng(9)
+    results = []
+    for year in YEARS:
+        each = noisy(year, rng)
+        truth = 0.4 * year * np.sin(2.0 * CIRCLE) * ARCSEC
+        results.append(replace(each, deviations={"ECC": each.deviations["ECC"] + truth}))
+    (curve,) = outlook_of(tmp_path, results).deviations
+    orders, rates, stds = map(np.array, zip(*curve.harmonics, strict=True))
+    assert orders.tolist() == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
+    expected = np.where(np.arange(12) == 3, 0.4 * ARCSEC, 0.0)
+    assert np.all(np.abs(rates - expected) < 4.0 * stds)
+    assert rates[3] > 10.0 * stds[3]

@@ -199,6 +199,12 @@ def test_a_suspect_result_is_due_at_once(history, tmp_path):
     assert "suspect" in history("show", "BAD").stdout
 
 
+def test_the_drift_of_each_harmonic_is_told(history, results):
+    history("add", *results[:11])
+    shown = " ".join(history("show", "DRIFTS").stderr.split())
+    assert re.search(r"ECC, change per year by order / arcsec: 1: 0\.[56]\d? ± 0\.\d+, 2: ", shown)
+
+
 def test_the_next_check_is_proposed_for_the_day_on_which_the_table_is_due(history, results):
     history("add", *results[:11])
     due = json.loads(history("--json").stdout)["tables"][0]["due_ns"]
