@@ -274,7 +274,7 @@ class ParkHistory:
                 "state identity.measured in the configuration"
             )
         entry = _entry(serial, axis, RESULT, result.method, measured_ns, why, canonical(result))
-        return self._add(entry, corrects, where)
+        return self._add(entry, corrects, where, result)
 
     def add_event(self, item: OfAxis, what: str, measured_ns: int, why: str) -> Added:
         """Add an event of EVENTS, such as a crash, which cuts the series or lets it jump."""
@@ -444,7 +444,13 @@ class ParkHistory:
         faults = [f"SQLite: {text}" for text in whole if text != "ok"]
         return faults + [f"{row[0]}, row {row[1]}: it belongs to no {row[2]}" for row in loose]
 
-    def _add(self, entry: HistoryEntry, old: HistoryEntry | None, where: str) -> Added:
+    def _add(
+        self,
+        entry: HistoryEntry,
+        old: HistoryEntry | None,
+        where: str,
+        result: Result | None = None,
+    ) -> Added:
         """Write an entry, in the place of the ``old`` one, and what follows from it: all of it."""
         hashed = entry.hashed(old.sha256 if old else "")
         entry = replace(entry, sha256=hashed, replaces=old.id if old else None)
@@ -459,7 +465,7 @@ class ParkHistory:
                 known = connection.execute(_ITEM, own).scalar_one()
             entry_id = connection.execute(insert(ENTRIES), row | {"item_id": known}).scalar()
             if entry_id is not None and entry.kind == RESULT:
-                result = result_of(entry)
+                result = result or result_of(entry)
                 connection.execute(sa.insert(RESULTS), _result_row(entry_id, result))
                 if rows := _curve_rows(entry_id, result):
                     connection.execute(sa.insert(CURVES), rows)
