@@ -617,6 +617,8 @@ def _entry(
     serial: str, axis: str, kind: str, what: str, measured_ns: int, why: str, content: bytes
 ) -> HistoryEntry:
     """Return an entry as it is now added; it replaces none."""
+    if not serial.strip():
+        raise ConfigurationError("the serial number is empty: name the table")
     return HistoryEntry(
         serial.strip(), check_axis(axis), 0, kind, what, measured_ns, time.time_ns(), _user(), why,
         _hash(content), "", None, content,

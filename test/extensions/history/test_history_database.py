@@ -119,6 +119,8 @@ def test_one_result_is_of_one_table_until_it_is_corrected(database):
         wrong = history.add_result(unnamed, serial="4711").entry
         with pytest.raises(DataError, match="as result of 4711/C"):
             history.add_result(unnamed, serial="4712")
+        with pytest.raises(ConfigurationError, match="serial number is empty"):
+            history.correct(wrong.id, "labels were swapped", serial=" ")
         right = history.correct(wrong.id, "labels were swapped", serial="4712")
         again = history.correct(wrong.id, "labels were swapped", serial="4712")
         assert (right.new, again.new) == (True, False)
