@@ -147,15 +147,6 @@ class Outlook(OfAxis):
         """The findings that a person has to look at now: all but a mere drift."""
         return tuple(found for found in self.findings if found.kind != "drift")
 
-    def to_json(self) -> str:
-        """Return it as text, read again by :meth:`from_json`."""
-        return json.dumps(asdict(self), allow_nan=False)
-
-    @classmethod
-    def from_json(cls, text: str) -> Outlook:
-        """Return what :meth:`to_json` wrote; raises ValueError."""
-        return record(cls, json.loads(text))
-
 
 def park(
     history: ParkHistory,
@@ -173,9 +164,9 @@ def park(
     for done, (item, basis) in enumerate(zip(items, bases, strict=True), 1):
         view = None
         with suppress(ValueError, KeyError):
-            view = Outlook.from_json(known[basis])
+            view = record(Outlook, json.loads(known[basis]))
         if view is None and (view := outlook_of(history, item, settings)) is not None:
-            new[basis] = view.to_json()
+            new[basis] = json.dumps(asdict(view), allow_nan=False)
         if view is not None:
             found.append(view)
         if len(new) >= KEPT_AFTER or done == len(items):

@@ -217,7 +217,12 @@ def show(
                 raise DataError(
                     f"entry {number} is of {entry.title}, not of {item.title}: name that table"
                 )
-            _write_content(entry, output)
+            if output.exists():
+                raise ConfigurationError(
+                    f"{output} exists and is not overwritten: name another file"
+                )
+            output.write_bytes(entry.content)
+            say(f"{entry.kind} {entry.what}: {output.absolute()}")
             return 0
         entries = history.of_item(item, valid=False)
         known = next((o for o in park(history, settings) if o.title == item.title), None)
@@ -426,10 +431,3 @@ def _orders(view: DeviationOutlook, unit: float) -> Iterator[str]:
         _, rates, stds = zip(*found, strict=True)
         spread = COVERAGE_FACTOR * hypot(*stds) / len(stds) ** 0.5
         yield f"{order}: {hypot(*rates) / unit:.2g} ± {spread / unit:.2g}"
-
-
-def _write_content(entry: HistoryEntry, output: Path) -> None:
-    if output.exists():
-        raise ConfigurationError(f"{output} exists and is not overwritten: name another file")
-    output.write_bytes(entry.content)
-    say(f"{entry.kind} {entry.what}: {output.absolute()}")
