@@ -8,6 +8,8 @@ from typing import Final
 from rotcal_ros.foundation.errors import ConfigurationError
 
 _NS: Final = 1_000_000_000
+_FARTHEST_NS: Final = 292 * 31_556_952 * _NS
+"""What integers of 64 bit hold, in whole years."""
 
 
 def day_of(time_ns: int) -> str:
@@ -20,16 +22,20 @@ def day_of(time_ns: int) -> str:
 
 
 def time_of(day: str) -> int:
-    """Return the first moment of a day; raises ConfigurationError.
+    """Return the first moment of a day, or a moment with its zone; raises ConfigurationError.
 
     >>> time_of("2026-03-31")
     1774915200000000000
     """
     try:
-        begun = datetime.fromisoformat(day).replace(tzinfo=timezone.utc)
-    except ValueError:
+        begun = datetime.fromisoformat(day)
+        known = begun if begun.tzinfo else begun.replace(tzinfo=timezone.utc)
+        time_ns = int(known.timestamp()) * _NS
+    except (ValueError, OverflowError):
         raise ConfigurationError(f"{day!r} is no date: expected one like 2026-03-31") from None
-    return int(begun.timestamp()) * _NS
+    if abs(time_ns) > _FARTHEST_NS:
+        raise ConfigurationError(f"{day!r} is too far away: expected a year from 1678 to 2261")
+    return time_ns
 
 
 def today() -> str:

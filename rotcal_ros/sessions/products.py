@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
@@ -64,11 +65,13 @@ def write_products(
         except RotcalError as error:
             tell(f"no compensation files: {error}")
     if _HISTORY in session.configuration.given:
+        database, axis = _place_in_history(session)
         try:
             history = plugins.extension(plugins.HISTORIES, _HISTORY, "a history")
-            tell(f"history: {history.keep_session(folder, *_place_in_history(session))}")
+            tell(f"history: {history.keep_session(folder, database, axis)}")
         except RotcalError as error:
-            tell(f"not in the history: {error}; `rotcal history add {folder.path}` adds it later")
+            later = f"rotcal history add {folder.path} --database {database}"
+            tell(f"not in the history: {error}; `{later}` adds it later")
     return {name: str(path) for name, path in paths.items()}
 
 
@@ -80,15 +83,13 @@ def _place_in_history(session: Session) -> tuple[str, str]:
 
 def _since_last_time(session: Session) -> Sequence[tuple[str, str]]:
     """Return the section of a report on what has changed, if a history tells it."""
-    if _HISTORY not in session.configuration.given:
-        return ()
-    try:
-        history = plugins.extension(plugins.HISTORIES, _HISTORY, "a history")
-        result = read_source(session.folder.result).result
-        section = history.since_last_time(result, *_place_in_history(session))
-    except RotcalError:  # said when the result is to be kept
-        return ()
-    return () if section is None else (section,)
+    sections: Sequence[tuple[str, str]] = ()
+    if _HISTORY in session.configuration.given:
+        with suppress(RotcalError):  # said when the result is to be kept
+            history = plugins.extension(plugins.HISTORIES, _HISTORY, "a history")
+            result = read_source(session.folder.result).result
+            sections = history.since_last_time(result, *_place_in_history(session))
+    return sections
 
 
 def goal_standing(folder: SessionFolder) -> GoalStanding | None:

@@ -70,4 +70,5 @@ def test_a_result_that_a_history_refuses_spoils_no_calibration(tmp_path):
     paths = write_products(session, report=False, export=False, tell=told.append)
     assert set(paths) == {"bag", "result"}
     assert "no serial number" in told[0]
-    assert f"`rotcal history add {tmp_path}` adds it later" in told[0]
+    later = f"`rotcal history add {tmp_path} --database {settings.database}` adds it later"
+    assert later in told[0]

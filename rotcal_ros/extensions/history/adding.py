@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +12,9 @@ import numpy as np
 
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.extensions.history.database import (
+    ENTRIES,
     ITEMS,
+    REPLACED,
     RESULT,
     Added,
     ParkHistory,
@@ -27,72 +30,82 @@ from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.dates import time_of
-from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result, Zeros
 from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.untrusted import read_bytes, reading
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.comparison import curves_and_errors
 
 TITLE = phrase("Since last time")
 AT_ONCE: Final = 50
 """Results in files that are added in one transaction."""
+REFUSALS: Final = (DataError, ConfigurationError)
+"""Of one addition; others are of the history."""
 LONGEST_NS: Final = 86_400_000_000_000
 """No measurement takes longer."""
 
 
 def add_sources(
-    history: ParkHistory,
-    sources: Iterable[Path],
-    read: Callable[[Path], Any],
-    add: Callable[[Path, Any], list[Added]],
+    history: ParkHistory, sources: Iterable[Path], given: Mapping[str, Any], kind: str | None
 ) -> Iterator[list[Added] | RotcalError]:
-    """Yield what ``add`` made of what ``read`` found in each source, or why it was not added.
+    """Yield what was added of each source, or why nothing was; files of a ``kind`` as they are.
 
-    It is on the medium then: of result files AT_ONCE share a transaction. Raises BagError where
-    the history does not take them.
+    It is on the medium then: of result files AT_ONCE share a transaction. ``given`` is what a
+    result does not state. Raises BagError where the history does not take them.
     """
+    read: Callable[[Path], Any] = _content if kind else read_source
+    add = partial(_add_document, history, given, kind) if kind else partial(_add, history, given)
     for files, alike in groupby(sources, lambda source: source.suffix == ".json"):
         while group := list(islice(alike, AT_ONCE if files else 1)):
-            found = [_or_error(RotcalError, read, source) for source in group]
+            found = [(source, _or_error(RotcalError, read, source)) for source in group]
             with history.together():
                 done = [
-                    each
-                    if isinstance(each, RotcalError)
-                    else _or_error(DataError, add, source, each)
-                    for source, each in zip(group, found, strict=True)
+                    new if isinstance(new, RotcalError) else _or_error(REFUSALS, add, source, new)
+                    for source, new in found
                 ]
             yield from done
 
 
-def _or_error(kind: type[RotcalError], function: Callable[..., Any], *given: Any) -> Any:
+def _content(path: Path) -> bytes:
+    with reading(path, DataError):
+        return read_bytes(path)
+
+
+def _or_error(kinds: Any, function: Callable[..., Any], *given: Any) -> Any:
     try:
         return function(*given)
-    except kind as error:
+    except kinds as error:
         return error
 
 
-def add_found(
+def _add(
     history: ParkHistory, given: Mapping[str, Any], source: Path, found: ResultSource
 ) -> list[Added]:
-    """Add the result that was found in a file, bag or session, and the report of a session.
-
-    ``given`` is what the result does not state; raises what :meth:`ParkHistory.add_result` does.
-    """
+    """Add the result that was found in a file, bag or session, and the report of a session."""
     given = {**given, "axis": given.get("axis") or found.axis or ""}
     added = [history.add_result(found.result, **given, where=str(source))]
     report, entry = SessionFolder(source).report, added[0].entry
     if source.is_dir() and report.is_file():
-        about = (entry.serial, entry.axis, "report", report.name, entry.measured_ns)
+        about = entry, "report", report.name, entry.measured_ns
         added.append(history.add_document(*about, report.read_bytes()))
     return added
+
+
+def _add_document(
+    history: ParkHistory, given: Mapping[str, Any], kind: str, source: Path, content: bytes
+) -> list[Added]:
+    item = history.item(given["serial"], given["axis"])
+    day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
+    return [history.add_document(item, kind, source.name, day, content)]
 
 
 def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
     """Add the result and the report of a session to a history; return what became of it."""
     with ParkHistory(database) as history:
         found = read_source(folder.path)
-        return add_found(history, {"axis": axis}, folder.path, found)[0].in_words()
+        return _add(history, {"axis": axis}, folder.path, found)[0].in_words()
 
 
 def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
@@ -106,23 +119,25 @@ def keep_measurement(history: ParkHistory, result: Result, serial: str, source: 
     known = result.circumstances
     serial, begun = known.identity.serial or serial, known.from_ns
     ended = max(begun, known.ended_ns or 0)
-    about = serial, known.axis, result.method, (begun - LONGEST_NS, ended)
-    for entry in history.measured_between(*about):
-        earlier = result_of(entry)
-        if not _same_measurement(result, earlier):
-            continue
-        fuller = _observed(earlier) > _observed(result)
-        if fuller or canonical(earlier) == canonical(result):
-            return Added(entry, new=False)
-        why = f"{source}, solved again"
-        return history.add_result(result, serial=serial, why=why, corrects=entry.id, where=source)
-    for entry in history.measured_between(*about, valid=False):
-        if _same_measurement(result, result_of(entry)):
-            raise DataError(
-                f"entry {entry.id} of the same measurement was taken from this table: add it with "
-                "`rotcal history add` if it counts after all"
-            )
-    return history.add_result(result, serial=serial, why=source, where=source)
+    about = (
+        ITEMS.c.serial == serial, ITEMS.c.axis == known.axis, ENTRIES.c.kind == RESULT,
+        ENTRIES.c.what == result.method,
+        ENTRIES.c.measured_ns.between(begun - LONGEST_NS, ended),
+    )  # fmt: skip
+    near = ((entry, result_of(entry)) for entry in history.entries(*about, content=True))
+    same = [(entry, earlier) for entry, earlier in near if _same_measurement(result, earlier)]
+    add, why = partial(history.add_result, result, serial, where=source), f"{source}, solved again"
+    for entry, earlier in same:
+        if entry.state != REPLACED:
+            fuller = _observed(earlier) > _observed(result)
+            as_before = fuller or canonical(earlier) == canonical(result)
+            return Added(entry, new=False) if as_before else add(why=why, corrects=entry)
+    if same:
+        raise DataError(
+            f"entry {same[-1][0].id} of the same measurement was taken from this table: add it "
+            "with `rotcal history add` if it counts after all"
+        )
+    return add(why=source)
 
 
 def _same_measurement(result: Result, earlier: Result) -> bool:
@@ -140,15 +155,17 @@ def _observed(result: Result) -> int:
     return result.n_observations + len(result.rejected)
 
 
-def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str, str] | None:
-    """Return title and HTML of the changes since the newest result before; None without one."""
-    axis = result.circumstances.axis or axis
-    serial = result.circumstances.identity.serial
+def since_last_time(result: Result, database: str, axis: str = "") -> list[tuple[str, str]]:
+    """Return title and HTML of the changes since the newest result before, if there is one."""
+    known = result.circumstances
+    about = ITEMS.c.serial == known.identity.serial, ITEMS.c.axis == (known.axis or axis)
+    earlier = ENTRIES.c.kind == RESULT, ENTRIES.c.measured_ns < known.from_ns
     with ParkHistory(database) as history:
-        earlier = _earlier(history, result, serial, axis)
-    if earlier is None:
-        return None
-    day, last = earlier
+        before = [e for e in history.entries(*about, *earlier) if e.state != REPLACED]
+        if not before:
+            return []
+        entry = max(before, key=lambda entry: (entry.measured_ns, entry.id))
+        day, last = entry.day, result_of(history.entry(entry.id))
     changes, now = [], SPOKEN.get().say(phrase("now"))
     for name in result.components:
         try:
@@ -159,7 +176,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> tuple[str,
         unit, label = unit_of(name)
         words = phrase("{0} against {1}: {2}", name, day, phrase(found.in_words(unit, label)))
         changes.append((words, curves_and_errors(curves, {(now, day): found}, name), name))
-    return (TITLE, render("since_last_time", changes=changes)) if changes else None
+    return [(TITLE, render("since_last_time", changes=changes))] if changes else []
 
 
 def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, float]:
@@ -189,16 +206,3 @@ def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, f
         zeros=Zeros(newest.zeros.counts_from),
     )  # fmt: skip
     return result, room
-
-
-def _earlier(
-    history: ParkHistory, result: Result, serial: str, axis: str
-) -> tuple[str, Result] | None:
-    until = result.circumstances.from_ns or 1 << 62
-    for item in history.items(ITEMS.c.serial == serial, ITEMS.c.axis == axis):
-        for entry in reversed(history.of_item(item)):
-            if entry.kind == RESULT and entry.measured_ns < until:
-                last = result_of(history.entry(entry.id))
-                if canonical(last) != canonical(result):
-                    return entry.day, last
-    return None

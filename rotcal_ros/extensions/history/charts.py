@@ -125,12 +125,10 @@ def chart_and_forecast(
     """Draw the deviation at the angle that moves most with its forecast, above a control chart."""
     unit, label = unit_of(curves.component)
     top, bottom = style.grid(2, 1, height=3.0)
-    moved = curves.curves_of(trend.change()[0], np.zeros(1))
-    at = int(np.argmax(np.abs(moved)))
+    at = int(np.argmax(np.abs(curves.basis @ trend.change()[0])))
     times = curves.series.times_ns
     measured = curves.curves_of(curves.series.values, curves.rest)[:, at] / unit
-    basis_at = curves.basis[at] - (0.0 if curves.zero is None else curves.basis[curves.zero])
-    band = COVERAGE_FACTOR * np.sqrt(curves.series.std**2 @ basis_at**2) / unit
+    band = COVERAGE_FACTOR * np.sqrt(curves.series.std**2 @ curves.basis[at] ** 2) / unit
     top.errorbar(_dates(times), measured, band, fmt="o", color=style.BLUE, ms=4, capsize=2)
     ahead = np.linspace(times[-1], max(until_ns, times[-1] + 1), _STEPS).astype(np.int64)
     drawn = curves.curves_of(trend.forecast(ahead), curves.drawn_rest(DRAWS))[:, :, at] / unit

@@ -33,7 +33,6 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import make_url
 
 from rotcal_ros.evaluation.marks import tolerance_of
-from rotcal_ros.extensions.history.settings import DOCUMENTS, EVENTS
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
@@ -46,6 +45,7 @@ from rotcal_ros.foundation.untrusted import load_json, require_plain
 RESULT: Final = "result"
 EVENT: Final = "event"
 WITHDRAWAL: Final = "withdrawal"
+REPLACED: Final = "replaced"
 PATIENCE_S: Final = 60
 """Time to wait for another writer."""
 _OF_ITEM: Final = ("serial", "axis")
@@ -121,9 +121,7 @@ CURVES: Final = _table(
 
 FORECASTS: Final = _table(
     "forecasts",
-    _own("item_id", WHOLE, sa.ForeignKey("items.id")),
     _own("basis", sa.Text),
-    *_given(WHOLE, "made_ns"),
     *_given(sa.Text, "content"),
 )
 """What was forecast of an axis; ``basis`` hashes the entries and settings it was made from."""
@@ -156,7 +154,8 @@ class HistoryEntry(OfAxis):
     """One entry; ``content`` as it was added, times in ns since 1970.
 
     ``what``: the method of a result, the kind of an event, the name of a file. ``replaces`` is
-    the entry that it corrects; a withdrawal puts nothing in its place.
+    the entry that it corrects; a withdrawal puts nothing in its place. ``state`` is REPLACED, or
+    the verdict of a result in a line.
     """
 
     id: int
@@ -170,6 +169,7 @@ class HistoryEntry(OfAxis):
     sha256: str
     replaces: int | None
     content: bytes = b""
+    state: str = ""
 
     @property
     def day(self) -> str:
@@ -194,7 +194,8 @@ class Added:
 
     def in_words(self) -> str:
         """Return it in a line."""
-        entry, state = self.entry, "added" if self.new else "there already"
+        entry, but = self.entry, ", but replaced" * (self.entry.state == REPLACED)
+        state = "added" if self.new else f"there already{but}"
         return f"entry {entry.id}: {entry.kind} of {entry.title}, {entry.day}, {state}"
 
 
@@ -251,12 +252,12 @@ class ParkHistory:
     def add_result(
         self,
         result: Result,
-        *,
         serial: str = "",
         axis: str = "",
+        *,
         measured_ns: int = 0,
         why: str = "",
-        corrects: int | None = None,
+        corrects: HistoryEntry | None = None,
         where: str = "the result",
     ) -> Added:
         """Add a result, or put it in the place of the entry ``corrects``; ``why`` is for people.
@@ -265,7 +266,7 @@ class ParkHistory:
         DataError for a result without identity or date, or of another table than it says, and for
         one that is there as the result of another table.
         """
-        serial, axis = _identified(result, serial, axis, where, corrected=corrects is not None)
+        serial, axis = _identified(result, serial, axis, where)
         measured_ns = result.circumstances.from_ns or measured_ns
         if not measured_ns:
             raise DataError(
@@ -273,39 +274,37 @@ class ParkHistory:
                 "state identity.measured in the configuration"
             )
         entry = _entry(serial, axis, RESULT, result.method, measured_ns, why, canonical(result))
-        return self._add(replace(entry, replaces=corrects), result, where)
+        return self._add(entry, corrects, where, result)
 
-    def add_event(self, serial: str, axis: str, what: str, measured_ns: int, why: str) -> Added:
+    def add_event(self, item: OfAxis, what: str, measured_ns: int, why: str) -> Added:
         """Add an event of EVENTS, such as a crash, which cuts the series or lets it jump."""
-        if what not in EVENTS:
-            raise ConfigurationError(f"event {what!r}: expected one of {', '.join(EVENTS)}")
-        facts = [serial, check_axis(axis), what, measured_ns, why]
-        content = json.dumps(facts).encode()
-        return self._add(_entry(serial, axis, EVENT, what, measured_ns, why, content), None, what)
+        of = item.serial, item.axis
+        content = json.dumps([*of, what, measured_ns, why]).encode()
+        return self._add(_entry(*of, EVENT, what, measured_ns, why, content), None, what)
 
     def add_document(
-        self, serial: str, axis: str, kind: str, name: str, measured_ns: int, content: bytes
+        self, item: OfAxis, kind: str, name: str, measured_ns: int, content: bytes
     ) -> Added:
         """Add a file of one of the kinds DOCUMENTS, byte by byte."""
-        if kind not in DOCUMENTS:
-            raise ConfigurationError(f"kind {kind!r}: expected one of {', '.join(DOCUMENTS)}")
-        entry = _entry(serial, check_axis(axis), kind, name, measured_ns, "", content)
+        entry = _entry(item.serial, item.axis, kind, name, measured_ns, "", content)
         return self._add(entry, None, name)
 
     def correct(self, entry_id: int, why: str, *, serial: str = "", axis: str = "") -> Added:
-        """Move an entry to another table, or withdraw it where neither is given."""
+        """Move an entry to another table, or withdraw it where neither is given.
+
+        In the place of a withdrawal what was withdrawn comes back.
+        """
         if not why:
             raise ConfigurationError("a correction says why: give the reason")
-        old = self.entry(entry_id)
+        old = counted = self.entry(entry_id)
         if not (serial or axis):
             new = _entry(old.serial, old.axis, WITHDRAWAL, "", old.measured_ns, why, b"")
-            return self._add(replace(new, replaces=entry_id), None, f"entry {entry_id}")
-        serial, axis = serial or old.serial, axis or old.axis
-        if old.kind == RESULT:
-            moved = partial(self.add_result, result_of(old), serial=serial, axis=axis)
-            return moved(measured_ns=old.measured_ns, why=why, corrects=entry_id)
-        new = _entry(serial, axis, old.kind, old.what, old.measured_ns, why, old.content)
-        return self._add(replace(new, replaces=entry_id), None, f"entry {entry_id}")
+            return self._add(new, old, f"entry {entry_id}")
+        if old.kind == WITHDRAWAL and old.replaces is not None:
+            counted = self.entry(old.replaces)
+        what, day, content = counted.what, counted.measured_ns, counted.content
+        new = _entry(serial or old.serial, axis or old.axis, counted.kind, what, day, why, content)
+        return self._add(new, old, f"entry {entry_id}")
 
     def restore(self, entry: HistoryEntry, replaced: str) -> Added:
         """Add an entry of another history as it is there; ``replaced``: hash of what it replaces.
@@ -316,24 +315,25 @@ class ParkHistory:
         whole = _hash(entry.content) == entry.content_sha256
         if not whole or entry.hashed(replaced) != entry.sha256:
             raise DataError(f"{where} is not as its hash says: copy the export again")
-        if replaced:
-            found = next(self.entries(ENTRIES.c.sha256 == replaced), None)
-            if found is None:
-                raise DataError(f"{where} replaces an entry that is missing: export all of them")
-            entry = replace(entry, replaces=found.id)
-        result = result_of(entry) if entry.kind == RESULT else None
-        return self._add(entry, result, where)
+        old = next(self.entries(ENTRIES.c.sha256 == replaced), None)
+        if replaced and old is None:
+            raise DataError(f"{where} replaces an entry that is missing: export all of them")
+        return self._add(entry, old, where)
 
-    def items(self, *wanted: Any) -> list[Item]:
-        """Return all axes with a valid entry, by serial number."""
-        kept = sa.exists().where(ENTRIES.c.item_id == ITEMS.c.id, _valid())
+    def items(self, *wanted: Any, valid: bool = True) -> list[Item]:
+        """Return all axes with a valid entry, or with any, by serial number."""
+        kept = sa.exists().where(ENTRIES.c.item_id == ITEMS.c.id, _VALID if valid else sa.true())
         asked = sa.select(ITEMS).where(kept, *wanted).order_by(ITEMS.c.serial, ITEMS.c.axis)
         with self._connected() as connection:
             return [Item(**row._asdict()) for row in connection.execute(asked)]
 
     def item(self, serial: str, axis: str = "") -> Item:
-        """Return an axis; DataError if there is none, or more than one without ``axis``."""
-        found = self.items(ITEMS.c.serial == serial, *([ITEMS.c.axis == axis] if axis else []))
+        """Return an axis; DataError if there is none, or more than one without ``axis``.
+
+        One of which all has been withdrawn is found, too.
+        """
+        named = ITEMS.c.serial == serial, *([ITEMS.c.axis == axis] if axis else [])
+        found = self.items(*named) or self.items(*named, valid=False)
         if len(found) == 1:
             return found[0]
         if found:
@@ -353,30 +353,17 @@ class ParkHistory:
 
     def of_item(self, item: Item, *, valid: bool = True) -> list[HistoryEntry]:
         """Return the entries of an axis by time of measurement, without their content."""
-        wanted = [ENTRIES.c.item_id == item.id, *([_valid()] if valid else [])]
+        wanted = [ENTRIES.c.item_id == item.id, *([_VALID] if valid else [])]
         return sorted(self.entries(*wanted), key=lambda entry: (entry.measured_ns, entry.id))
-
-    def measured_between(
-        self, serial: str, axis: str, method: str, times_ns: tuple[int, int], *, valid: bool = True
-    ) -> list[HistoryEntry]:
-        """Return the results of a method, of an axis, that begin in a time, with their content.
-
-        The valid ones, or those that something replaces.
-        """
-        wanted = (
-            ITEMS.c.serial == serial, ITEMS.c.axis == axis, ENTRIES.c.kind == RESULT,
-            ENTRIES.c.what == method, ENTRIES.c.measured_ns.between(*times_ns),
-            _valid() if valid else sa.not_(_valid()),
-        )  # fmt: skip
-        return list(self.entries(*wanted, content=True))
 
     def entries(self, *wanted: Any, content: bool = False) -> Iterator[HistoryEntry]:
         """Yield entries in the order in which they were added."""
+        columns = {**ITEMS.c, **ENTRIES.c, "state": _STATE}
         names = [f.name for f in fields(HistoryEntry) if content or f.name != "content"]
-        columns = [ITEMS.c[n] if n in _OF_ITEM else ENTRIES.c[n] for n in names]
-        asked = sa.select(*columns).select_from(ENTRIES.join(ITEMS)).where(*wanted)
+        asked = sa.select(*(columns[name].label(name) for name in names)).where(*wanted)
+        joined = asked.select_from(ENTRIES.join(ITEMS).outerjoin(RESULTS))
         with self._connected() as connection:
-            streamed = asked.order_by(ENTRIES.c.id).execution_options(yield_per=200)
+            streamed = joined.order_by(ENTRIES.c.id).execution_options(yield_per=200)
             for row in connection.execute(streamed):
                 facts = row._asdict()
                 if content:
@@ -386,7 +373,7 @@ class ParkHistory:
 
     def campaigns(self, item: Item) -> list[Campaign]:
         """Return the valid results of an axis with their curves, by time of measurement."""
-        of_item = sa.and_(ENTRIES.c.item_id == item.id, _valid())
+        of_item = sa.and_(ENTRIES.c.item_id == item.id, _VALID)
         asked = sa.select(ENTRIES.c.measured_ns, RESULTS).join(RESULTS).where(of_item)
         asked = asked.order_by(ENTRIES.c.measured_ns, ENTRIES.c.id)
         measured = sa.select(CURVES).join(ENTRIES).where(of_item)
@@ -396,36 +383,24 @@ class ParkHistory:
                 curves.setdefault(row.entry_id, {})[row.component] = _unpacked(row)
             return [_campaign(row, curves) for row in connection.execute(asked)]
 
-    def verdicts(self, item: Item) -> dict[int, str]:
-        """Return, by number of an entry, the verdict of each result of an axis in a line."""
-        asked = sa.select(RESULTS.c.entry_id, RESULTS.c.verdict_line).join(ENTRIES)
-        with self._connected() as connection:
-            of_item = connection.execute(asked.where(ENTRIES.c.item_id == item.id))
-            return {row.entry_id: row.verdict_line for row in of_item}
-
     def bases(self) -> dict[int, str]:
         """Return, by number of an axis, the hash of its valid entries."""
-        asked = sa.select(ENTRIES.c.item_id, ENTRIES.c.sha256).where(_valid())
+        asked = sa.select(ENTRIES.c.item_id, ENTRIES.c.sha256).where(_VALID)
         hashes: dict[int, Any] = {}
         with self._connected() as connection:
             for item_id, own in connection.execute(asked.order_by(ENTRIES.c.id)):
                 hashes.setdefault(item_id, sha256()).update(own.encode())
         return {item_id: found.hexdigest() for item_id, found in hashes.items()}
 
-    def forecasts(self) -> dict[tuple[int, str], str]:
-        """Return what was forecast last, by number of the axis and basis."""
-        own = FORECASTS.c.item_id, FORECASTS.c.made_ns
-        newest = sa.select(own[0], sa.func.max(own[1])).group_by(own[0])
-        asked = sa.select(FORECASTS).where(sa.tuple_(*own).in_(newest))
+    def forecasts(self, bases: Iterable[str]) -> dict[str, str]:
+        """Return what was forecast before, by its basis."""
+        asked = sa.select(FORECASTS).where(FORECASTS.c.basis.in_(bases))
         with self._connected() as connection:
-            return {(row.item_id, row.basis): row.content for row in connection.execute(asked)}
+            return {row.basis: row.content for row in connection.execute(asked)}
 
-    def note_forecasts(self, forecasts: Iterable[tuple[int, str, str]]) -> None:
-        """Keep forecasts as (axis, basis, content)."""
-        rows = [
-            {"item_id": item, "basis": basis, "made_ns": time.time_ns(), "content": content}
-            for item, basis, content in forecasts
-        ]
+    def note_forecasts(self, forecasts: Mapping[str, str]) -> None:
+        """Keep forecasts by their basis."""
+        rows = [{"basis": basis, "content": text} for basis, text in forecasts.items()]
         if rows:
             with self._connected(writing=True) as connection:
                 connection.execute(_insertion(connection.dialect.name, FORECASTS), rows)
@@ -448,16 +423,16 @@ class ParkHistory:
 
     def _derived_faults(self, entry: HistoryEntry) -> list[str]:
         """Compare the rows that follow from a result with its content, bit by bit."""
-        result = result_of(entry)
-        wanted = {(row["component"]): row for row in _curve_rows(entry.id, result)}
-        asked = sa.select(CURVES).where(CURVES.c.entry_id == entry.id)
-        of_result = sa.select(RESULTS).where(RESULTS.c.entry_id == entry.id)
-        with self._connected() as connection:
-            found = {row.component: row._asdict() for row in connection.execute(asked)}
-            row = connection.execute(of_result).one_or_none()
-        faults = [] if found == wanted else ["its curves are not those of its content"]
-        if row is None or row._asdict() != _result_row(entry.id, result):
-            faults.append("its verdict, tolerance or circumstances are not those of its content")
+        result, faults = result_of(entry), []
+        for table, wanted, what in (
+            (CURVES, _curve_rows(entry.id, result), "curves"),
+            (RESULTS, [_result_row(entry.id, result)], "verdict, tolerance or circumstances"),
+        ):
+            asked = sa.select(table).where(table.c.entry_id == entry.id)
+            with self._connected() as connection:
+                found = [row._asdict() for row in connection.execute(asked)]
+            if sorted(found, key=str) != sorted(wanted, key=str):
+                faults.append(f"its {what} are not those of its content")
         return faults
 
     def _file_faults(self) -> list[str]:
@@ -469,21 +444,28 @@ class ParkHistory:
         faults = [f"SQLite: {text}" for text in whole if text != "ok"]
         return faults + [f"{row[0]}, row {row[1]}: it belongs to no {row[2]}" for row in loose]
 
-    def _add(self, entry: HistoryEntry, result: Result | None, where: str) -> Added:
-        """Write an entry and what follows from it, all or nothing."""
+    def _add(
+        self,
+        entry: HistoryEntry,
+        old: HistoryEntry | None,
+        where: str,
+        result: Result | None = None,
+    ) -> Added:
+        """Write an entry, in the place of the ``old`` one, and what follows from it: all of it."""
+        hashed = entry.hashed(old.sha256 if old else "")
+        entry = replace(entry, sha256=hashed, replaces=old.id if old else None)
+        row = {name: value for name, value in vars(entry).items() if name in ENTRIES.c}
+        row |= {"content": zlib.compress(row.pop("content"))}
+        del row["id"]  # the database gives it
+        own = {name: getattr(entry, name) for name in _OF_ITEM}
         with self._connected(writing=True) as connection:
             insert = partial(_insertion, connection.dialect.name)
-            entry = replace(
-                entry, sha256=entry.sha256 or entry.hashed(_replaced(connection, entry))
-            )
-            row = {name: value for name, value in vars(entry).items() if name != "id"}
-            own = {name: row.pop(name) for name in _OF_ITEM}
             if (known := connection.execute(_ITEM, own).scalar()) is None:
                 connection.execute(insert(ITEMS), own)
                 known = connection.execute(_ITEM, own).scalar_one()
-            row |= {"item_id": known, "content": zlib.compress(entry.content)}
-            entry_id = connection.execute(insert(ENTRIES), row).scalar()
-            if entry_id is not None and result is not None:
+            entry_id = connection.execute(insert(ENTRIES), row | {"item_id": known}).scalar()
+            if entry_id is not None and entry.kind == RESULT:
+                result = result or result_of(entry)
                 connection.execute(sa.insert(RESULTS), _result_row(entry_id, result))
                 if rows := _curve_rows(entry_id, result):
                     connection.execute(sa.insert(CURVES), rows)
@@ -587,27 +569,23 @@ def _begin(connection: sa.Connection) -> None:
 def _upgrade(connection: sa.Connection, database: str) -> None:
     """Bring the database to the newest form, if it is an older one."""
     place = str(Path(__file__).with_name("migrations"))
-    script = ScriptDirectory(place)
     found = MigrationContext.configure(connection).get_current_revision()
-    if found == script.get_current_head():
+    if found == ScriptDirectory(place).get_current_head():
         return
-    if found is not None and found not in {step.revision for step in script.walk_revisions()}:
-        raise BagError(
-            f"{_shown(database)} was written by a later rotcal (form {found}): update rotcal"
-        )
     config = Config()
     config.set_main_option("script_location", place)
     # The transaction of this connection only reads: a writer's waits for others from the start.
-    with connection.engine.connect() as plain:
-        writer = plain.execution_options(rotcal_writing=True)
-        with writer.begin():
-            if writer.dialect.name == "postgresql":
-                writer.exec_driver_sql("SELECT pg_advisory_xact_lock(7026)")
-            config.attributes["connection"] = writer
-            try:
-                command.upgrade(config, "head")
-            except CommandError as error:
-                raise BagError(f"{_shown(database)} cannot be updated: {error}") from error
+    writer = connection.engine.connect().execution_options(rotcal_writing=True)
+    with writer, writer.begin():
+        if writer.dialect.name == "postgresql":
+            writer.exec_driver_sql("SELECT pg_advisory_xact_lock(7026)")
+        config.attributes["connection"] = writer
+        try:
+            command.upgrade(config, "head")
+        except CommandError as error:
+            raise BagError(
+                f"{_shown(database)} was written by a later rotcal ({error}): update rotcal"
+            ) from error
 
 
 def _shown(database: str) -> str:
@@ -618,6 +596,10 @@ def _shown(database: str) -> str:
     return database
 
 
+_LATER: Final = ENTRIES.alias()
+_REPLACED: Final = sa.exists().where(_LATER.c.replaces == ENTRIES.c.id)
+_VALID: Final = sa.and_(ENTRIES.c.kind != WITHDRAWAL, ~_REPLACED)
+_STATE: Final = sa.case((_REPLACED, REPLACED), else_=sa.func.coalesce(RESULTS.c.verdict_line, ""))
 _ITEM: Final = sa.select(ITEMS.c.id).where(
     *(ITEMS.c[name] == sa.bindparam(name) for name in _OF_ITEM)
 )
@@ -631,51 +613,33 @@ def _insertion(dialect: str, table: sa.Table) -> Any:
     return asked.returning(table.c.id) if "id" in table.c else asked
 
 
-def _valid() -> Any:
-    """Return the condition of an entry that nothing replaces."""
-    later = ENTRIES.alias()
-    replaced = sa.exists().where(later.c.replaces == ENTRIES.c.id)
-    return sa.and_(ENTRIES.c.kind != WITHDRAWAL, ~replaced)
-
-
-def _replaced(connection: sa.Connection, entry: HistoryEntry) -> str:
-    """Return the hash of the entry that is replaced; empty for none, DataError if missing."""
-    if entry.replaces is None:
-        return ""
-    asked = sa.select(ENTRIES.c.sha256).where(ENTRIES.c.id == entry.replaces)
-    found = connection.execute(asked).scalar_one_or_none()
-    if found is None:
-        raise DataError(f"no entry {entry.replaces} to replace: `{_VERB} show` lists them")
-    return str(found)
-
-
 def _entry(
     serial: str, axis: str, kind: str, what: str, measured_ns: int, why: str, content: bytes
 ) -> HistoryEntry:
-    who = os.environ.get("ROTCAL_USER") or _user()
+    """Return an entry as it is now added; it replaces none."""
+    if not serial.strip():
+        raise ConfigurationError("the serial number is empty: name the table")
     return HistoryEntry(
-        serial, axis, 0, kind, what, measured_ns, time.time_ns(), who, why, _hash(content), "",
-        None, content,
+        serial.strip(), check_axis(axis), 0, kind, what, measured_ns, time.time_ns(), _user(), why,
+        _hash(content), "", None, content,
     )  # fmt: skip
 
 
 def _user() -> str:
     try:
-        return getpass.getuser()
+        return os.environ.get("ROTCAL_USER") or getpass.getuser()
     except (KeyError, OSError):  # no name for this number, as in a container
         return f"user {os.getuid()}"
 
 
-def _identified(
-    result: Result, serial: str, axis: str, where: str, *, corrected: bool
-) -> tuple[str, str]:
+def _identified(result: Result, serial: str, axis: str, where: str) -> tuple[str, str]:
     """Return serial number and axis, stated by the result or given; DataError without either."""
     known, found = result.circumstances, []
     for words, option, own, given in (
-        ("serial number", "serial", known.identity.serial, serial),
+        ("serial number", "serial", known.identity.serial.strip(), serial.strip()),
         ("axis", "axis", known.axis, axis),
     ):
-        if own and given and own != given and not corrected:
+        if own and given and own != given:
             raise DataError(
                 f"{where} is of the {words} {own!r}, not {given!r}: leave out --{option}, or add "
                 f"it and correct it with `{_VERB} correct`"
@@ -686,7 +650,7 @@ def _identified(
                 f"--{option}, and set it in the configuration"
             )
         found.append(given or own)
-    return found[0].strip(), check_axis(found[1])
+    return found[0], found[1]
 
 
 def _result_row(entry_id: int, result: Result) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.units import DEGREE
 
-VERSION: Final = 2
+VERSION: Final = 3
 """A forecast of another version is made again."""
 DAY_NS: Final = 86_400_000_000_000
 ENOUGH: Final = 3
@@ -68,7 +68,8 @@ class DeviationOutlook:
 
     ``largest`` |deviation| of each campaign at ``times_ns``. ``rate`` per year with its standard
     uncertainty, at the ``angle`` (rad) that moves most; ``moved``: more than chance explains.
-    ``wearing``: its drift changes itself.
+    ``wearing``: its drift changes itself. ``harmonics`` holds order, change per year and its
+    standard uncertainty of each coefficient: cosine and sine by turns on a circle.
     ``due_ns`` is None where nothing can be forecast. ``probability`` is that of conformity on the
     day of the newest campaign. ``intervals_days`` by method. ``per_kelvin`` is the temperature
     coefficient at that angle and its standard uncertainty. ``alarm`` is the campaign of a jump;
@@ -87,6 +88,7 @@ class DeviationOutlook:
     angle: float = 0.0
     moved: bool = False
     wearing: bool = False
+    harmonics: tuple[tuple[int, float, float], ...] = ()
     due_ns: int | None = None
     probability: float | None = None
     intervals_days: tuple[tuple[str, float], ...] = ()
@@ -145,15 +147,6 @@ class Outlook(OfAxis):
         """The findings that a person has to look at now: all but a mere drift."""
         return tuple(found for found in self.findings if found.kind != "drift")
 
-    def to_json(self) -> str:
-        """Return it as text, read again by :meth:`from_json`."""
-        return json.dumps(asdict(self), allow_nan=False)
-
-    @classmethod
-    def from_json(cls, text: str) -> Outlook:
-        """Return what :meth:`to_json` wrote; raises ValueError."""
-        return record(cls, json.loads(text))
-
 
 def park(
     history: ParkHistory,
@@ -164,22 +157,22 @@ def park(
 
     They are computed where something is new.
     """
-    bases, known = history.bases(), history.forecasts()
     plain = replace(settings, database="", period_s=1.0)  # the others change what is forecast
-    items, found, new = history.items(), list[Outlook](), list[tuple[int, str, str]]()
-    for done, item in enumerate(items, 1):
-        basis = sha256(f"{VERSION} {plain} {bases.get(item.id)}".encode()).hexdigest()
+    items, hashes = history.items(), history.bases()
+    bases = [sha256(f"{VERSION} {plain} {hashes.get(i.id)}".encode()).hexdigest() for i in items]
+    known, new, found = history.forecasts(bases), dict[str, str](), list[Outlook]()
+    for done, (item, basis) in enumerate(zip(items, bases, strict=True), 1):
         view = None
         with suppress(ValueError, KeyError):
-            view = Outlook.from_json(known[item.id, basis])
+            view = record(Outlook, json.loads(known[basis]))
         if view is None and (view := outlook_of(history, item, settings)) is not None:
-            new.append((item.id, basis, view.to_json()))
+            new[basis] = json.dumps(asdict(view), allow_nan=False)
         if view is not None:
             found.append(view)
         if len(new) >= KEPT_AFTER or done == len(items):
             with suppress(BagError):  # a history that may only be read is shown all the same
                 history.note_forecasts(new)
-            new = []
+            new.clear()
         progress(done, len(items))
     return _with_swaps(found)
 
@@ -239,6 +232,8 @@ def _due(
         agreed = newest.measured_ns + round(settings.interval_days * DAY_NS)
         few, none = phrase("fewer than 3 results"), phrase("no tolerance agreed")
         why = few if any(d.tolerance for d in each) else none
+        if not each:
+            why = phrase("no curves that can be compared")
         words = phrase("{0} days, as agreed ({1})", f"{settings.interval_days:g}", why)
         return min(agreed, latest), words
     first = min(forecast, key=lambda d: d.due_ns or 0)
@@ -250,29 +245,24 @@ def _due(
 
 
 def _findings(view: DeviationOutlook) -> list[TableFinding]:
-    name, newest = view.component, view.times_ns[-1]
-    jump_ns = newest if view.alarm is None else view.times_ns[view.alarm]
-    seen: tuple[tuple[Kind, bool, int, str], ...] = (
-        (
-            "jump",
-            view.alarm is not None,
-            jump_ns,
-            phrase(
-                "{0} jumped before {1}: look at the table, then note what happened as an event",
-                name,
-                day_of(jump_ns),
-            ),
-        ),
-        ("beyond", view.decision == "beyond", newest, phrase("{0} is beyond its tolerance", name)),
-        (
-            "wear",
-            view.alarm is None and view.wearing,
-            newest,
-            phrase("{0} does not drift evenly: something wears, such as a bearing", name),
-        ),
-        ("drift", view.moved, newest, phrase("drift: {0}", view.trend)),
-    )
-    return [TableFinding(kind, time_ns, words) for kind, there, time_ns, words in seen if there]
+    name, newest, found = view.component, view.times_ns[-1], list[TableFinding]()
+    if view.alarm is not None:
+        time_ns = view.times_ns[view.alarm]
+        words = phrase(
+            "{0} jumped before {1}: look at the table, then note what happened as an event",
+            name,
+            day_of(time_ns),
+        )
+        found.append(TableFinding("jump", time_ns, words))
+    if view.decision == "beyond":
+        words = phrase("{0} is beyond its tolerance", name)
+        found.append(TableFinding("beyond", newest, words))
+    if view.wearing and view.alarm is None:
+        words = phrase("{0} does not drift evenly: something wears, such as a bearing", name)
+        found.append(TableFinding("wear", newest, words))
+    if view.moved:
+        found.append(TableFinding("drift", newest, phrase("drift: {0}", view.trend)))
+    return found
 
 
 def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> DeviationOutlook:
@@ -290,19 +280,22 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
     watched = len(times) - 1 if alarm is None else alarm
     found = replace(
         plain, rate=rate, rate_std=rate_std, angle=float(curve.angles[at]), moved=moved,
-        wearing=_alarm(trend, "cusum") is not None,
+        wearing=_alarm(trend, "cusum") is not None, harmonics=_harmonics(trend),
         per_kelvin=kelvin and (float(row @ kelvin[0]), float(np.sqrt(row**2 @ kelvin[1] ** 2))),
         alarm=alarm, expected=tuple(tuple(row.tolist()) for row in trend.expected(watched)),
         found=tuple(curves.series.values[watched].tolist()),
     )  # fmt: skip
-    since_step = int(np.sum(curves.series.steps == curves.series.steps[-1]))
-    if not tolerance or since_step < ENOUGH:
+    since = int(np.sum(curves.series.steps == curves.series.steps[-1]))
+    if not tolerance or since < ENOUGH or times[0] == times[-1]:
         return found
     due_ns, probability = due_date(curves, trend, tolerance, settings)
     days = (
         (phrase("model"), (due_ns - times[-1]) / DAY_NS),
         (phrase("staircase"), _staircase(largest, tolerance, settings)),
-        (phrase("control chart"), _control_chart(times, largest, tolerance, settings)),
+        (
+            phrase("control chart"),
+            _control_chart(times[-since:], largest[-since:], tolerance, settings),
+        ),
     )
     return replace(found, due_ns=due_ns, probability=probability, intervals_days=days)
 
@@ -345,14 +338,20 @@ def expected_curve(curves: DeviationSeries, trend: Trend, time_ns: int) -> tuple
 def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, int, bool]:
     """Return the change per year where it is largest, and whether it is one at all."""
     moved, std, years = trend.change()
-    curve = curves.curves_of(moved, np.zeros(1))
-    basis = curves.basis if curves.zero is None else curves.basis - curves.basis[curves.zero]
-    deviation = np.sqrt((basis**2) @ std**2)
+    curve, deviation = curves.basis @ moved, np.sqrt(curves.basis**2 @ std**2)
     at = int(np.argmax(np.abs(curve)))
     if years <= 0.0:
         return None, 0.0, at, False
     normal = np.abs(moved) > _SIGNIFICANT * std
     return float(curve[at] / years), float(deviation[at] / years), at, bool(np.any(normal))
+
+
+def _harmonics(trend: Trend) -> tuple[tuple[int, float, float], ...]:
+    moved, std, years = trend.change()
+    if years <= 0.0:
+        return ()
+    orders, rates, stds = trend.series.orders, moved / years, std / years
+    return tuple(zip(orders.tolist(), rates.tolist(), stds.tolist(), strict=True))
 
 
 def _alarm(trend: Trend, chart: Chart) -> int | None:

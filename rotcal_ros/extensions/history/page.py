@@ -112,8 +112,6 @@ def _write_table(history: ParkHistory, view: Outlook, folder: Path, name: str) -
         figures=[(d.component, over_time(d, entries)) for d in view.deviations],
         entries=entries[::-1],
         documents=documents,
-        replaced={entry.replaces for entry in entries},
-        verdicts=history.verdicts(item),
         home=f"../{PAGE}",
     )
     (folder / name).write_text(text, encoding="utf-8")

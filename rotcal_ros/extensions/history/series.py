@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -22,6 +23,9 @@ ORDERS: Final = 6
 """Modes that may move; what is finer stays as the newest curve has it."""
 NEWEST: Final = 100
 """Campaigns of a series: older ones say nothing of the future of a table."""
+SAME_ARC: Final = 0.01
+"""Arcs whose ends differ by less than this share are one."""
+EXACT: Final = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +34,8 @@ class DeviationSeries:
 
     ``campaigns`` (m) are those of ``series``. A curve at the angles of the newest one is ``rest``
     plus ``basis`` (n, p) times the coefficients; ``rest`` (n,) with ``rest_covariance`` (n, n) is
-    what the modes leave of the newest. ``zero`` is the angle whose deviation is zero by
-    definition, None if there is none.
+    what the modes leave of the newest. All of them are zero at the angle ``zero``, whose
+    deviation is zero by definition; None if there is none.
     """
 
     component: str
@@ -55,10 +59,8 @@ class DeviationSeries:
         return newest.tolerance_m if self.component in TRANSLATIONS else newest.tolerance_rad
 
     def curves_of(self, coefficients: Floats, rest: Floats) -> Floats:
-        """Return curves (..., n) of coefficients (..., p), with their zero where it belongs."""
-        curves = rest + coefficients @ self.basis.T
-        moved = curves if self.zero is None else curves - curves[..., self.zero, None]
-        return np.asarray(moved, dtype=np.float64)
+        """Return curves (..., n) of coefficients (..., p) and of what they leave."""
+        return np.asarray(rest + coefficients @ self.basis.T, dtype=np.float64)
 
     def drawn_rest(self, draws: int) -> Floats:
         """Return draws (draws, 1, n) of what the modes leave."""
@@ -79,8 +81,8 @@ def series_of(
     """
     events = [e for e in entries if e.kind == EVENT]
     jumps = [e.measured_ns for e in events]
-    since = max((e.measured_ns for e in events if e.what in CUTTING), default=0)
-    good = [c for c in campaigns if c.verdict == "ok" and c.measured_ns >= since]
+    cuts = [e.measured_ns for e in events if e.what in CUTTING]
+    good = [c for c in campaigns if c.verdict == "ok" and c.measured_ns >= max(cuts, default=-inf)]
     counting = ([c for c in good if not c.simulated] or good)[-NEWEST:]
     found = {}
     for name in COMPONENTS:
@@ -94,30 +96,32 @@ def series_of(
 def _series(
     component: str, campaigns: Sequence[Campaign], jumps: Sequence[int], common_share: float
 ) -> DeviationSeries | None:
-    period = campaigns[-1].curves[component].period
-    alike = [c for c in campaigns if c.curves[component].period == period]
+    newest = campaigns[-1].curves[component]
+    alike = [c for c in campaigns if _comparable(c.curves[component], newest)]
     able = {c.entry_id: (len(c.curves[component].angles) - 1) // 2 for c in alike}
-    orders = min(ORDERS, int(np.median(list(able.values()))))
+    orders = min(ORDERS, int(np.median(list(able.values()))), able[campaigns[-1].entry_id])
     kept = [c for c in alike if able[c.entry_id] >= orders > 0]
     try:
         estimators = [_modes(c.curves[component], orders)[1][1:] for c in kept]
     except DataError:
         return None
     fits = [(c.curves[component], e) for c, e in zip(kept, estimators, strict=True)]
-    variances = np.array([np.diag(e @ curve.covariance @ e.T) for curve, e in fits])
+    variances = np.array([_variances(curve, e) for curve, e in fits])
     if not fits or not np.all(variances > 0.0):
         return None
-    newest = kept[-1].curves[component]
-    basis, estimator = _modes(newest, orders)
-    left = np.eye(len(newest.angles)) - basis[:, 1:] @ estimator[1:]
-    zero = np.flatnonzero(np.diag(newest.covariance) <= 0.0)
+    basis = _modes(newest, orders)[0][:, 1:]
+    left = np.eye(len(newest.angles)) - basis @ estimators[-1]
+    zeros = np.flatnonzero(np.diag(newest.covariance) <= 0.0)
+    zero = int(zeros[0]) if len(zeros) == 1 else None
+    if zero is not None:
+        basis, left = basis - basis[zero], left - left[zero]
     numbers = np.arange(1, orders + 1)
     temperatures = [c.temperature_c for c in kept]
     series = CampaignSeries(
         times_ns=np.array([c.measured_ns for c in kept], dtype=np.int64),
         values=np.array([e @ curve.deviation for curve, e in fits]),
         std=np.sqrt(variances),
-        orders=np.repeat(numbers, 2) if period else numbers,
+        orders=np.repeat(numbers, 2) if newest.period else numbers,
         steps=_steps(kept, jumps),
         common=_common(kept, common_share),
         temperature_c=None if None in temperatures else np.array(temperatures, dtype=np.float64),
@@ -126,9 +130,27 @@ def _series(
     words = f"{dropped} of {len(campaigns)} results of {component}: too few angles, or another arc"
     notes = (words,) if dropped else ()
     return DeviationSeries(
-        component, tuple(kept), series, basis[:, 1:], left @ newest.deviation,
-        left @ newest.covariance @ left.T, int(zero[0]) if len(zero) == 1 else None, notes,
+        component, tuple(kept), series, basis, left @ newest.deviation,
+        left @ newest.covariance @ left.T, zero, notes,
     )  # fmt: skip
+
+
+def _comparable(curve: MeasuredCurve, newest: MeasuredCurve) -> bool:
+    """Return whether two curves are of the same circle, or of the same arc."""
+    ends, apart = newest.angles[[0, -1]], SAME_ARC * float(np.ptp(newest.angles))
+    same = bool(curve.period) or np.allclose(curve.angles[[0, -1]], ends, rtol=0.0, atol=apart)
+    return curve.period == newest.period and bool(same)
+
+
+def _variances(curve: MeasuredCurve, estimator: Floats) -> Floats:
+    """Return the variances (p,) of the modes of a curve.
+
+    A curve with fewer parameters than modes states some of them as exact: of each at least the
+    share EXACT is kept of what equal and independent deviations would leave.
+    """
+    stated = np.diag(estimator @ curve.covariance @ estimator.T)
+    white = np.sum(estimator**2, axis=1) * np.mean(np.diag(curve.covariance))
+    return np.asarray(np.maximum(stated, EXACT * white), dtype=np.float64)
 
 
 def _modes(curve: MeasuredCurve, orders: int) -> tuple[Floats, Floats]:

@@ -46,7 +46,9 @@ _SCALE_PRIORS: Final = np.log([_AS_STATED, *[(1.0 - _AS_STATED) / 2.0] * 2])
 _LIKELY: Final = 1e-3
 """Processes with less weight are left out of forecasts."""
 WIDE: Final = 1e4
-"""Standard deviation of a level, and of 1 K, before anything is measured, in the same unit."""
+"""Standard deviation of a level, before anything is measured, in standard uncertainties."""
+KELVIN: Final = 10.0
+"""The same of the change by 1 K: as much as the largest drift in a year."""
 DRAWS: Final = 4000
 """Curves that are drawn for a probability: one of 0.95 is then known to 0.003."""
 _SEASON_FROM: Final = 6
@@ -183,7 +185,7 @@ class Trend:
         kelvin = self.series.kelvin
         if kelvin is None:
             return None
-        known = WIDE**2 * kelvin[None, :], np.array([[WIDE**2]])
+        known = KELVIN**2 * kelvin[None, :], np.array([[KELVIN**2]])
         return self._moments(lambda _sizes: known, np.ones(1))
 
     def _beside(self, at: Floats) -> _Beside:
@@ -272,7 +274,7 @@ def _fit_mode(series: CampaignSeries, moving: Floats, mode: int) -> tuple[float,
     noise = series.common * np.outer(std, std) / unit**2
     level = WIDE**2 * (series.steps[:, None] == series.steps)
     if (kelvin := series.kelvin) is not None:
-        level = level + WIDE**2 * np.outer(kelvin, kelvin)
+        level = level + KELVIN**2 * np.outer(kelvin, kelvin)
     scaled = np.square(SCALES)[:, None, None, None] * noise
     # The values stand below the covariance: their rows of its factor are the whitened values.
     values = series.values[:, columns] / unit

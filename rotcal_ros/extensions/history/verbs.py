@@ -6,7 +6,9 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
-from functools import partial, wraps
+from functools import wraps
+from itertools import groupby
+from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -22,8 +24,8 @@ from rotcal_ros.extensions.history.settings import (
     HistorySettings,
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.dates import time_of, today
-from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.dates import day_of, time_of, today
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say, tell
@@ -33,6 +35,14 @@ if TYPE_CHECKING:  # what takes a second to load is imported where it is used
     from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook
 
 VARIABLE: Final = "ROTCAL_HISTORY"
+OF_TABLE: Final = {
+    "Table": "title", "Last": "last", "Verdict": "verdict_line", "Trend": "trend", "Due": "due",
+    "Why": "reason",
+}  # fmt: skip
+OF_ENTRY: Final = {
+    "Entry": "id", "Date": "day", "Kind": "kind", "What": "what", "By": "added_by", "Why": "why",
+    "State": "state",
+}  # fmt: skip
 
 
 def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> HistorySettings:
@@ -95,17 +105,7 @@ def command(context: click.Context, settings: HistorySettings, as_json: bool) ->
     if as_json:
         print_json({"tables": [_plain(view) for view in views]})
         return 0
-    views.sort(key=lambda o: (not o.urgent, o.due_ns, o.title))
-    print_table(
-        [
-            Column("Table", [o.title for o in views]),
-            Column("Last", [o.last for o in views]),
-            Column("Verdict", [o.verdict_line for o in views]),
-            Column("Trend", [o.trend for o in views]),
-            Column("Due", [o.due for o in views]),
-            Column("Why", [o.reason for o in views]),
-        ]
-    )
+    _print(OF_TABLE, sorted(views, key=lambda o: (not o.urgent, o.due_ns, o.title)))
     tables = "1 table" if len(views) == 1 else f"{len(views)} tables"
     print_words(f"{tables}, {sum(bool(o.urgent) for o in views)} to look at")
     return 0
@@ -132,42 +132,28 @@ def add(
     check, a report, a table in force. Of several the others are added where one is refused; the
     exit code is then 1.
     """
-    from rotcal_ros.extensions.history.adding import add_found, add_sources
+    from rotcal_ros.extensions.history.adding import add_sources
     from rotcal_ros.extensions.history.database import ParkHistory
-    from rotcal_ros.recordings.result_sources import read_source
 
-    done, refused, settings = [], list[str](), asked.pop("settings")
+    done, refused, settings = [], list[RotcalError](), asked.pop("settings")
     given = {**asked, "measured_ns": time_of(measured) if measured else 0}
     with ParkHistory(settings.database) as history, progress("adding") as shown:
-        read, add_one = (
-            (read_source, partial(add_found, history, given))
-            if kind is None
-            else (Path.read_bytes, partial(_add_document, history, given, kind))
-        )
-        for number, came in enumerate(add_sources(history, sources, read, add_one), 1):
+        for number, came in enumerate(add_sources(history, sources, given, kind), 1):
             shown(number, len(sources))
             if isinstance(came, RotcalError):
                 if len(sources) == 1:
                     raise came
-                refused.append(str(came))
+                refused.append(came)
                 say(f"not added: {came}")
-                continue
-            for addition in came:
-                done.append({"new": addition.new, **_facts(addition.entry)})
-                say(addition.in_words())
+            else:
+                done += came
+                say("\n".join(each.in_words() for each in came))
     if as_json:
-        print_json({"entries": done, "refused": refused})
+        entries = [{"new": each.new, **_facts(each.entry)} for each in done]
+        print_json({"entries": entries, "refused": [str(error) for error in refused]})
     if refused:
         say(f"{len(refused)} of {len(sources)} were not added; what is added once stays so")
     return int(bool(refused))
-
-
-def _add_document(
-    history: ParkHistory, given: Mapping[str, Any], kind: str, source: Path, content: bytes
-) -> list[Any]:
-    item = history.item(given["serial"], given["axis"])
-    day = given["measured_ns"] or round(source.stat().st_mtime) * 1_000_000_000
-    return [history.add_document(item.serial, item.axis, kind, source.name, day, content)]
 
 
 @command.command()
@@ -185,8 +171,7 @@ def event(serial: str, what: str, axis: str, day: str, why: str, settings: Histo
     """
     with _open(settings) as history:
         item = history.item(serial, axis)
-        added = history.add_event(item.serial, item.axis, what, time_of(day), why)
-        say(added.in_words())
+        say(history.add_event(item, what, time_of(day), why).in_words())
     return 0
 
 
@@ -227,16 +212,25 @@ def show(
     with _open(settings) as history:
         item = history.item(serial, axis)
         if number is not None and output is not None:
-            _write_content(history.entry(number), output)
+            entry = history.entry(number)
+            if (entry.serial, entry.axis) != (item.serial, item.axis):
+                raise DataError(
+                    f"entry {number} is of {entry.title}, not of {item.title}: name that table"
+                )
+            if output.exists():
+                raise ConfigurationError(
+                    f"{output} exists and is not overwritten: name another file"
+                )
+            output.write_bytes(entry.content)
+            say(f"{entry.kind} {entry.what}: {output.absolute()}")
             return 0
-        entries, verdicts = history.of_item(item, valid=False), history.verdicts(item)
+        entries = history.of_item(item, valid=False)
         known = next((o for o in park(history, settings) if o.title == item.title), None)
     if as_json:
         outlook = None if known is None else _plain(known)
-        facts = [_facts(e) | {"verdict_line": verdicts.get(e.id, "")} for e in entries]
-        print_json({"entries": facts, "outlook": outlook})
+        print_json({"entries": [_facts(e) for e in entries], "outlook": outlook})
         return 0
-    _print_entries(entries, verdicts)
+    _print(OF_ENTRY, entries)
     if known is not None:
         _print_outlook(known, settings.database)
     return 0
@@ -277,7 +271,7 @@ def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> 
 
 
 @command.command()
-@click.option("--before", default="", help="Day, as 2026-03-31; default: today.")
+@click.option("--before", default="", help="Day, as 2026-03-31; default: tomorrow.")
 @click.option("--ics", type=NamedFile(".ics"), help="Also write the dates as an iCalendar.")
 @click.option("--mail", is_flag=True, help="Print the text of an e-mail.")
 @asked
@@ -287,11 +281,11 @@ def due(
 ) -> int:
     """Tell which tables are due before a day; the exit code is 1 if there are any."""
     from rotcal_ros.extensions.history.exchange import calendar, letter
+    from rotcal_ros.extensions.history.outlook import DAY_NS
 
-    day = before or today()
-    limit = time_of(day)
-    found = [o for o in _park(settings) if o.due_ns < limit]
-    found.sort(key=lambda o: (o.due_ns, o.title))
+    limit = time_of(before) if before else time_of(today()) + DAY_NS
+    day, views = day_of(limit), sorted(_park(settings), key=lambda o: (o.due_ns, o.title))
+    found = [o for o in views if o.due_ns < limit]
     if ics is not None:
         write_atomically(ics, calendar(found, datetime.now(timezone.utc)))
         say(f"calendar: {ics.absolute()}")
@@ -300,13 +294,7 @@ def due(
     elif mail:
         tell(*letter(found, day).splitlines())
     elif found:
-        print_table(
-            [
-                Column("Due", [o.due for o in found]),
-                Column("Table", [o.title for o in found]),
-                Column("Why", [o.reason for o in found]),
-            ]
-        )
+        _print(OF_TABLE, found)
     else:
         say(f"no table is due before {day}")
     return int(bool(found))
@@ -400,22 +388,10 @@ def _facts(entry: HistoryEntry) -> dict[str, Any]:
     return facts
 
 
-def _print_entries(entries: Sequence[HistoryEntry], verdicts: Mapping[int, str]) -> None:
-    replaced = {entry.replaces for entry in entries}
-    print_table(
-        [
-            Column("Entry", [e.id for e in entries]),
-            Column("Date", [e.day for e in entries]),
-            Column("Kind", [e.kind for e in entries]),
-            Column("What", [e.what for e in entries]),
-            Column("By", [e.added_by for e in entries]),
-            Column("Why", [e.why for e in entries]),
-            Column(
-                "State",
-                ["replaced" if e.id in replaced else verdicts.get(e.id, "") for e in entries],
-            ),
-        ]
-    )
+def _print(columns: Mapping[str, str], rows: Sequence[Any]) -> None:
+    """Print a table of what rows say under these names, by heading."""
+    found = {head: [getattr(row, name) for row in rows] for head, name in columns.items()}
+    print_table([Column(head, values) for head, values in found.items()])
 
 
 def _print_outlook(known: Outlook, database: str) -> None:
@@ -435,7 +411,10 @@ def _print_outlook(known: Outlook, database: str) -> None:
 def _lines(view: DeviationOutlook) -> Iterator[str]:
     """Yield what is known of one deviation."""
     unit, label = unit_of(view.component)
-    yield view.trend if view.rate is not None else f"{view.component}: one result"
+    yield view.trend if view.rate is not None else f"{view.component}: no drift known"
+    if view.harmonics:
+        orders = ", ".join(_orders(view, unit))
+        yield f"{view.component}, change per year by order / {label}: {orders}"
     if view.probability is not None:
         yield f"{view.component} is within its tolerance with {100.0 * view.probability:.1f} %"
     if view.intervals_days:
@@ -446,8 +425,9 @@ def _lines(view: DeviationOutlook) -> Iterator[str]:
         yield f"{view.component}: {value:+.2g} ± {COVERAGE_FACTOR * std:.2g} {label}/K"
 
 
-def _write_content(entry: HistoryEntry, output: Path) -> None:
-    if output.exists():
-        raise ConfigurationError(f"{output} exists and is not overwritten: name another file")
-    output.write_bytes(entry.content)
-    say(f"{entry.kind} {entry.what}: {output.absolute()}")
+def _orders(view: DeviationOutlook, unit: float) -> Iterator[str]:
+    """Yield how much each harmonic changes in a year, whatever its phase."""
+    for order, found in groupby(view.harmonics, lambda each: each[0]):
+        _, rates, stds = zip(*found, strict=True)
+        spread = COVERAGE_FACTOR * hypot(*stds) / len(stds) ** 0.5
+        yield f"{order}: {hypot(*rates) / unit:.2g} ± {spread / unit:.2g}"

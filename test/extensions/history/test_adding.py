@@ -37,18 +37,18 @@ def database(tmp_path):
 
 
 def test_a_report_says_what_has_changed_since_last_time(database):
-    title, html = since_last_time(some(1.0, 3.0), database)
+    ((title, html),) = since_last_time(some(1.0, 3.0), database)
     assert title == "Since last time"
     assert "ECC against 2021-01-01: DISAGREE: rms 2.1" in html
     assert html.count("<svg") == 1
-    assert "agree: rms" in since_last_time(some(1.0), database)[1]
+    assert "agree: rms" in since_last_time(some(1.0), database)[0][1]
     with speaking("de"):
-        assert "ECC gegen 2021-01-01: " in since_last_time(some(1.0), database)[1]
+        assert "ECC gegen 2021-01-01: " in since_last_time(some(1.0), database)[0][1]
 
 
 @pytest.mark.parametrize("new", [some(0.0), some(-1.0), some(1.0, serial="4712")])
 def test_the_first_result_of_a_table_has_nothing_before_it(database, new):
-    assert since_last_time(new, database) is None
+    assert since_last_time(new, database) == []
 
 
 def test_a_report_is_kept_beside_its_result(database, tmp_path):

@@ -44,18 +44,15 @@ def tamper(history, statement):
         connection.exec_driver_sql(statement)
 
 
-def test_results_of_a_time_are_found_and_those_that_were_replaced(database):
+def test_an_entry_says_its_verdict_and_that_it_was_replaced(database):
     with ParkHistory(database) as history:
         first = history.add_result(some()).entry
-        second = history.add_result(some(u=0.4), corrects=first.id).entry
-        history.add_result(some(year=1.0))
-        about = ("4711", "C", "tracer_multistation", (BEGIN_NS - 1, BEGIN_NS + 1))
-        for valid, wanted in ((True, second), (False, first)):
-            found = history.measured_between(*about, valid=valid)
-            assert [entry.id for entry in found] == [wanted.id]
-        verdicts = history.verdicts(history.item("4711"))
-        assert list(verdicts) == [1, 2, 3]
-        assert {line[:2] for line in verdicts.values()} == {"ok"}
+        second = history.add_result(some(u=0.4), corrects=first).entry
+        history.correct(second.id, "the plate was upside down")
+        history.add_result(some(year=1.0, verdict="suspect"))
+        states = [entry.state for entry in history.entries()]
+    assert states[:3] == ["replaced", "replaced", ""]
+    assert states[3].startswith("suspect")
 
 
 def test_a_result_is_kept_once_and_comes_back_to_the_last_bit(database):
@@ -91,6 +88,7 @@ def test_numbers_that_only_float64_tells_apart_stay_apart(database):
     ("serial", "axis", "given", "words"),
     [
         ("", "C", {}, "no serial number; give it with --serial"),
+        (" ", "C", {"serial": " "}, "no serial number; give it with --serial"),
         ("4711", "", {}, "no axis; give it with --axis"),
         ("4711", "C", {"serial": "4712"}, "'4711', not '4712'"),
         ("4711", "c axis", {}, "axis name"),
@@ -121,6 +119,8 @@ def test_one_result_is_of_one_table_until_it_is_corrected(database):
         wrong = history.add_result(unnamed, serial="4711").entry
         with pytest.raises(DataError, match="as result of 4711/C"):
             history.add_result(unnamed, serial="4712")
+        with pytest.raises(ConfigurationError, match="serial number is empty"):
+            history.correct(wrong.id, "labels were swapped", serial=" ")
         right = history.correct(wrong.id, "labels were swapped", serial="4712")
         again = history.correct(wrong.id, "labels were swapped", serial="4712")
         assert (right.new, again.new) == (True, False)
@@ -132,7 +132,21 @@ def test_one_result_is_of_one_table_until_it_is_corrected(database):
         assert history.entry(wrong.id).serial == "4711"
         withdrawn = history.correct(right.entry.id, "the plate was upside down").entry
         assert history.items() == []
+        shown = history.of_item(history.item("4711"), valid=False)
+        assert [entry.state for entry in shown] == ["replaced"]
         assert (withdrawn.kind, withdrawn.replaces) == ("withdrawal", right.entry.id)
+        assert history.check() == []
+
+
+def test_what_was_withdrawn_by_mistake_comes_back(database):
+    with ParkHistory(database) as history:
+        history.add_result(some())
+        withdrawn = history.correct(1, "upside down").entry
+        again = history.add_result(some())
+        assert again.in_words().endswith("there already, but replaced")
+        back = history.correct(withdrawn.id, "it was not", serial="4711").entry
+        assert (back.kind, back.content) == ("result", canonical(some()))
+        assert len(history.campaigns(history.item("4711"))) == 1
         assert history.check() == []
 
 
@@ -140,7 +154,7 @@ def test_one_result_is_of_one_table_until_it_is_corrected(database):
 def test_no_row_is_ever_changed(database, statement):
     with ParkHistory(database) as history:
         history.add_result(some())
-        history.note_forecasts([(history.item("4711").id, "basis", "{}")])
+        history.note_forecasts({"basis": "{}"})
         for table in METADATA.sorted_tables:
             column = next(iter(table.c)).name
             with (
@@ -200,14 +214,16 @@ def test_events_and_files_are_kept_beside_the_results(database):
     with ParkHistory(database) as history:
         history.add_result(some())
         day = BEGIN_NS + YEAR_NS
-        event = [history.add_event("4711", "C", "crash", day, "tailstock") for _ in range(2)]
+        event = [
+            history.add_event(history.item("4711"), "crash", day, "tailstock") for _ in range(2)
+        ]
         assert [added.new for added in event] == [True, False]
-        page = history.add_document("4711", "C", "report", "report.html", day, b"<html>\0").entry
+        page = history.add_document(
+            history.item("4711"), "report", "report.html", day, b"<html>\0"
+        ).entry
         assert history.entry(page.id).content == b"<html>\0"
         kinds = [entry.kind for entry in history.of_item(history.item("4711"))]
         assert kinds == ["result", "event", "report"]
-        with pytest.raises(ConfigurationError, match="expected one of encoder, bearing"):
-            history.add_event("4711", "C", "party", day, "")
         assert history.check() == []
 
 
@@ -240,8 +256,8 @@ def test_export_and_import_are_round_trips(database, tmp_path):
     with ParkHistory(database) as history:
         wrong = history.add_result(some(year=1.0)).entry
     with ParkHistory(database) as history:
-        history.add_event("4711", "C", "repair", BEGIN_NS, "new seals")
-        history.add_document("4711", "C", "table", "c.ent", BEGIN_NS, bytes(range(256)))
+        history.add_event(history.item("4711"), "repair", BEGIN_NS, "new seals")
+        history.add_document(history.item("4711"), "table", "c.ent", BEGIN_NS, bytes(range(256)))
         history.correct(wrong.id, "of the other", serial="4712")
         assert export(history, tmp_path / "out") == 4
         before = [replace(e, id=0, replaces=None) for e in history.entries(content=True)]

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,24 @@ def test_what_happened_is_noted_and_mistakes_are_corrected(history, results, tmp
     assert json.loads((tmp_path / "back.json").read_text()) == json.loads(original.read_text())
 
 
+def test_an_entry_of_another_table_is_not_written(history, results, tmp_path):
+    history("add", results[0], results[-1])
+    refused = history("show", "DRIFTS", "--entry", 2, "-o", "two.json")
+    assert refused.returncode == 3
+    assert "entry 2 is of STAYS/C, not of DRIFTS/C: name that table" in refused.stderr
+    assert not (tmp_path / "two.json").exists()
+    history("correct", 2, "--withdraw", "--why", "upside down")
+    assert history("show", "STAYS", "--entry", 2, "-o", "two.json").returncode == 0
+    assert json.loads((tmp_path / "two.json").read_text()) == json.loads(results[-1].read_text())
+
+
+def test_what_is_due_today_is_due(history, tmp_path):
+    now = result("NOW", time.time_ns(), np.zeros(24), 0.3, verdict="suspect")
+    (tmp_path / "now.json").write_text(now.to_json())
+    history("add", "now.json")
+    assert history("due").returncode == 1
+
+
 def test_a_result_of_nobody_gets_its_table_by_option(history):
     refused = history("add", DATA / "result_tracer.json")
     assert (refused.returncode, "no serial number" in refused.stderr) == (3, True)
@@ -120,6 +139,9 @@ def test_files_that_cannot_be_read_keep_no_other_out(history, results, tmp_path)
     told = json.loads(added.stdout)
     assert (len(told["entries"]), len(told["refused"])) == (len(results), 1)
     assert "broken.json" in told["refused"][0]
+    reports = ("--as", "report", "--serial", "STAYS", "--json")
+    told = json.loads(history("add", "no.html", "broken.json", *reports).stdout)
+    assert (len(told["entries"]), len(told["refused"])) == (1, 1)
 
 
 def test_a_history_that_is_not_there_is_not_begun_by_a_look(history, tmp_path):
@@ -175,6 +197,12 @@ def test_a_suspect_result_is_due_at_once(history, tmp_path):
     listed = json.loads(history("due", "--json").stdout)["tables"]
     assert "measure again" in listed[0]["reason"]
     assert "suspect" in history("show", "BAD").stdout
+
+
+def test_the_drift_of_each_harmonic_is_told(history, results):
+    history("add", *results[:11])
+    shown = " ".join(history("show", "DRIFTS").stderr.split())
+    assert re.search(r"ECC, change per year by order / arcsec: 1: 0\.[56]\d? ± 0\.\d+, 2: ", shown)
 
 
 def test_the_next_check_is_proposed_for_the_day_on_which_the_table_is_due(history, results):

@@ -35,7 +35,9 @@ def small(tmp_path_factory):
             table = Table(name, start, drift=drift * np.eye(8)[0], jump=jump)
             for each in measured(table, YEARS, rng):
                 history.add_result(each)
-        history.add_document("STAYS", "C", "report", "report.html", 1, b"<h1>The report</h1>")
+        history.add_document(
+            history.item("STAYS"), "report", "report.html", 1, b"<h1>The report</h1>"
+        )
         outlooks = park(history, HistorySettings())
         write_park(history, outlooks, folder, "2026-03-31")
     return folder, outlooks

@@ -62,7 +62,9 @@ def test_an_event_explains_a_jump(tmp_path):
         for each in measured(table, YEARS, np.random.default_rng(1)):
             history.add_result(each)
         (before,) = park(history, HistorySettings())
-        history.add_event("HIT", "C", "crash", before.findings[0].time_ns - 1, "tailstock")
+        history.add_event(
+            history.item("HIT"), "crash", before.findings[0].time_ns - 1, "tailstock"
+        )
         (after,) = park(history, HistorySettings())
     assert [found.kind for found in before.findings] == ["jump"] + ["drift"] * (
         len(before.findings) - 1
@@ -78,7 +80,7 @@ def test_after_an_event_a_table_has_to_be_measured(tmp_path, what):
         for each in measured(table, YEARS, np.random.default_rng(1)):
             history.add_result(each)
         (before,) = park(history, HistorySettings())
-        history.add_event("HIT", "C", what, before.last_ns + 1, "")
+        history.add_event(history.item("HIT"), what, before.last_ns + 1, "")
         (after,) = park(history, HistorySettings())
     assert not before.urgent
     assert after.due_ns == before.last_ns + 1

@@ -75,8 +75,8 @@ def test_a_temperature_coefficient_has_the_uncertainty_of_a_regression(monkeypat
     found = fit(series(values, temperature=kelvin)).per_kelvin()
     slope = np.polyfit(kelvin, values, 1)[0]
     apart = kelvin - kelvin.mean()
-    assert found[0] == pytest.approx(slope, rel=1e-4)
-    assert found[1] == pytest.approx(np.full(2, 1.0 / np.sqrt(apart @ apart)), rel=1e-4)
+    assert found[0] == pytest.approx(slope, rel=1e-3)
+    assert found[1] == pytest.approx(np.full(2, 1.0 / np.sqrt(apart @ apart)), rel=1e-3)
 
 
 def test_without_different_temperatures_there_is_no_coefficient():

@@ -30,15 +30,9 @@ def statuses(outlooks: Sequence[Outlook], now_ns: int) -> list[DiagnosticStatus]
     for view in outlooks:
         late = DiagnosticStatus.WARN if view.due_ns <= now_ns else DiagnosticStatus.OK
         level = DiagnosticStatus.ERROR if view.urgent else late
-        values = {
-            "axis": view.axis,
-            "verdict": view.verdict,
-            "verdict_line": view.verdict_line,
-            "due": view.due,
-            "due_ns": str(view.due_ns),
-            "last": view.last,
-            "table_in_force": view.measured_on,
-        }
+        names = ("axis", "verdict", "verdict_line", "due", "due_ns", "last")
+        values = {name: str(getattr(view, name)) for name in names}
+        values["table_in_force"] = view.measured_on
         status = DiagnosticStatus(level=level, name=view.title, message=view.reason)
         status.hardware_id = view.serial
         status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
