@@ -1,8 +1,8 @@
 """One solution of what several instruments observed of one table.
 
-The deviations at all angles are unknowns that every instrument shares. An instrument whose method
-has a :class:`~rotcal_ros.adjust.model.Model` brings its observations, with unknowns, noise,
-effects and groups of its own. Of any other its result stands for them: values with all their
+The deviations at all angles are unknowns that every instrument shares. An instrument brings its
+observations, with unknowns, noise, effects and groups of its own, even where these tell nothing
+without the others. Where they are not at hand its result stands for them: values with all their
 covariance, free of the zeros that it leaves open. That is exact for a linear method; what it left
 out stays left out.
 
@@ -51,7 +51,6 @@ from rotcal_ros.evaluation.component_groups import (
     links_of,
     part_of,
     unknown,
-    with_open,
 )
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
@@ -68,6 +67,8 @@ CURVES: Final = "deviations"
 """The block of unknowns that all instruments share."""
 NONE: Final = 1e-9
 """Share of a direction that is rounding."""
+TOLD: Final = 1e-7
+"""Share of what observations feel of a direction from which on they tell it from all others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +92,8 @@ class JointInput:
 class _Shared:
     """A ``layout`` of each group of components, its unknowns one after the other.
 
-    ``inputs``: the curves of each instrument alone, by its name. ``left``: what all of them leave
-    open of a group, beside what no method knows.
+    ``inputs``: the curves of each instrument alone, by its name. ``left``: what all of them
+    together leave open of a group, beside what no method knows.
     """
 
     inputs: Sequence[CombinationInput]
@@ -105,7 +106,7 @@ class _Shared:
         """Return what the instruments share; DataError where nothing joins them."""
         inputs = [each.alone for each in instruments]
         _require_own_observations(inputs)
-        layouts, every, left = [], [], []
+        layouts, every = [], []
         for group in wanted_groups(inputs):
             curves = owners_of(group, inputs)
             layout = laid_out(group, curves)
@@ -115,12 +116,15 @@ class _Shared:
                     "common with the others: nothing joins their zeros; measure at common angles "
                     "(rotcal combine reads between angles, and says so)"
                 )
-            parts = {name: part_of(name, curves, layout) for name in curves}
-            seen = [own.part for own in parts.values()]
             layouts.append(layout)
-            every.append(parts)
-            left.append(with_open(seen, layout.common, [False] * len(seen))[1])
-        return cls(inputs, layouts, every, left)
+            every.append({name: part_of(name, curves, layout) for name in curves})
+        nothing = [np.zeros((len(layout.common), 0)) for layout in layouts]
+        return cls(inputs, layouts, every, nothing)
+
+    def leaving(self, directions: Floats) -> _Shared:
+        """Return the same without ``directions`` (s, k) of the unknowns, which nobody tells."""
+        parts = (np.linalg.svd(directions[place], full_matrices=False) for place in self.places)
+        return replace(self, left=[ways[:, size > TOLD] for ways, size, _ in parts])
 
     @cached_property
     def places(self) -> list[slice]:
@@ -207,6 +211,13 @@ def _observable(model: Model, own: Floats) -> Floats:
     return np.asarray((ways[seen].T / size[seen]) / scale[:, None])
 
 
+def _narrowed(model: Model, to: Floats) -> Model:
+    """Return the model of fewer shared unknowns, which ``to`` (s, t) takes to the present ones."""
+    own = model.size[1] - len(to)
+    blocks = {CURVES: to.shape[1], "own unknown": own}
+    return reparametrised(model, block_diag(to, np.eye(own)), blocks)
+
+
 def _by_result(shared: _Shared, name: str) -> Model:
     """Return the result of an instrument as observations of the shared unknowns, not judged.
 
@@ -267,6 +278,14 @@ def _whole_covariance(parts: Sequence[SeenCurves], curves: Curves) -> Floats:
     return np.asarray(together @ together.T + block_diag(*rest))
 
 
+def _told(model: Model, shared: int) -> Floats:
+    """Return orthonormal rows (r, shared): what a whitened model tells of the first unknowns."""
+    white = dense(model.equations(model.first)[1])
+    curve, own = white[:, :shared], np.linalg.qr(white[:, shared:])[0]
+    _, size, ways = np.linalg.svd(curve - own @ (own.T @ curve), full_matrices=False)
+    return np.asarray(ways[size > TOLD * np.linalg.norm(curve)])
+
+
 @dataclass(frozen=True, eq=False)
 class _Views:
     """The models of all instruments, over the shared unknowns, and all of them as one."""
@@ -286,7 +305,20 @@ class _Views:
             for each in instruments
         }
         results = frozenset(each.name for each in instruments if each.model is None)
+        wide = shared.basis
+        told = np.concatenate([_told(model, wide.shape[1]) for model in models.values()])
+        if (untold := null_space(told, rcond=TOLD)).size:
+            shared = shared.leaving(wide @ untold)
+            to = wide.T @ shared.basis
+            models = {name: _narrowed(model, to) for name, model in models.items()}
         return cls(shared, models, results)
+
+    def alone(self, name: str) -> Model:
+        """Return what one instrument observed, with what it tells of the deviations as outputs."""
+        model, width = self.models[name], self.shared.basis.shape[1]
+        told = _told(model, width)
+        outputs = self.shared.basis @ told.T @ told
+        return replace(model, outputs=np.pad(outputs, ((0, 0), (0, model.size[1] - width))))
 
     @cached_property
     def of_results(self) -> Bools:
@@ -348,7 +380,9 @@ def solve_together(instruments: Sequence[JointInput]) -> Combination:
     found = adjust(views.whole)
     # Closures are judged by the noise of each alone: in that of all together they would hide.
     factors = [
-        np.ones(1) if each.model is None else adjust(each.model.model).diagnosis.noise.factors
+        np.ones(1)
+        if each.model is None
+        else adjust(views.alone(each.name)).diagnosis.noise.factors
         for each in instruments
     ]
     alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)
