@@ -370,6 +370,18 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
+class CurveModel:
+    """A model, and what of its unknowns are deviations: rows (m, p) of each of the ``curves``.
+
+    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell.
+    """
+
+    model: Model
+    angles: Floats
+    curves: Mapping[str, Floats]
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A model at its least-squares solution, by the whole design: the dense reference.
 

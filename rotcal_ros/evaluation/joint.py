@@ -56,7 +56,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection, Result
-from rotcal_ros.methods.by_model import CurveModel
+from rotcal_ros.adjust.model import CurveModel
 
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
 ORDERS: Final = (1, 2, 3)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.foundation.results import Result
     from rotcal_ros.foundation.tables import Header, Table
-    from rotcal_ros.methods.by_model import CurveModel
+    from rotcal_ros.adjust.model import CurveModel
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances

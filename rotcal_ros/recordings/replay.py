@@ -124,7 +124,7 @@ class Recording:
             result = self.calibration.solve(self.observations, self.announced, self.frames)
         except DataError as error:
             reasons = [str(error), *doubtful(self.observations, self.counts)]
-            raise DataError("; ".join(reasons), error.log) from error
+            raise type(error)("; ".join(reasons), error.log) from error
         return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:

@@ -25,7 +25,13 @@ from rotcal_ros.evaluation.reference import (
 )
 from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.errors import (
+    BagError,
+    ConfigurationError,
+    DataError,
+    GeometryError,
+    ObservabilityError,
+)
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings
@@ -123,11 +129,21 @@ def solved(measured: Recording | Measurements) -> ResultSource:
 
 
 def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
-    """Return a bag or a table, ready to be solved together with others."""
-    model = None
-    if isinstance(measured, Recording | PlannedMeasurements):
-        model = measured.calibration.of_curves(measured.observations)
-    return JointInput(name, measured.solve(), model)
+    """Return a bag or a table, ready to be solved together with others.
+
+    Also one that cannot be solved alone: the others may tell what it lacks.
+    """
+    if not isinstance(measured, Recording | PlannedMeasurements):
+        return JointInput(name, measured.solve())
+    calibration, observations = measured.calibration, measured.observations
+    try:
+        result = measured.solve()
+    except (ObservabilityError, GeometryError):
+        model = calibration.of_curves(observations)
+        if model is None:
+            raise
+        return JointInput(name, calibration.untold(observations, model), model)
+    return JointInput(name, result, calibration.of_curves(observations))
 
 
 def read_repeated_runs(
