@@ -21,6 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
+from threadpoolctl import threadpool_limits
 
 from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.causes import seen_by
@@ -368,6 +369,7 @@ class _Views:
             )
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as when one instrument is solved
 def solve_together(instruments: Sequence[JointInput]) -> Combination:
     """Return the solution of all that the ``instruments`` observed, and how they agree by group.
 
@@ -488,6 +490,7 @@ class Expected:
     open: tuple[str, ...]
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def predicted_together(instruments: Sequence[JointInput]) -> Expected:
     """Return what ``instruments`` would give together; what they observed does not matter.
 
