@@ -3,8 +3,9 @@
 A place q of the instrument stands at v + U (d + R(c) Rz(angle) q) while the table is at an angle,
 with its deviations d, m, and c, rad. Its lengths to the targets count from zeros. All unknowns are
 changes of the start values. What is stated beforehand, such as the coordinates of the targets, is
-among the observations, never to be left out. What is large against nothing but noise, such as
-slips that would not be found, are further unknowns, whose size is stated to be 0 +- 1.
+among the observations, never to be left out. Errors that lengths have in common, such as slips
+that would not be found, are taken from them by the symmetric root of the covariance: of all roots
+it changes a length least, and an error of one stays nearly its own.
 
 The other instruments may tell what these lengths alone do not.
 """
@@ -35,8 +36,8 @@ from rotcal_ros.methods.tracer.solver.zeros import SLIPPED, Slips
 
 CIRCLE: Final = 5
 """Stations from which on their plane tells the direction of the axis."""
-SMALL: Final = 1e-4
-"""Variance, as a share of that of the lengths, that is too small for an unknown of its own."""
+SMALL: Final = 1e-3
+"""Variance, as a share of that of the lengths, that is too small to matter."""
 
 
 class Stated(NamedTuple):
@@ -53,7 +54,8 @@ class CarriedLengths:
 
     ``position``, ``place``, ``target``, ``zero`` (k,): indices into ``angles`` (m,) rad, ``places``
     (p, 3), ``targets`` (n, 3) and ``zeros`` (s,), m. ``row``, ``order`` (k,): of the problem, and
-    when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``others`` (k, r): further unknowns of size 1.
+    when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``common`` (k, r), m: independent errors
+    that lengths share, each of its standard deviation.
     ``tilts``: whether the table's are unknown; one place feels nothing of them that is not a shift.
     """
 
@@ -71,7 +73,7 @@ class CarriedLengths:
     zeros: Floats
     axes: Floats
     origin: Floats
-    others: Floats
+    common: Floats
     tilts: bool = False
 
     @cached_property
@@ -84,7 +86,6 @@ class CarriedLengths:
             "place": self.places.size,
             "zero": len(self.zeros),
             "target": self.targets.size,
-            "disturbance": self.others.shape[1],
             "frame": 4 if self.tilts else 2,
         }
 
@@ -97,10 +98,10 @@ class CarriedLengths:
         """Return rows that take unknowns of a block out of all."""
         return block_rows(self.blocks, block)[number]
 
-    def computed(self, x: Floats) -> tuple[Floats, Design]:
+    def computed(self, x: Floats) -> tuple[Floats, Floats]:
         """Return the lengths (k,) and their derivatives (k, p) at the unknowns."""
         ends = np.cumsum(list(self.blocks.values()))[:-1]
-        shift, turn, place, zero, target, other, *_ = np.split(x, ends)
+        shift, turn, place, zero, target, _ = np.split(x, ends)
         vector = np.zeros_like(shift).reshape(-1, 3)
         vector[:, 3 - self.turns :] = turn.reshape(-1, self.turns)
         tilt, about = rotation_from_vector(vector), rotation_about_z(self.angles)
@@ -126,26 +127,36 @@ class CarriedLengths:
             width = rows.shape[1]
             design[each, first[block] + width * index[:, None] + np.arange(width)] = rows
         design[each[:, 0], first["zero"] + self.zero] = -1.0
-        design[:, first["disturbance"] : first["frame"]] = self.others
-        return distance - (self.zeros + zero)[self.zero] + self.others @ other, design
+        return distance - (self.zeros + zero)[self.zero], design
+
+    @cached_property
+    def _shared(self) -> tuple[Floats, Floats]:
+        """Directions (k, r) of the errors in common, and the share (r,) that is taken off each."""
+        ways, size, _ = np.linalg.svd(self.common / self.std[:, None], full_matrices=False)
+        return ways, 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+
+    def without_common(self, lengths: Floats) -> Floats:
+        """Return lengths, or derivatives of them, (k, ...) whose errors are independent again."""
+        ways, off = self._shared
+        white = (lengths.T / self.std).T
+        left = white - (ways * off) @ (ways.T @ white)
+        return np.asarray((left.T * self.std).T)
 
     def model(self, curves: Mapping[str, Floats], stated: Sequence[Stated]) -> CurveModel:
         """Return the lengths, with what is ``stated``, over the deviations ``curves``."""
         k, size = len(self.observed), sum(self.blocks.values())
         parts = [s for s in stated if len(s.rows)]
-        if others := self.others.shape[1]:
-            parts.append(Stated("the disturbances", self.rows_of("disturbance"), np.ones(others)))
         known = np.concatenate([np.zeros((0, size)), *(s.rows for s in parts)])
 
         def equations(x: Floats) -> tuple[Floats, Design]:
-            computed, design = self.computed(x)
+            computed, design = map(self.without_common, self.computed(x))
             return np.append(computed, known @ x), np.concatenate([design, known])
 
         counts = [k, *(len(s.rows) for s in parts)]
         beyond = np.full(len(known), -1)
         model = Model(
             blocks=self.blocks,
-            observed=np.append(self.observed, np.zeros(len(known))),
+            observed=np.append(self.without_common(self.observed), np.zeros(len(known))),
             std=np.concatenate([self.std, *(s.std for s in parts)]),
             equations=equations,
             outputs=np.zeros((0, size)),
@@ -286,7 +297,7 @@ def _carried(
         zeros=distances[grid.first_of_zero],
         axes=axes,
         origin=axes @ [*found[:2], local[:, 2].mean()],
-        others=slips_of(grid.segment_of_strip[strip], order, step, float(std.min())),
+        common=slips_of(grid.segment_of_strip[strip], order, step, float(std.min())),
     )
 
 
