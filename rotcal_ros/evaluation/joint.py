@@ -28,7 +28,7 @@ from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Fit, Model, Unit, linear
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Fit, Model, Unit, linear
 from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
 from rotcal_ros.evaluation.combination import (
     Combination,
@@ -57,7 +57,6 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection, Result
-from rotcal_ros.adjust.model import CurveModel
 
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
 ORDERS: Final = (1, 2, 3)
@@ -279,11 +278,15 @@ def _whole_covariance(parts: Sequence[SeenCurves], curves: Curves) -> Floats:
     return np.asarray(together @ together.T + block_diag(*rest))
 
 
-def _told(model: Model, shared: int) -> Floats:
-    """Return orthonormal rows (r, shared): what a whitened model tells of the first unknowns."""
-    white = dense(model.equations(model.first)[1])
-    curve, own = white[:, :shared], np.linalg.qr(white[:, shared:])[0]
-    _, size, ways = np.linalg.svd(curve - own @ (own.T @ curve), full_matrices=False)
+def _told(white: Floats, shared: int) -> Floats:
+    """Return orthonormal rows (r, shared): what observations tell of the first unknowns.
+
+    ``white`` (n, p): their derivatives, in their noise.
+    """
+    curve, own = white[:, :shared], white[:, shared:]
+    axes, size, _ = np.linalg.svd(own, full_matrices=False)
+    axes = axes[:, size > NONE * size.max(initial=0.0)]
+    _, size, ways = np.linalg.svd(curve - axes @ (axes.T @ curve), full_matrices=False)
     return np.asarray(ways[size > TOLD * np.linalg.norm(curve)])
 
 
@@ -307,19 +310,32 @@ class _Views:
         }
         results = frozenset(each.name for each in instruments if each.model is None)
         wide = shared.basis
-        told = np.concatenate([_told(model, wide.shape[1]) for model in models.values()])
+        white = [dense(model.equations(model.first)[1]) for model in models.values()]
+        told = np.concatenate([_told(each, wide.shape[1]) for each in white])
         if (untold := null_space(told, rcond=TOLD)).size:
             shared = shared.leaving(wide @ untold)
             to = wide.T @ shared.basis
             models = {name: _narrowed(model, to) for name, model in models.items()}
         return cls(shared, models, results)
 
-    def alone(self, name: str) -> Model:
-        """Return what one instrument observed, with what it tells of the deviations as outputs."""
-        model, width = self.models[name], self.shared.basis.shape[1]
-        told = _told(model, width)
+    def alone(self, name: str, fit: Fit) -> Model:
+        """Return what one instrument observed, linear about the ``fit`` of all.
+
+        Its outputs are what it tells of the deviations.
+        """
+        model, rows, unknowns = self.models[name], self.rows[name], self.whole.size[1]
+        design, width = fit.design[rows, :unknowns], self.shared.basis.shape[1]
+        told = _told(design, width)
         outputs = self.shared.basis @ told.T @ told
-        return replace(model, outputs=np.pad(outputs, ((0, 0), (0, model.size[1] - width))))
+        return replace(
+            model,
+            blocks=self.whole.blocks,
+            observed=fit.residual[rows] + design @ fit.x[:unknowns],
+            equations=linear(design),
+            outputs=np.pad(outputs, ((0, 0), (0, unknowns - width))),
+            also={},
+            start=None,
+        )
 
     @cached_property
     def of_results(self) -> Bools:
@@ -384,7 +400,7 @@ def solve_together(instruments: Sequence[JointInput]) -> Combination:
     factors = [
         np.ones(1)
         if each.model is None
-        else adjust(views.alone(each.name)).diagnosis.noise.factors
+        else adjust(views.alone(each.name, found.fit)).diagnosis.noise.factors
         for each in instruments
     ]
     alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)

@@ -224,7 +224,9 @@ class Calibration:
             dof=0,
             n_observations=len(used),
             verdict="suspect",
-            zeros=Zeros(free=tuple(FreeDirection("", dict.fromkeys(told.curves, k)) for k in each)),
+            zeros=Zeros(
+                free=tuple(FreeDirection("", dict.fromkeys(told.curves, k)) for k in each)
+            ),
             circumstances=self._circumstances(used),
             raw_data=RawData.of(used, _DATED_NS),
         )

@@ -28,9 +28,10 @@ from rotcal_ros.methods.ball_plate.solver.solution import adjust
 def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
     """Return the centres over the six deviations at the table positions in use.
 
-    ``angles``, rad, are those of all table positions. The centres that :func:`~.result.solve` does without at once are left out. Noise in the plane
-    and along the axis are two components. Raises DataError as the screening does, and
-    ObservabilityError where no noise is stated and the plate alone cannot tell it.
+    ``angles``, rad, are those of all table positions. The centres that :func:`~.result.solve` does
+    without at once are left out. Noise in the plane and along the axis are two components. Raises
+    DataError as the screening does, and ObservabilityError where no noise is stated and the plate
+    alone cannot tell it.
     """
     whole = screen(closing_apart(problem)[0])[0]
     fields, drifts = model.blocks(whole), 3 * whole.drift

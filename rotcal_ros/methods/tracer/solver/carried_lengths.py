@@ -52,11 +52,11 @@ class Stated(NamedTuple):
 class CarriedLengths:
     """Lengths ``observed`` +- ``std`` (k,), m, and where they were taken; start values.
 
-    ``position``, ``place``, ``target``, ``zero`` (k,): indices into ``angles`` (m,) rad, ``places``
-    (p, 3), ``targets`` (n, 3) and ``zeros`` (s,), m. ``row``, ``order`` (k,): of the problem, and
-    when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``common`` (k, r), m: independent errors
-    that lengths share, each of its standard deviation.
-    ``tilts``: whether the table's are unknown; one place feels nothing of them that is not a shift.
+    ``position``, ``place``, ``target``, ``zero`` (k,): indices into ``angles`` (m,) rad,
+    ``places`` (p, 3), ``targets`` (n, 3) and ``zeros`` (s,), m. ``row``, ``order`` (k,): of the
+    problem, and when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``common`` (k, r), m: independent
+    errors that lengths share, each of its standard deviation. ``tilts``: whether the table's are
+    unknown; one place feels nothing of them that is no shift.
     """
 
     observed: Floats
