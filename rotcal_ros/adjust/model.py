@@ -360,6 +360,30 @@ class Model:
             row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
         )
 
+    def sharing(self, errors: Floats) -> Model:
+        """Return the model of observations that have errors in common, made independent.
+
+        ``errors`` (n, r): what r independent ones do, each of its standard deviation, beside the
+        noise of each observation. The symmetric root of the covariance takes them off: of all
+        roots it changes an observation least, and its own error stays nearly its own.
+        """
+        ways, size, _ = np.linalg.svd(errors / self.std[:, None], full_matrices=False)
+        off = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+
+        def freed(columns: Floats) -> Floats:
+            white = columns / self.std[:, None]
+            white = white - (ways * off) @ (ways.T @ white)
+            return np.asarray(white * self.std[:, None])
+
+        def equations(x: Floats) -> tuple[Floats, Design]:
+            computed, design = self.equations(x)
+            return freed(computed[:, None])[:, 0], freed(dense(design))
+
+        if self.effects:
+            raise DataError("errors in common go before effects: declare these of what is left")
+        observed = freed(self.observed[:, None])[:, 0]
+        return replace(self, observed=observed, equations=equations)
+
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""
         for name, count in self.blocks.items():

@@ -73,6 +73,9 @@ class Measurements(Protocol):
     def solve(self) -> Result:
         """Return the result."""
 
+    def of_curves(self) -> CurveModel | None:
+        """Return it as a model, to be solved with others; None: the result stands for it."""
+
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about it; ConfigurationError where there are none."""
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from rotcal_ros import methods
 from rotcal_ros.bags import names
@@ -67,6 +67,9 @@ from rotcal_ros.recordings.recorded_setup import (
 )
 from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
 from rotcal_ros.recordings.topics import RoleMessages, Topics, of_one_cell
+
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
 
 Source = Literal["streams", "observations"]
 
@@ -132,6 +135,11 @@ class Recording:
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         warned = replace(result, warnings=(*result.warnings, *further))
         return warned.doubted() if self.session.missing else warned
+
+    def of_curves(self) -> CurveModel | None:
+        """Return the observations as a model, to be solved with those of other instruments."""
+        self._require_observations()
+        return self.calibration.of_curves(self.observations)
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""

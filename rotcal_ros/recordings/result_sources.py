@@ -133,17 +133,15 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
 
     Also one that cannot be solved alone: the others may tell what it lacks.
     """
-    if not isinstance(measured, Recording | PlannedMeasurements):
-        return JointInput(name, measured.solve())
-    calibration, observations = measured.calibration, measured.observations
     try:
-        result = measured.solve()
+        return JointInput(name, measured.solve(), measured.of_curves())
     except (ObservabilityError, GeometryError):
-        model = calibration.of_curves(observations)
+        if not isinstance(measured, Recording | PlannedMeasurements):
+            raise
+        model = measured.of_curves()
         if model is None:
             raise
-        return JointInput(name, calibration.untold(observations, model), model)
-    return JointInput(name, result, calibration.of_curves(observations))
+        return JointInput(name, measured.calibration.untold(measured.observations, model), model)
 
 
 def read_repeated_runs(

@@ -3,9 +3,8 @@
 A place q of the instrument stands at v + U (d + R(c) Rz(angle) q) while the table is at an angle,
 with its deviations d, m, and c, rad. Its lengths to the targets count from zeros. All unknowns are
 changes of the start values. What is stated beforehand, such as the coordinates of the targets, is
-among the observations, never to be left out. Errors that lengths have in common, such as slips
-that would not be found, are taken from them by the symmetric root of the covariance: of all roots
-it changes a length least, and an error of one stays nearly its own.
+among the observations, never to be left out. Slips that would not be found are errors that
+lengths have in common.
 
 The other instruments may tell what these lengths alone do not.
 """
@@ -129,19 +128,6 @@ class CarriedLengths:
         design[each[:, 0], first["zero"] + self.zero] = -1.0
         return distance - (self.zeros + zero)[self.zero], design
 
-    @cached_property
-    def _shared(self) -> tuple[Floats, Floats]:
-        """Directions (k, r) of the errors in common, and the share (r,) that is taken off each."""
-        ways, size, _ = np.linalg.svd(self.common / self.std[:, None], full_matrices=False)
-        return ways, 1.0 - 1.0 / np.sqrt(1.0 + size**2)
-
-    def without_common(self, lengths: Floats) -> Floats:
-        """Return lengths, or derivatives of them, (k, ...) whose errors are independent again."""
-        ways, off = self._shared
-        white = (lengths.T / self.std).T
-        left = white - (ways * off) @ (ways.T @ white)
-        return np.asarray((left.T * self.std).T)
-
     def model(self, curves: Mapping[str, Floats], stated: Sequence[Stated]) -> CurveModel:
         """Return the lengths, with what is ``stated``, over the deviations ``curves``."""
         k, size = len(self.observed), sum(self.blocks.values())
@@ -149,14 +135,14 @@ class CarriedLengths:
         known = np.concatenate([np.zeros((0, size)), *(s.rows for s in parts)])
 
         def equations(x: Floats) -> tuple[Floats, Design]:
-            computed, design = map(self.without_common, self.computed(x))
+            computed, design = self.computed(x)
             return np.append(computed, known @ x), np.concatenate([design, known])
 
         counts = [k, *(len(s.rows) for s in parts)]
         beyond = np.full(len(known), -1)
         model = Model(
             blocks=self.blocks,
-            observed=np.append(self.without_common(self.observed), np.zeros(len(known))),
+            observed=np.append(self.observed, np.zeros(len(known))),
             std=np.concatenate([self.std, *(s.std for s in parts)]),
             equations=equations,
             outputs=np.zeros((0, size)),
@@ -175,7 +161,8 @@ class CarriedLengths:
                 *(f"value {i} of {s.what}" for s in parts for i in range(len(s.rows))),
             ],
         )
-        return CurveModel(model, self.angles, curves)
+        common = np.pad(self.common, ((0, len(known)), (0, 0)))
+        return CurveModel(model.sharing(common), self.angles, curves)
 
 
 def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> Stated:
