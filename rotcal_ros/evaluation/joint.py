@@ -385,7 +385,6 @@ class _Views:
             )
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # as when one instrument is solved
 def solve_together(instruments: Sequence[JointInput]) -> Combination:
     """Return the solution of all that the ``instruments`` observed, and how they agree by group.
 
@@ -394,6 +393,11 @@ def solve_together(instruments: Sequence[JointInput]) -> Combination:
     uncertainties are enlarged (Birge) and the verdict is suspect. Raises DataError for inputs that
     cannot be joined, ObservabilityError where they leave deviations open that none says it does.
     """
+    with threadpool_limits(1, "blas"):  # as where one instrument is solved
+        return _solved(instruments)
+
+
+def _solved(instruments: Sequence[JointInput]) -> Combination:
     views = _Views.of(instruments)
     found = adjust(views.whole)
     # Closures are judged by the noise of each alone: in that of all together they would hide.
@@ -506,14 +510,14 @@ class Expected:
     open: tuple[str, ...]
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def predicted_together(instruments: Sequence[JointInput]) -> Expected:
     """Return what ``instruments`` would give together; what they observed does not matter.
 
     Raises as :func:`solve_together`.
     """
-    views = _Views.of(instruments)
-    shared, std = views.shared, predicted(views.whole).std
+    with threadpool_limits(1, "blas"):
+        views = _Views.of(instruments)
+        shared, std = views.shared, predicted(views.whole).std
     open_ = [
         c
         for layout, left in zip(shared.layouts, shared.left, strict=True)

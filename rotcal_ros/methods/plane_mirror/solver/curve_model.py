@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from rotcal_ros.adjust.model import CurveModel, Grouping, Model, Unit, linear
+from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.methods.plane_mirror.solver.drift import swings
 from rotcal_ros.methods.plane_mirror.solver.gathering import WORDS, settled
 from rotcal_ros.methods.plane_mirror.solver.linear import linear as linear_view
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.solve import no_residuals
+
+AXES: Final = ("range", "level", "height")
+"""What the errors of a point are called along the beam, level across it, and upwards."""
 
 
 def curve_model(problem: PlaneMirrorProblem) -> CurveModel:
@@ -29,7 +35,7 @@ def curve_model(problem: PlaneMirrorProblem) -> CurveModel:
     swung = view.root @ view.elements.carried(swings(elements, prepared.drift))
     stated = len(view.prior)
 
-    def of_rows(number: np.ndarray) -> np.ndarray:
+    def of_rows(number: Ints) -> Ints:
         return np.append(np.repeat(number, 3), np.full(stated, -1))
 
     row = view.elements.row
