@@ -38,6 +38,8 @@ def curve_model(problem: PlaneMirrorProblem) -> CurveModel:
     def of_rows(number: Ints) -> Ints:
         return np.append(np.repeat(number, 3), np.full(stated, -1))
 
+    moment = np.append(np.repeat(elements.moment[view.elements.row], 3), np.zeros(stated))
+
     row = view.elements.row
     model = Model(
         blocks={"deviation": n, "other unknown": size - n},
@@ -52,7 +54,7 @@ def curve_model(problem: PlaneMirrorProblem) -> CurveModel:
         judged=np.arange(len(observed)) < 3 * m,
         groupings=[
             Grouping("position", of_rows(view.elements.position)),
-            Grouping("station", of_rows(view.elements.station), of_rows(elements.moment[row])),
+            Grouping("station", of_rows(view.elements.station), moment),
         ],
         row_names=[
             *(
