@@ -103,7 +103,7 @@ def test_lengths_and_readings_are_one_least_squares(keep):
     start = np.append(dense.start(), np.zeros(GRID + 3))
     best = least_squares(misfit, start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
     scale = np.linalg.norm(best.jac, axis=0)
-    inverse = (np.linalg.pinv(best.jac / scale, rcond=1e-10) / scale[:, None])[:GRID]
+    inverse = (np.linalg.pinv(best.jac / scale, rcond=1e-6) / scale[:, None])[:GRID]
     std = np.sqrt(((MEAN @ inverse) ** 2).sum(axis=1))
     assert found.std["ECC"] == pytest.approx(std, rel=2e-3)
     assert np.abs(found.deviations["ECC"] - MEAN @ best.x[:GRID]).max() < 0.02 * std.min()
@@ -172,7 +172,7 @@ def test_lengths_that_are_no_circle_join_two_groups_of_a_plate(keep):
     assert np.abs(found.deviations["ECC"] - ALTERNATING).max() < 3.5 * found.std["ECC"].max()
     (link,) = found.details["links"]
     assert link["offset"] == pytest.approx(4.0 * ARCSEC, abs=3.5 * link["std"])
-    assert link["std"] < 2.0 * ARCSEC
+    assert link["std"] < 3.0 * ARCSEC
     alone = solve_together([six]).result
     assert alone.zeros.free
     assert alone.verdict == "suspect"
