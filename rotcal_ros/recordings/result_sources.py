@@ -144,6 +144,13 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
         return JointInput(name, measured.calibration.untold(measured.observations, model), model)
 
 
+def read_instrument(path: Path) -> JointInput:
+    """Return a bag, or a result in a JSON file, ready to be solved together with others."""
+    if path.suffix == ".json":
+        return JointInput(str(path), read_source(path).result)
+    return instrument_of(str(path), Input(path).read())
+
+
 def read_repeated_runs(
     path: Path, sheet: SheetSettings = AS_IT_STANDS, announce: Callable[[Reading], object] = str
 ) -> BidirectionalRuns:
