@@ -67,7 +67,7 @@ CURVES: Final = "deviations"
 """The block of unknowns that all instruments share."""
 NONE: Final = 1e-9
 """Share of a direction that is rounding."""
-TOLD: Final = 1e-7
+DETERMINED: Final = 1e-7
 """Share of what observations feel of a direction from which on they tell it from all others."""
 
 
@@ -124,7 +124,7 @@ class _Shared:
     def leaving(self, directions: Floats) -> _Shared:
         """Return the same without ``directions`` (s, k) of the unknowns, which nobody tells."""
         parts = (np.linalg.svd(directions[place], full_matrices=False) for place in self.places)
-        return replace(self, left=[ways[:, size > TOLD] for ways, size, _ in parts])
+        return replace(self, left=[ways[:, size > DETERMINED] for ways, size, _ in parts])
 
     @cached_property
     def places(self) -> list[slice]:
@@ -278,7 +278,7 @@ def _whole_covariance(parts: Sequence[SeenCurves], curves: Curves) -> Floats:
     return np.asarray(together @ together.T + block_diag(*rest))
 
 
-def _told(white: Floats, shared: int) -> Floats:
+def _determined(white: Floats, shared: int) -> Floats:
     """Return orthonormal rows (r, shared): what observations tell of the first unknowns.
 
     ``white`` (n, p): their derivatives, in their noise.
@@ -287,7 +287,7 @@ def _told(white: Floats, shared: int) -> Floats:
     axes, size, _ = np.linalg.svd(own, full_matrices=False)
     axes = axes[:, size > NONE * size.max(initial=0.0)]
     _, size, ways = np.linalg.svd(curve - axes @ (axes.T @ curve), full_matrices=False)
-    return np.asarray(ways[size > TOLD * np.linalg.norm(curve)])
+    return np.asarray(ways[size > DETERMINED * np.linalg.norm(curve)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,9 +311,9 @@ class _Views:
         results = frozenset(each.name for each in instruments if each.model is None)
         wide = shared.basis
         white = [dense(model.equations(model.first)[1]) for model in models.values()]
-        told = np.concatenate([_told(each, wide.shape[1]) for each in white])
-        if (untold := null_space(told, rcond=TOLD)).size:
-            shared = shared.leaving(wide @ untold)
+        known = np.concatenate([_determined(each, wide.shape[1]) for each in white])
+        if (open_ := null_space(known, rcond=DETERMINED)).size:
+            shared = shared.leaving(wide @ open_)
             to = wide.T @ shared.basis
             models = {name: _narrowed(model, to) for name, model in models.items()}
         return cls(shared, models, results)
@@ -325,8 +325,8 @@ class _Views:
         """
         model, rows, unknowns = self.models[name], self.rows[name], self.whole.size[1]
         design, width = fit.design[rows, :unknowns], self.shared.basis.shape[1]
-        told = _told(design, width)
-        outputs = self.shared.basis @ told.T @ told
+        known = _determined(design, width)
+        outputs = self.shared.basis @ known.T @ known
         return replace(
             model,
             blocks=self.whole.blocks,

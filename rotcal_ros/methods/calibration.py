@@ -207,25 +207,25 @@ class Calibration:
             return None
         return find(self.configuration, self.plan, self._that_count(observations))
 
-    def untold(self, observations: Iterable[Observation], told: CurveModel) -> Result:
+    def untold(self, observations: Iterable[Observation], model: CurveModel) -> Result:
         """Return a result that says nothing: of observations that need those of others.
 
-        ``told``: what they tell with them.
+        ``model``: what they are with them.
         """
-        used, count = self._that_count(observations), len(told.angles)
+        used, count = self._that_count(observations), len(model.angles)
         each = np.eye(count)
         return Result(
             method=self.method.name,
-            angles=told.angles,
-            deviations={c: np.zeros(count) for c in told.curves},
-            std={c: np.ones(count) for c in told.curves},
-            covariance=dict.fromkeys(told.curves, each),
+            angles=model.angles,
+            deviations={c: np.zeros(count) for c in model.curves},
+            std={c: np.ones(count) for c in model.curves},
+            covariance=dict.fromkeys(model.curves, each),
             sigma0=1.0,
             dof=0,
             n_observations=len(used),
             verdict="suspect",
             zeros=Zeros(
-                free=tuple(FreeDirection("", dict.fromkeys(told.curves, k)) for k in each)
+                free=tuple(FreeDirection("", dict.fromkeys(model.curves, k)) for k in each)
             ),
             circumstances=self._circumstances(used),
             raw_data=RawData.of(used, _DATED_NS),

@@ -39,7 +39,7 @@ SMALL: Final = 1e-3
 """Variance, as a share of that of the lengths, that is too small to matter."""
 
 
-class Stated(NamedTuple):
+class KnownBeforehand(NamedTuple):
     """What is known of unknowns: ``rows`` (b, p) times them is 0 +- ``std`` (b,)."""
 
     what: str
@@ -128,7 +128,7 @@ class CarriedLengths:
         design[each[:, 0], first["zero"] + self.zero] = -1.0
         return distance - (self.zeros + zero)[self.zero], design
 
-    def model(self, curves: Mapping[str, Floats], stated: Sequence[Stated]) -> CurveModel:
+    def model(self, curves: Mapping[str, Floats], stated: Sequence[KnownBeforehand]) -> CurveModel:
         """Return the lengths, with what is ``stated``, over the deviations ``curves``."""
         k, size = len(self.observed), sum(self.blocks.values())
         parts = [s for s in stated if len(s.rows)]
@@ -165,10 +165,10 @@ class CarriedLengths:
         return CurveModel(model.sharing(common), self.angles, curves)
 
 
-def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> Stated:
+def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> KnownBeforehand:
     """Return what is stated of the targets: ``std`` (n, 3), m, of each coordinate; or nothing."""
     rows = lengths.rows_of("target", slice(0, 0) if free else slice(None))
-    return Stated("the targets", rows, np.maximum(std.ravel(), KNOWN)[: len(rows)])
+    return KnownBeforehand("the targets", rows, np.maximum(std.ravel(), KNOWN)[: len(rows)])
 
 
 def slips_of(zero: Ints, order: Ints, step_std: float, std: float) -> Floats:
@@ -220,7 +220,7 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None) -> Curv
         {"ECC": lengths.rows_of("turn")},
         [
             of_targets(lengths, grid.target_std, grid.free),
-            Stated("the error motion", motion, std),
+            KnownBeforehand("the error motion", motion, std),
             *_wandering(lengths, grid),
         ],
     )
@@ -288,9 +288,11 @@ def _carried(
     )
 
 
-def _wandering(lengths: CarriedLengths, grid: Grid) -> list[Stated]:
+def _wandering(lengths: CarriedLengths, grid: Grid) -> list[KnownBeforehand]:
     """Return what is stated of zeros that wander from one length to the next."""
     if grid.walk is None:
         return []
     rows, there = lengths.rows_of("zero"), np.flatnonzero(np.isfinite(grid.walk))
-    return [Stated("the walk of the zero", rows[there + 1] - rows[there], grid.walk[there])]
+    return [
+        KnownBeforehand("the walk of the zero", rows[there + 1] - rows[there], grid.walk[there])
+    ]

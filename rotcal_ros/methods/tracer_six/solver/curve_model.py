@@ -8,7 +8,7 @@ from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     CarriedLengths,
-    Stated,
+    KnownBeforehand,
     of_targets,
     slips_of,
     step_of,
@@ -68,9 +68,9 @@ def _scattered(solution: SixSolution) -> Floats:
     return found.reshape(*unit.shape[:2], -1)
 
 
-def _tilts(lengths: CarriedLengths, std: float | None) -> Stated:
+def _tilts(lengths: CarriedLengths, std: float | None) -> KnownBeforehand:
     """Return what is stated of EAC and EBC, less how both frames lean."""
     m = 0 if std is None else len(lengths.angles)
     rows = lengths.rows_of("turn", [3 * j + axis for j in range(m) for axis in (0, 1)])
     lean = gauge_design(lengths.angles[:m])[0] @ lengths.rows_of("frame")
-    return Stated("the tilts", rows - lean, np.full(2 * m, std or 1.0))
+    return KnownBeforehand("the tilts", rows - lean, np.full(2 * m, std or 1.0))
