@@ -14,6 +14,7 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
     step_of,
 )
 from rotcal_ros.methods.tracer_six.solver.network import gauge_design
+from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
 
 
@@ -58,11 +59,15 @@ def curve_model(solution: SixSolution) -> CurveModel:
 
 
 def _scattered(solution: SixSolution) -> Floats:
-    """Return what a unit of each station's scatter does to the lengths, (V, n, 3 V), m."""
-    unit = solution.network.slopes.unit
-    roots = solution.scatter.roots(solution.network.state.arms(solution.layout))
-    if roots is None:
+    """Return what a unit of each station's scatter does to the lengths, (V, n, 3 V), m.
+
+    Of the scatter that U holds, which is more than the likely one where few contrasts tell it.
+    """
+    unit, scatter = solution.network.slopes.unit, solution.scatter
+    if scatter.translation == scatter.rotation == 0.0:
         return np.zeros((*unit.shape[:2], 0))
+    arms = solution.network.state.arms(solution.layout)
+    roots = roots_of(scatter.translation**2, scatter.rotation**2, arms)
     each, found = np.arange(len(unit)), np.zeros((*unit.shape[:2], len(unit), 3))
     found[each, :, each] = unit @ roots
     return found.reshape(*unit.shape[:2], -1)
