@@ -8,7 +8,7 @@ the order of the observations; nothing is whitened.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -397,12 +397,14 @@ class Model:
 class CurveModel:
     """A model, and what of its unknowns are deviations: rows (m, p) of each of the ``curves``.
 
-    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell.
+    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell: the
+    ``mixed`` ones, which other instruments may.
     """
 
     model: Model
     angles: Floats
     curves: Mapping[str, Floats]
+    mixed: Collection[str] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -231,7 +231,10 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
 
     alone = calibration.of_distances
     observations = _predicted_observations(alone, seed)
-    return JointInput(name, alone.solve(observations), alone.of_curves(observations))
+    model = alone.of_curves(observations)
+    if model is None:
+        return JointInput(name, alone.solve(observations))
+    return JointInput(name, alone.untold(observations, model), model)
 
 
 def _present(path: Path, seed: int) -> JointInput:

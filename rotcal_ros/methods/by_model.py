@@ -137,8 +137,10 @@ class ByModel:
         model = self.model(configuration, Readings.of(observations))
         parts, count = self._parts(configuration, model)
         curves = {name: model.outputs[part] for name, part in parts.items()}
-        curves |= self.untold(configuration)
-        return CurveModel(model, np.array(plan.table_angles[:count]), curves)
+        untold = self.untold(configuration)
+        return CurveModel(
+            model, np.array(plan.table_angles[:count]), {**curves, **untold}, tuple(untold)
+        )
 
     def _parts(self, configuration: Configuration, model: Model) -> tuple[dict[str, slice], int]:
         """Return which outputs are the deviations of which component, and how many each has."""

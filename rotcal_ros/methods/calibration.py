@@ -210,23 +210,21 @@ class Calibration:
     def untold(self, observations: Iterable[Observation], model: CurveModel) -> Result:
         """Return a result that says nothing: of observations that need those of others.
 
-        ``model``: what they are with them.
+        ``model``: what they are with them. It has the components that its curves tell.
         """
         used, count = self._that_count(observations), len(model.angles)
-        each = np.eye(count)
+        names, each = [c for c in model.curves if c not in model.mixed], np.eye(count)
         return Result(
             method=self.method.name,
             angles=model.angles,
-            deviations={c: np.zeros(count) for c in model.curves},
-            std={c: np.ones(count) for c in model.curves},
-            covariance=dict.fromkeys(model.curves, each),
+            deviations={c: np.zeros(count) for c in names},
+            std={c: np.ones(count) for c in names},
+            covariance=dict.fromkeys(names, each),
             sigma0=1.0,
             dof=0,
             n_observations=len(used),
             verdict="suspect",
-            zeros=Zeros(
-                free=tuple(FreeDirection("", dict.fromkeys(model.curves, k)) for k in each)
-            ),
+            zeros=Zeros(free=tuple(FreeDirection("", dict.fromkeys(names, k)) for k in each)),
             circumstances=self._circumstances(used),
             raw_data=RawData.of(used, _DATED_NS),
         )

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from carried_tracer import tracer_problem
 from click.testing import CliRunner
-from joint_world import polygon
+from joint_world import instrument, polygon
 from two_groups import ALTERNATING, ANGLES, plate_problem
 
 from rotcal_ros.cli.main import rotcal
+from rotcal_ros.evaluation.joint import predicted_together
 
 SHIFTS = ((0.0, -30.0, -150.0), (0.0, -60.0, -90.0))
 
@@ -118,6 +119,27 @@ def test_the_same_plan_once_more_is_told_to_divide_by_the_root_of_two(tables, tm
     assert more["std"]["ECC"] < now["std"]["ECC"]
     assert more["duration_s"] > 60.0
     assert now["open"] == more["open"] == []
+
+
+def test_a_plan_says_the_same_without_being_solved(tables, monkeypatch):
+    """As of measurements that were solved: only the layout matters."""
+    (_, setup), (_, other) = tables
+    rng = np.random.default_rng(2)
+    solved = [
+        instrument(f"polygon {shifts}", polygon(ALTERNATING, rng, shifts=shifts))
+        for shifts in SHIFTS
+    ]
+    expected = predicted_together(solved).std["ECC"]
+
+    def never(*_arguments):
+        raise AssertionError("a plan was solved")
+
+    monkeypatch.setattr("rotcal_ros.methods.calibration.Calibration.solve", never)
+    ran = run("plan", "add", "--to", setup, other, "--json")
+    assert ran.exit_code == 0, ran.output
+    _, added = json.loads(ran.stdout)["additions"]
+    assert added["std"] == {"ECC": pytest.approx(expected, rel=1e-9)}
+    assert added["open"] == []
 
 
 def test_a_method_is_planned_with_its_defaults():
