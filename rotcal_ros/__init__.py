@@ -17,7 +17,7 @@ _NAMES = {
         "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
     ),
     "api.evaluating": (
-        "check", "combine", "compare", "iso230", "uncertainty", "write_report",
+        "check", "combine", "compare", "iso230", "solve_together", "uncertainty", "write_report",
     ),
     "api.compensating": ("correction", "make_table", "write_controller_files"),
     "methods.configuration": ("Configuration",),

@@ -12,6 +12,7 @@ from rotcal_ros.api.evaluating import check as check
 from rotcal_ros.api.evaluating import combine as combine
 from rotcal_ros.api.evaluating import compare as compare
 from rotcal_ros.api.evaluating import iso230 as iso230
+from rotcal_ros.api.evaluating import solve_together as solve_together
 from rotcal_ros.api.evaluating import uncertainty as uncertainty
 from rotcal_ros.api.evaluating import write_report as write_report
 from rotcal_ros.api.measuring import capture_records as capture_records

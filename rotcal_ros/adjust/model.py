@@ -8,7 +8,7 @@ the order of the observations; nothing is whitened.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -384,6 +384,30 @@ class Model:
             row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
         )
 
+    def sharing(self, errors: Floats) -> Model:
+        """Return the model of observations that have errors in common, made independent.
+
+        ``errors`` (n, r): what r independent ones do, each of its standard deviation, beside the
+        noise of each observation. The symmetric root of the covariance takes them off: of all
+        roots it changes an observation least, and its own error stays nearly its own.
+        """
+        ways, size, _ = np.linalg.svd(errors / self.std[:, None], full_matrices=False)
+        off = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+
+        def freed(columns: Floats) -> Floats:
+            white = columns / self.std[:, None]
+            white = white - (ways * off) @ (ways.T @ white)
+            return np.asarray(white * self.std[:, None])
+
+        def equations(x: Floats) -> tuple[Floats, Design]:
+            computed, design = self.equations(x)
+            return freed(computed[:, None])[:, 0], freed(dense(design))
+
+        if self.effects:
+            raise DataError("errors in common go before effects: declare these of what is left")
+        observed = freed(self.observed[:, None])[:, 0]
+        return replace(self, observed=observed, equations=equations)
+
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""
         for name, count in self.blocks.items():
@@ -391,6 +415,20 @@ class Model:
                 return f"{name} {unknown}" if count > 1 else name
             unknown -= count
         raise DataError(f"the model has no unknown {unknown}")
+
+
+@dataclass(frozen=True, eq=False)
+class CurveModel:
+    """A model, and what of its unknowns are deviations: rows (m, p) of each of the ``curves``.
+
+    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell: the
+    ``mixed`` ones, which other instruments may.
+    """
+
+    model: Model
+    angles: Floats
+    curves: Mapping[str, Floats]
+    mixed: Collection[str] = ()
 
 
 @dataclass(frozen=True, eq=False)

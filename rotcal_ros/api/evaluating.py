@@ -16,6 +16,8 @@ from rotcal_ros.evaluation.compare import compare as compare_curves
 from rotcal_ros.evaluation.component_groups import Enlargement
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, require_runs
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
+from rotcal_ros.evaluation.joint import JointInput
+from rotcal_ros.evaluation.joint import solve_together as solve_instruments
 from rotcal_ros.evaluation.monte_carlo import Propagated, propagated
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
 from rotcal_ros.evaluation.reference import read_deviations
@@ -31,7 +33,9 @@ from rotcal_ros.planning.check_rule import RISK, CheckRule
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.result_sources import (
     ResultSource,
+    instrument_of,
     read_curve,
+    read_instrument,
     read_measured,
     read_repeated_runs,
 )
@@ -111,6 +115,26 @@ def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
     """
     inputs = [_measured_input(k, r) for k, r in enumerate(results, 1)]
     return combine_measured(inputs, enlarge).result
+
+
+def solve_together(*sources: Recording | Measurements | Result | Name) -> Result:
+    """Solve what several instruments observed of one table: one curve of each deviation.
+
+    Each is a recording, a table of :func:`read_table`, a bag, or a result or its file, which then
+    stands for its observations. What cannot be solved alone is, where the others tell what it
+    lacks. Everything in the result counts from its mean; ``verdict`` is suspect if an input is, if
+    something was wrong with one, or if they contradict each other; ``details`` hold weights,
+    chi-square and noise of each. Raises DataError for inputs that share observations, or that
+    fewer than two common angles join.
+
+    >>> import rotcal_ros as rc
+    >>> plate = rc.read_bag("examples/data/ball_plate_bag")
+    >>> joint = rc.solve_together(plate, "examples/data/result_tracer.json")
+    >>> joint.method, joint.components
+    ('combination', ('EXC', 'EYC', 'EZC', 'EAC', 'EBC', 'ECC'))
+    """
+    instruments = [_instrument(k, source) for k, source in enumerate(sources, 1)]
+    return solve_instruments(instruments).result
 
 
 def iso230(runs: BidirectionalRuns | Result | Name) -> Iso230:
@@ -209,6 +233,14 @@ def _measured_input(number: int, source: Curve) -> CombinationInput:
     if isinstance(source, Result):
         return CombinationInput.of(f"{source.method} ({number})", source)
     return CombinationInput.of(f"reference ({number})", _curve(source, "ECC"))
+
+
+def _instrument(number: int, source: Recording | Measurements | Result | Name) -> JointInput:
+    if isinstance(source, str | PathLike):
+        return read_instrument(Path(source))
+    if isinstance(source, Result):
+        return JointInput(f"{source.method} ({number})", source)
+    return instrument_of(f"{source.configuration.method.name} ({number})", source)
 
 
 def _measured(source: Configuration | Recording | Measurements) -> Measurements:

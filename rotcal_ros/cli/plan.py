@@ -231,20 +231,19 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
 
     alone = calibration.of_distances
     observations = _predicted_observations(alone, seed)
-    return JointInput(name, alone.solve(observations), alone.of_curves(observations))
+    model = alone.of_curves(observations)
+    if model is None:
+        return JointInput(name, alone.solve(observations))
+    return JointInput(name, alone.untold(observations, model), model)
 
 
 def _present(path: Path, seed: int) -> JointInput:
     """Return what there is: a result, a bag, or a configuration that is planned."""
-    from rotcal_ros.evaluation.joint import JointInput
-    from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.result_sources import instrument_of, read_source
+    from rotcal_ros.recordings.result_sources import read_instrument
 
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return _expected(str(path), _planned(str(path)), seed)
-    if path.suffix == ".json":
-        return JointInput(str(path), read_source(path).result)
-    return instrument_of(str(path), Input(path).read())
+    return read_instrument(path)
 
 
 def _print_additions(rows: Sequence[tuple[str, float, Expected]]) -> None:

@@ -272,7 +272,7 @@ def _names_of_open(group: ComponentGroup, inputs: Sequence[CombinationInput]) ->
         direction.name
         for m in inputs
         for direction in m.zeros.free
-        if direction.columns.keys() & group.joined.keys()
+        if direction.name and direction.columns.keys() & group.joined.keys()
     )
     return " and ".join(names)
 

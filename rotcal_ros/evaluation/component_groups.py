@@ -158,7 +158,7 @@ def combine_group(
 
     def weighed_with(curves: Mapping[str, Curves]) -> _Weighed:
         seen = {name: part_of(name, curves, layout) for name in curves}
-        parts, left = with_open([own.part for own in seen.values()], common, far)
+        parts, left = _with_open([own.part for own in seen.values()], common, far)
         return _Weighed(parts, left, *_clustered(seen, parts, curves))
 
     parts, left, members, weighed = weighed_with(inputs)
@@ -243,7 +243,7 @@ def _of_observations_alone(
     }
 
 
-def with_open(
+def _with_open(
     parts: Sequence[ComponentInput], common: Floats, between: Sequence[bool]
 ) -> tuple[list[ComponentInput], Floats]:
     """Return the parts, and an orthonormal basis (m, q) of what they leave open together.

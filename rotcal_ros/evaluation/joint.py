@@ -1,8 +1,8 @@
 """One solution of what several instruments observed of one table.
 
-The deviations at all angles are unknowns that every instrument shares. An instrument whose method
-has a :class:`~rotcal_ros.adjust.model.Model` brings its observations, with unknowns, noise,
-effects and groups of its own. Of any other its result stands for them: values with all their
+The deviations at all angles are unknowns that every instrument shares. An instrument brings its
+observations, with unknowns, noise, effects and groups of its own, even where these tell nothing
+without the others. Where they are not at hand its result stands for them: values with all their
 covariance, free of the zeros that it leaves open. That is exact for a linear method; what it left
 out stays left out.
 
@@ -21,13 +21,14 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
+from threadpoolctl import threadpool_limits
 
 from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Fit, Model, Unit, linear
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Fit, Model, Unit, linear
 from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
 from rotcal_ros.evaluation.combination import (
     Combination,
@@ -51,13 +52,11 @@ from rotcal_ros.evaluation.component_groups import (
     links_of,
     part_of,
     unknown,
-    with_open,
 )
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection, Result
-from rotcal_ros.methods.by_model import CurveModel
 
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
 ORDERS: Final = (1, 2, 3)
@@ -68,6 +67,8 @@ CURVES: Final = "deviations"
 """The block of unknowns that all instruments share."""
 NONE: Final = 1e-9
 """Share of a direction that is rounding."""
+DETERMINED: Final = 1e-7
+"""Share of what observations feel of a direction from which on they tell it from all others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +92,8 @@ class JointInput:
 class _Shared:
     """A ``layout`` of each group of components, its unknowns one after the other.
 
-    ``inputs``: the curves of each instrument alone, by its name. ``left``: what all of them leave
-    open of a group, beside what no method knows.
+    ``inputs``: the curves of each instrument alone, by its name. ``left``: what all of them
+    together leave open of a group, beside what no method knows.
     """
 
     inputs: Sequence[CombinationInput]
@@ -105,7 +106,7 @@ class _Shared:
         """Return what the instruments share; DataError where nothing joins them."""
         inputs = [each.alone for each in instruments]
         _require_own_observations(inputs)
-        layouts, every, left = [], [], []
+        layouts, every = [], []
         for group in wanted_groups(inputs):
             curves = owners_of(group, inputs)
             layout = laid_out(group, curves)
@@ -115,12 +116,15 @@ class _Shared:
                     "common with the others: nothing joins their zeros; measure at common angles "
                     "(rotcal combine reads between angles, and says so)"
                 )
-            parts = {name: part_of(name, curves, layout) for name in curves}
-            seen = [own.part for own in parts.values()]
             layouts.append(layout)
-            every.append(parts)
-            left.append(with_open(seen, layout.common, [False] * len(seen))[1])
-        return cls(inputs, layouts, every, left)
+            every.append({name: part_of(name, curves, layout) for name in curves})
+        nothing = [np.zeros((len(layout.common), 0)) for layout in layouts]
+        return cls(inputs, layouts, every, nothing)
+
+    def leaving(self, directions: Floats) -> _Shared:
+        """Return the same without ``directions`` (s, k) of the unknowns, which nobody tells."""
+        parts = (np.linalg.svd(directions[place], full_matrices=False) for place in self.places)
+        return replace(self, left=[ways[:, size > DETERMINED] for ways, size, _ in parts])
 
     @cached_property
     def places(self) -> list[slice]:
@@ -207,6 +211,13 @@ def _observable(model: Model, own: Floats) -> Floats:
     return np.asarray((ways[seen].T / size[seen]) / scale[:, None])
 
 
+def _narrowed(model: Model, to: Floats) -> Model:
+    """Return the model of fewer shared unknowns, which ``to`` (s, t) takes to the present ones."""
+    own = model.size[1] - len(to)
+    blocks = {CURVES: to.shape[1], "own unknown": own}
+    return reparametrised(model, block_diag(to, np.eye(own)), blocks)
+
+
 def _by_result(shared: _Shared, name: str) -> Model:
     """Return the result of an instrument as observations of the shared unknowns, not judged.
 
@@ -267,6 +278,18 @@ def _whole_covariance(parts: Sequence[SeenCurves], curves: Curves) -> Floats:
     return np.asarray(together @ together.T + block_diag(*rest))
 
 
+def _determined(white: Floats, shared: int) -> Floats:
+    """Return orthonormal rows (r, shared): what observations tell of the first unknowns.
+
+    ``white`` (n, p): their derivatives, in their noise.
+    """
+    curve, own = white[:, :shared], white[:, shared:]
+    axes, size, _ = np.linalg.svd(own, full_matrices=False)
+    axes = axes[:, size > NONE * size.max(initial=0.0)]
+    _, size, ways = np.linalg.svd(curve - axes @ (axes.T @ curve), full_matrices=False)
+    return np.asarray(ways[size > DETERMINED * np.linalg.norm(curve)])
+
+
 @dataclass(frozen=True, eq=False)
 class _Views:
     """The models of all instruments, over the shared unknowns, and all of them as one."""
@@ -286,7 +309,33 @@ class _Views:
             for each in instruments
         }
         results = frozenset(each.name for each in instruments if each.model is None)
+        wide = shared.basis
+        white = [dense(model.equations(model.first)[1]) for model in models.values()]
+        known = np.concatenate([_determined(each, wide.shape[1]) for each in white])
+        if (open_ := null_space(known, rcond=DETERMINED)).size:
+            shared = shared.leaving(wide @ open_)
+            to = wide.T @ shared.basis
+            models = {name: _narrowed(model, to) for name, model in models.items()}
         return cls(shared, models, results)
+
+    def alone(self, name: str, fit: Fit) -> Model:
+        """Return what one instrument observed, linear about the ``fit`` of all.
+
+        Its outputs are what it tells of the deviations.
+        """
+        model, rows, unknowns = self.models[name], self.rows[name], self.whole.size[1]
+        design, width = fit.design[rows, :unknowns], self.shared.basis.shape[1]
+        known = _determined(design, width)
+        outputs = self.shared.basis @ known.T @ known
+        return replace(
+            model,
+            blocks=self.whole.blocks,
+            observed=fit.residual[rows] + design @ fit.x[:unknowns],
+            equations=linear(design),
+            outputs=np.pad(outputs, ((0, 0), (0, unknowns - width))),
+            also={},
+            start=None,
+        )
 
     @cached_property
     def of_results(self) -> Bools:
@@ -344,11 +393,18 @@ def solve_together(instruments: Sequence[JointInput]) -> Combination:
     uncertainties are enlarged (Birge) and the verdict is suspect. Raises DataError for inputs that
     cannot be joined, ObservabilityError where they leave deviations open that none says it does.
     """
+    with threadpool_limits(1, "blas"):  # as where one instrument is solved
+        return _solved(instruments)
+
+
+def _solved(instruments: Sequence[JointInput]) -> Combination:
     views = _Views.of(instruments)
     found = adjust(views.whole)
     # Closures are judged by the noise of each alone: in that of all together they would hide.
     factors = [
-        np.ones(1) if each.model is None else adjust(each.model.model).diagnosis.noise.factors
+        np.ones(1)
+        if each.model is None
+        else adjust(views.alone(each.name, found.fit)).diagnosis.noise.factors
         for each in instruments
     ]
     alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)
@@ -459,8 +515,9 @@ def predicted_together(instruments: Sequence[JointInput]) -> Expected:
 
     Raises as :func:`solve_together`.
     """
-    views = _Views.of(instruments)
-    shared, std = views.shared, predicted(views.whole).std
+    with threadpool_limits(1, "blas"):
+        views = _Views.of(instruments)
+        shared, std = views.shared, predicted(views.whole).std
     open_ = [
         c
         for layout, left in zip(shared.layouts, shared.left, strict=True)

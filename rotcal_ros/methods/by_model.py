@@ -15,7 +15,7 @@ import numpy as np
 
 from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.engine import Trials as DrawnTrials
-from rotcal_ros.adjust.model import Model, block_rows
+from rotcal_ros.adjust.model import CurveModel, Model, block_rows
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
@@ -68,18 +68,6 @@ class Statement:
     doubts: Sequence[str] = ()
     protections: Sequence[Protection] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class CurveModel:
-    """A model, and what of its unknowns are deviations: rows (m, p) of each of the ``curves``.
-
-    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell.
-    """
-
-    model: Model
-    angles: Floats
-    curves: Mapping[str, Floats]
 
 
 @dataclass(frozen=True)
@@ -151,8 +139,10 @@ class ByModel:
         model = self.model(configuration, Readings.of(observations))
         parts, count = self._parts(configuration, model)
         curves = {name: model.outputs[part] for name, part in parts.items()}
-        curves |= self.untold(configuration)
-        return CurveModel(model, np.array(plan.table_angles[:count]), curves)
+        untold = self.untold(configuration)
+        return CurveModel(
+            model, np.array(plan.table_angles[:count]), {**curves, **untold}, tuple(untold)
+        )
 
     def _parts(self, configuration: Configuration, model: Model) -> tuple[dict[str, slice], int]:
         """Return which outputs are the deviations of which component, and how many each has."""

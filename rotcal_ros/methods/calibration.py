@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from math import dist
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rotcal_ros.bags.names import JOINT_STATES, PROBE_POINT, TRACER_LENGTH
@@ -19,7 +20,7 @@ from rotcal_ros.foundation.in_force import UNKNOWN, agreed
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.raw_data import RawData
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
 from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.geometry.rotations import carried
 from rotcal_ros.methods.air import Refraction
@@ -34,7 +35,7 @@ from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL, AsListed, Policy
 from rotcal_ros.planning.plan import Plan, Point, Step
 
 if TYPE_CHECKING:
-    from rotcal_ros.methods.by_model import CurveModel
+    from rotcal_ros.adjust.model import CurveModel
 
 _DATED_NS: Final = 10**17
 """A stamp before 1973 counts from the start of something: it is no date."""
@@ -198,13 +199,35 @@ class Calibration:
     def of_curves(self, observations: Iterable[Observation]) -> CurveModel | None:
         """Return the observations that count as a model, to be solved with other instruments.
 
-        None where only the result tells all: for a method with an algebra of its own, and where
-        air or clocks add to its uncertainty.
+        None where only the result tells all: where the method says so, and where air or clocks
+        add to its uncertainty.
         """
         find = self.method.of_curves
         if find is None or self.refraction.equation is not None or self.arrival_std():
             return None
         return find(self.configuration, self.plan, self._that_count(observations))
+
+    def untold(self, observations: Iterable[Observation], model: CurveModel) -> Result:
+        """Return a result that says nothing: of observations that need those of others.
+
+        ``model``: what they are with them. It has the components that its curves tell.
+        """
+        used, count = self._that_count(observations), len(model.angles)
+        names, each = [c for c in model.curves if c not in model.mixed], np.eye(count)
+        return Result(
+            method=self.method.name,
+            angles=model.angles,
+            deviations={c: np.zeros(count) for c in names},
+            std={c: np.ones(count) for c in names},
+            covariance=dict.fromkeys(names, each),
+            sigma0=1.0,
+            dof=0,
+            n_observations=len(used),
+            verdict="suspect",
+            zeros=Zeros(free=tuple(FreeDirection("", dict.fromkeys(names, k)) for k in each)),
+            circumstances=self._circumstances(used),
+            raw_data=RawData.of(used, _DATED_NS),
+        )
 
     def policy(self, continuation: Continuation) -> Policy:
         """Return the policy of the configuration, ready to choose what ``continuation`` leaves.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Approach, Observation
@@ -41,6 +41,9 @@ from rotcal_ros.methods.method import (
 )
 from rotcal_ros.planning.plan import Plan, Step
 
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
+
 TARGETS_FILE: Final = "targets"
 """Stem of the file of targets beside a table of lengths."""
 TIME: Final = "time_s"
@@ -69,6 +72,10 @@ class PlannedMeasurements:
     def solve(self) -> Result:
         """Return the result."""
         return self.calibration.solve(self.observations)
+
+    def of_curves(self) -> CurveModel | None:
+        """Return the observations as a model; see :meth:`~.calibration.Calibration.of_curves`."""
+        return self.calibration.of_curves(self.observations)
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""

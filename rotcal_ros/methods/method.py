@@ -12,12 +12,12 @@ from rotcal_ros.foundation import plugins
 if TYPE_CHECKING:
     import numpy as np
 
+    from rotcal_ros.adjust.model import CurveModel
     from rotcal_ros.capture.attempt import CaptureRules
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.foundation.results import Result
     from rotcal_ros.foundation.tables import Header, Table
-    from rotcal_ros.methods.by_model import CurveModel
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances
@@ -72,6 +72,9 @@ class Measurements(Protocol):
 
     def solve(self) -> Result:
         """Return the result."""
+
+    def of_curves(self) -> CurveModel | None:
+        """Return it as a model, to be solved with others; None: the result stands for it."""
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about it; ConfigurationError where there are none."""

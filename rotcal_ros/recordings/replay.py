@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from rotcal_ros import methods
 from rotcal_ros.bags import names
@@ -57,6 +57,9 @@ from rotcal_ros.recordings.missing_data import (
 )
 from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
 from rotcal_ros.recordings.topics import RoleMessages, Topics, of_one_cell
+
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
 
 Source = Literal["streams", "observations"]
 
@@ -114,7 +117,7 @@ class Recording:
             result = self.calibration.solve(self.observations, self.announced, self.frames)
         except DataError as error:
             reasons = [str(error), *doubtful(self.observations, self.counts)]
-            raise DataError("; ".join(reasons), error.log) from error
+            raise type(error)("; ".join(reasons), error.log) from error
         return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:
@@ -122,6 +125,11 @@ class Recording:
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         warned = replace(result, warnings=(*result.warnings, *further))
         return warned.doubted() if self.session.missing else warned
+
+    def of_curves(self) -> CurveModel | None:
+        """Return the observations as a model, to be solved with those of other instruments."""
+        self._require_observations()
+        return self.calibration.of_curves(self.observations)
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""

@@ -25,7 +25,13 @@ from rotcal_ros.evaluation.reference import (
 )
 from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.errors import (
+    BagError,
+    ConfigurationError,
+    DataError,
+    GeometryError,
+    ObservabilityError,
+)
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings
@@ -122,11 +128,26 @@ def solved(measured: Recording | Measurements) -> ResultSource:
 
 
 def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
-    """Return a bag or a table, ready to be solved together with others."""
-    model = None
-    if isinstance(measured, Recording | PlannedMeasurements):
-        model = measured.calibration.of_curves(measured.observations)
-    return JointInput(name, measured.solve(), model)
+    """Return a bag or a table, ready to be solved together with others.
+
+    Also one that cannot be solved alone: the others may tell what it lacks.
+    """
+    try:
+        return JointInput(name, measured.solve(), measured.of_curves())
+    except (ObservabilityError, GeometryError):
+        if not isinstance(measured, Recording | PlannedMeasurements):
+            raise
+        model = measured.of_curves()
+        if model is None:
+            raise
+        return JointInput(name, measured.calibration.untold(measured.observations, model), model)
+
+
+def read_instrument(path: Path) -> JointInput:
+    """Return a bag, or a result in a JSON file, ready to be solved together with others."""
+    if path.suffix == ".json":
+        return JointInput(str(path), read_source(path).result)
+    return instrument_of(str(path), Input(path).read())
 
 
 def read_repeated_runs(

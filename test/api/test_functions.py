@@ -285,3 +285,27 @@ def test_a_cell_that_nobody_turns_is_not_simulated_for_ever():
 def test_methods_and_controllers_have_names():
     assert {"tracer_multistation", "ball_plate", "plane_mirror"} <= set(rc.method_names())
     assert {"csv", "linuxcnc", "sinumerik"} <= set(rc.controller_names())
+
+
+def test_what_several_instruments_observed_is_solved_together():
+    """Bag, result and file: the plate brings its centres, the tracer its result."""
+    bag, known = DATA / "ball_plate_bag", DATA / "result_tracer.json"
+    joint = rc.solve_together(rc.read_bag(bag), rc.read_result(known))
+    of_files = rc.solve_together(bag, known)
+    assert joint.details["noise"].keys() == {
+        "the centres in the plane of ball_plate (1)",
+        "the centres along the axis of ball_plate (1)",
+        "the result of tracer_multistation (2)",
+    }
+    for c in joint.components:
+        np.testing.assert_array_equal(joint.deviations[c], of_files.deviations[c])
+    alone = rc.combine(bag)
+    assert (joint.std["ECC"] < alone.std["ECC"]).all()
+    with pytest.raises(DataError, match="share 78 observations"):
+        rc.solve_together(rc.read_bag(bag), replace_ecc(rc.read_result(bag)))
+
+
+def replace_ecc(result):
+    """Return a result of the same observations with other numbers."""
+    doubled = {c: 2.0 * values for c, values in result.deviations.items()}
+    return replace(result, deviations=doubled)

@@ -51,6 +51,7 @@ from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.readings import Readings
 
 if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
     from rotcal_ros.methods.simulation import instrument
     from rotcal_ros.methods.simulation.air import SimulatedTemperature
 
@@ -80,6 +81,24 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     if configuration.plan.bidirectional:
         return mean_of_runs(result, arrivals.take(solution.table_positions), from_first=False)
     return replace(result, angles=arrivals.targets[solution.table_positions])
+
+
+def of_curves(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> CurveModel | None:
+    """Return what the accepted observations tell of the curves, to be solved with others.
+
+    None where the table comes to its angles from both sides, or an allowance is stated: that has
+    no noise of its own.
+    """
+    from rotcal_ros.methods.ball_plate.solver.curve_model import curve_model
+
+    solver = configuration.solver
+    allowed = solver.drift_allowance_m or solver.group_allowance_m
+    if configuration.plan.bidirectional or allowed:
+        return None
+    chosen = _chosen(configuration, plan, observations)
+    return curve_model(chosen, _arrivals(configuration, plan).targets)
 
 
 def _told_by_touches(
@@ -268,6 +287,7 @@ METHOD: Final = Method(
         {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
     ),
     solve=solve,
+    of_curves=of_curves,
     trials=trials,
     gauge=gauge.without_axis_and_artefact,
     nominal=nominal,

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import dist
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -59,6 +59,9 @@ from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
 
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
+
 COLUMNS: Final = {"position": "table_position"}
 HEADER: Final[Header] = ("position", "tracker_station", "kind", "nest", "x_m", "y_m", "z_m")
 TIMED: Final[Header] = (*HEADER, "time_s")
@@ -75,6 +78,20 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     """
     problem, left_out = _problem(configuration, plan, observations)
     return _solve_ways(problem, {"left_out": left_out}, _arrivals(configuration))
+
+
+def of_curves(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> CurveModel | None:
+    """Return what the accepted points tell of ECC, to be solved with other instruments."""
+    return _of_curves(_problem(configuration, plan, observations)[0])
+
+
+def _of_curves(problem: PlaneMirrorProblem) -> CurveModel | None:
+    """Return the points as a model; None where the table comes to its angles from both sides."""
+    from rotcal_ros.methods.plane_mirror.solver.curve_model import curve_model
+
+    return None if problem.upward is not None else curve_model(problem)
 
 
 def trials(
@@ -263,6 +280,10 @@ class TrackerPoints:
         points = self._points()
         return replace(solve_points(self.configuration, points), raw_data=_raw(points))
 
+    def of_curves(self) -> CurveModel | None:
+        """Return what the points tell of ECC, to be solved with other instruments."""
+        return _of_curves(configured(self._points(), self.configuration))
+
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the points."""
         return mirror_trials(configured(self._points(), self.configuration))
@@ -362,6 +383,7 @@ METHOD: Final = Method(
         lambda _plan: (TrackerCheck(),),
     ),
     solve=solve,
+    of_curves=of_curves,
     trials=trials,
     check=check,
     nominal=nominal,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.arrays import Ints
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.geometry.rotations import on_table
@@ -50,6 +50,9 @@ from rotcal_ros.methods.tracer.table import PLAN_FILES
 from rotcal_ros.planning.plan import Compared, Plan
 from rotcal_ros.planning.table_angles import table_angles
 
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
+
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of a laser-tracer plan.
@@ -76,6 +79,26 @@ def trials(
         return prepared
     result, positions = _solved(configuration, plan, observations)
     return RepeatedTrials.of(prepared, result, arrivals.take(positions))
+
+
+def of_curves(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> CurveModel | None:
+    """Return what the accepted lengths tell of ECC, to be solved with other instruments.
+
+    None where the table comes to its angles more than once, and for runs joined by what was
+    measured twice.
+    """
+    from rotcal_ros.methods.tracer.solver.carried_lengths import curve_model
+
+    joined = _interrupted(observations) and not _in_segments(configuration)
+    if joined or configuration.plan.repeated:
+        return None
+    try:
+        solution = _at_equal_places(configuration, plan, observations).solution
+    except (ObservabilityError, GeometryError):
+        return curve_model(problem(configuration, plan, observations), None)
+    return curve_model(solution.problem, solution)
 
 
 def _interrupted(observations: Sequence[Observation]) -> bool:
@@ -229,6 +252,7 @@ METHOD: Final = Method(
     plan_files=PLAN_FILES,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=solve,
+    of_curves=of_curves,
     joins_runs=True,
     trials=trials,
     nominal=nominal,

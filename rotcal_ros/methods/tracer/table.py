@@ -70,6 +70,9 @@ class StationTable:
         stated = stated_circumstances(self.configuration)
         return replace(solve(self.problem), circumstances=stated)
 
+    def of_curves(self) -> None:
+        """Return None: the result stands for them, for there are no lengths."""
+
     def trials(self) -> Trials:
         """Raise ConfigurationError: there are no lengths to draw."""
         raise ConfigurationError(

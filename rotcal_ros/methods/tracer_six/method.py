@@ -8,7 +8,7 @@ column ``segment`` numbers the unbroken beams from a place, without it each has 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -60,6 +60,9 @@ from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
 from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of
 from rotcal_ros.planning.plan import Plan
 
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
+
 COLUMNS: Final = {"place": "station", "position": "table_position", "target": "target"}
 HEADERS: Final[tuple[Header, ...]] = (
     ("place", "position", "target", "length_m"),
@@ -78,6 +81,20 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     if not configuration.plan.bidirectional:
         return result
     return mean_of_runs(result, _both_sides(plan, weighed.solution), from_first=False)
+
+
+def of_curves(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> CurveModel | None:
+    """Return what the accepted lengths tell of the curves, to be solved with other instruments.
+
+    None where the table comes to its angles from both sides.
+    """
+    from rotcal_ros.methods.tracer_six.solver.curve_model import curve_model
+
+    if configuration.plan.bidirectional:
+        return None
+    return curve_model(_at_equal_places(configuration, plan, observations).solution)
 
 
 def trials(
@@ -273,6 +290,7 @@ METHOD: Final = Method(
     check_plan=check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=solve,
+    of_curves=of_curves,
     joins_runs=True,
     trials=trials,
     check=check,

@@ -15,6 +15,7 @@ To read in this order:
 * :mod:`.noise`, :mod:`.order_effects`, :mod:`.repeated_stops`: what the residuals tell
 * :mod:`.solution`: all of this for each group of table positions; :mod:`.result`: the result, what
   may be wrong with it all the same, and trials of it
+* :mod:`.curve_model`: the centres beside other instruments
 """
 
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select

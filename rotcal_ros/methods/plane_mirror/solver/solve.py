@@ -60,7 +60,7 @@ def solve(problem: PlaneMirrorProblem) -> Result:
 
 def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
     """Return :func:`solve` with the positions (n,) of the problem that the result has."""
-    (screened, gathered, points), residuals = gathering.settled(problem), _no_residuals(problem)
+    (screened, gathered, points), residuals = gathering.settled(problem), no_residuals(problem)
     prepared = screened.prepared
     curve, correction = _with_drift(prepared, prepared.curve(residuals))
     angles, deviations = prepared.angles, curve.deviations
@@ -119,7 +119,7 @@ def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
     return result.counted_from(*_zeros(prepared)), prepared.positions
 
 
-def _no_residuals(problem: PlaneMirrorProblem) -> Residuals:
+def no_residuals(problem: PlaneMirrorProblem) -> Residuals:
     """Return residuals in which no row is used yet (all zero)."""
     n = len(problem.xyz)
     return Residuals(

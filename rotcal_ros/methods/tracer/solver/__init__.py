@@ -11,7 +11,8 @@ From the problem to the result, each module knowing those before it:
 * :mod:`.uncertainty`, :mod:`.verdict`: of the angles, and whether they are to be believed;
 * :mod:`.solution`: all of that for one problem;
 * :mod:`.reported`, :mod:`.protections`: what could spoil the result;
-* :mod:`.solve`, :mod:`.trials`, :mod:`.joined_runs`: the result, Monte Carlo, several runs as one.
+* :mod:`.solve`, :mod:`.trials`, :mod:`.joined_runs`: the result, Monte Carlo, several runs as one;
+* :mod:`.carried_lengths`: the lengths beside other instruments.
 """
 
 from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSettings

@@ -1,0 +1,87 @@
+"""The centres of a plate as a model of the engine, to be solved with what other instruments saw.
+
+All unknowns of the exact model of :mod:`.estimate`, from the nominal places: its derivatives there
+are those of Eq. 12. Groups of table positions that no ball connects stay in one model, for other
+instruments may tell how they stand to each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from rotcal_ros.adjust.arrow import Design
+from rotcal_ros.adjust.model import CurveModel, Grouping, Model, Unit
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.ball_plate.solver import model
+from rotcal_ros.methods.ball_plate.solver.estimate import computed, drift_columns
+from rotcal_ros.methods.ball_plate.solver.gathering import WORDS
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
+from rotcal_ros.methods.ball_plate.solver.screening import screen
+from rotcal_ros.methods.ball_plate.solver.solution import adjust
+
+
+def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
+    """Return the centres over the six deviations at the table positions in use.
+
+    ``angles``, rad, are those of all table positions. The centres that :func:`~.result.solve` does
+    without at once are left out. Noise in the plane and along the axis are two components. Raises
+    DataError as the screening does, and ObservabilityError where no noise is stated and the plate
+    alone cannot tell it.
+    """
+    whole = screen(closing_apart(problem)[0])[0]
+    fields, drifts = model.blocks(whole), 3 * whole.drift
+    size, n = model.n_unknowns(whole), len(whole.centres)
+    blocks = {name.replace("_", " "): own.stop - own.start for name, own in fields.items()}
+    curves = {}
+    for name in COMPONENTS:
+        at, length = model.component_places(whole, name)
+        curves[name] = np.eye(size + drifts)[at] / length
+    return CurveModel(
+        Model(
+            blocks=blocks | ({"drift": drifts} if drifts else {}),
+            observed=whole.centres.ravel(),
+            std=_noise(whole).ravel(),
+            equations=_equations(whole),
+            outputs=np.zeros((0, size + drifts)),
+            words=WORDS,
+            unit=Unit("um", MICROMETRE),
+            components=("the centres in the plane", "the centres along the axis"),
+            component=np.tile([0, 0, 1], n),
+            groupings=[
+                Grouping("table position", np.repeat(whole.position, 3)),
+                Grouping("ball step", np.repeat(whole.ball_step, 3), np.repeat(whole.rows, 3)),
+            ],
+            row_names=[f"{axis} of {whole.row_name(r)}" for r in range(n) for axis in "xyz"],
+        ),
+        angles[whole.table_positions],
+        curves,
+    )
+
+
+def _noise(problem: BallPlateProblem) -> Floats:
+    """Return the standard deviations (n, 3), m: as stated, else as the residuals tell them."""
+    if problem.std is not None:
+        return problem.std
+    stated = adjust(problem).noise.used if problem.sigma is None else problem.sigma
+    return np.broadcast_to(stated, problem.centres.shape)
+
+
+def _equations(problem: BallPlateProblem) -> Callable[[Floats], tuple[Floats, Design]]:
+    """Return the exact model with the derivatives at the nominal places, a drift behind them."""
+    drift = drift_columns(problem.run_time, problem.drift).reshape(problem.centres.size, -1)
+    design = np.hstack([model.design_matrix(problem), drift])
+    ball = np.searchsorted(problem.balls, problem.ball_step)
+    cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
+    size = model.n_unknowns(problem)
+
+    def equations(x: Floats) -> tuple[Floats, Design]:
+        found = model.unpack(problem, x[:size])
+        centres = computed(problem, found, found.plate[ball], found.cmm[cmm])
+        return centres.ravel() + drift @ x[size:], design
+
+    return equations
