@@ -9,6 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 from gathered_worlds import mirror_world
+from joint_world import polygon
 from mirror_cell import measure_direct, paper_cell
 from plate_disturbed import DEMO_PLATE, EIGHT, at_one_place, knocked, measured
 from segment_scene import measure as lengths_by_segment
@@ -20,8 +21,10 @@ import rotcal_ros as rc
 from rotcal_ros.foundation.circumstances import Range
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.identity import Identity, InstrumentIdentity, Instruments
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.ball_plate import solver as ball_plate
+from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.tracer import solver as tracer
 from rotcal_ros.methods.tracer_six import solver as tracer_six
@@ -144,6 +147,21 @@ def of_several():
     yield rc.combine(twelve, ball_plate.solve(plate_problem(range(12), ecc=np.zeros(12), seed=1)))
 
 
+def of_joint_solutions():
+    """Three instruments: one differs by order 3, another has four bad readings in a setting."""
+    rng, ecc = np.random.default_rng(4), np.zeros(12)
+    off = 0.5 * ARCSEC * np.cos(3.0 * 2.0 * np.pi * np.arange(12) / 12)
+    sound, wrong, spoiled = (polygon(ecc, rng, added=own) for own in (ecc, off, ecc))
+    bad = [
+        replace(o, mean=(o.mean[0] + 20.0 * ARCSEC, *o.mean[1:]))
+        if o.station == 1 and o.table_position in (2, 3, 4, 5)
+        else o
+        for o in spoiled.observations
+    ]
+    spoiled = PlannedMeasurements(spoiled.calibration, tuple(bad))
+    yield rc.solve_together(sound, wrong, spoiled)
+
+
 def of_balls():
     demo = read_configuration(ROOT / "config" / "table_balls_demo.yaml")
     calibration = prepare(demo)
@@ -177,7 +195,10 @@ def off_together(plan, station, positions, size):
 @pytest.fixture(scope="module")
 def results():
     """Return results of all methods, as files have them."""
-    methods = (of_plates, of_tracers, of_mirrors, of_several, of_balls, of_comparisons)
+    methods = (
+        of_plates, of_tracers, of_mirrors, of_several, of_joint_solutions, of_balls,
+        of_comparisons,
+    )  # fmt: skip
     made = [result for results in methods for result in results()]
     return [json.loads(path.read_text()) for path in FILES] + [r.to_dict() for r in made]
 
