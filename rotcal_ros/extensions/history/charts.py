@@ -86,12 +86,11 @@ def limit(chart: Chart, count: int, run_length: float = FALSE_ALARM) -> float:
         return float(normal_isf(0.5 / alone))
     if chart == "t2":
         return float(chi2_isf(1.0 / run_length, count))
-    if chart == "cusum":
-        return root_between(lambda h: _cusum_length(h) - alone, 0.1, 50.0, _EXACT)
-    deviation = float(np.sqrt(SMOOTHING / (2.0 - SMOOTHING)))
-    return root_between(
-        lambda edge: _ewma_length(edge) - alone, 0.5 * deviation, 7.0 * deviation, _EXACT
-    )
+    length, low, high = _cusum_length, 0.1, 50.0
+    if chart == "ewma":
+        deviation = float(np.sqrt(SMOOTHING / (2.0 - SMOOTHING)))
+        length, low, high = _ewma_length, 0.5 * deviation, 7.0 * deviation
+    return root_between(lambda edge: length(edge) - alone, low, high, _EXACT)
 
 
 def alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> list[int]:
@@ -100,9 +99,9 @@ def alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> l
     return [int(row) for row in np.flatnonzero(np.any(beyond, axis=1))]
 
 
-def _cusum_length(h: float) -> float:
-    """Return the average run length of a two-sided CUSUM (Siegmund 1985)."""
-    b = 2.0 * REFERENCE * (h + 1.166)
+def _cusum_length(edge: float) -> float:
+    """Return the average run length of a two-sided CUSUM within +-edge (Siegmund 1985)."""
+    b = 2.0 * REFERENCE * (edge + 1.166)
     return float(np.exp(b) - b - 1.0) / (2.0 * REFERENCE**2) / 2.0
 
 

@@ -15,7 +15,7 @@ import os
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from hashlib import sha256
@@ -222,7 +222,7 @@ class Campaign:
     curves: Mapping[str, MeasuredCurve]
 
 
-class ParkHistory:
+class ParkHistory(AbstractContextManager["ParkHistory"]):
     """An open history; a context manager. ``place`` is its file, or URL without a password.
 
     Raises BagError where the database does not answer.
@@ -234,9 +234,6 @@ class ParkHistory:
         self._joint: sa.Connection | None = None
         with self._connected() as connection:
             _upgrade(connection, database)
-
-    def __enter__(self) -> ParkHistory:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._engine.dispose()

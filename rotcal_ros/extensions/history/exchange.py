@@ -32,11 +32,7 @@ _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 def export(history: ParkHistory, folder: Path) -> int:
     """Write both files into ``folder``, each whole or not at all; return the entries' number."""
     folder.mkdir(parents=True, exist_ok=True)
-    of_entries, of_deviations = _schemas()
-    for name, schema, batches in (
-        (ENTRIES, of_entries, _entries),
-        (DEVIATIONS, of_deviations, _deviations),
-    ):
+    for (name, schema), batches in zip(_schemas().items(), (_entries, _deviations), strict=True):
         replace_atomically(folder / name, partial(_write, schema, batches(history, schema)))
     return int(arrow()[1].read_metadata(folder / ENTRIES).num_rows)
 
@@ -135,8 +131,8 @@ def _entries(history: ParkHistory, schema: Any) -> Iterator[Any]:
         yield pa.RecordBatch.from_pylist(rows, schema)
 
 
-def _schemas() -> tuple[Any, Any]:
-    """Return the columns of the entries, and of the deviations."""
+def _schemas() -> dict[str, Any]:
+    """Return the columns of both files, by name."""
     pa, _ = arrow()
     entry = dict.fromkeys(HistoryEntry.__dataclass_fields__, "string") | {"content": "binary"}
     entry |= dict.fromkeys(("id", "measured_ns", "added_ns"), "int64")
@@ -144,7 +140,7 @@ def _schemas() -> tuple[Any, Any]:
     numbers = ("temperature_c", "angle_rad", "deviation", "std")
     kinds = {"entry": "int64", "measured": pa.timestamp("ns", tz="UTC"), "covered": "bool"}
     kinds |= dict.fromkeys(texts, "string") | dict.fromkeys(numbers, "float64")
-    return pa.schema(entry), pa.schema(kinds)
+    return {ENTRIES: pa.schema(entry), DEVIATIONS: pa.schema(kinds)}
 
 
 def _deviations(history: ParkHistory, schema: Any) -> Iterator[Any]:

@@ -379,9 +379,7 @@ def _plain(view: Outlook) -> dict[str, Any]:
 
 
 def _facts(entry: HistoryEntry) -> dict[str, Any]:
-    facts = asdict(entry)
-    del facts["content"]
-    return facts
+    return {name: value for name, value in asdict(entry).items() if name != "content"}
 
 
 def _print(columns: Mapping[str, str], rows: Sequence[Any]) -> None:
