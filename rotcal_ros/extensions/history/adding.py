@@ -159,13 +159,12 @@ def since_last_time(result: Result, database: str, axis: str = "") -> list[tuple
     """Return title and HTML of the changes since the newest result before, if there is one."""
     known = result.circumstances
     about = ITEMS.c.serial == known.identity.serial, ITEMS.c.axis == (known.axis or axis)
-    earlier = ENTRIES.c.kind == RESULT, ENTRIES.c.measured_ns < known.from_ns
     with ParkHistory(database) as history:
-        before = [e for e in history.entries(*about, *earlier) if e.state != REPLACED]
+        valid = (entry for item in history.items(*about) for entry in history.of_item(item))
+        before = [e for e in valid if e.kind == RESULT and e.measured_ns < known.from_ns]
         if not before:
             return []
-        entry = max(before, key=lambda entry: (entry.measured_ns, entry.id))
-        day, last = entry.day, result_of(history.entry(entry.id))
+        day, last = before[-1].day, result_of(history.entry(before[-1].id))
     changes, now = [], SPOKEN.get().say(phrase("now"))
     for name in result.components:
         try:

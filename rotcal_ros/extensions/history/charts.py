@@ -7,7 +7,7 @@ So their limits follow from the average run length alone: the campaigns until a 
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtr
@@ -17,7 +17,7 @@ from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.extensions.history.series import DeviationSeries
 from rotcal_ros.extensions.history.settings import Basis, Chart
 from rotcal_ros.extensions.history.trend import DRAWS, Trend
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.figures import style
@@ -86,12 +86,11 @@ def limit(chart: Chart, count: int, run_length: float = FALSE_ALARM) -> float:
         return float(normal_isf(0.5 / alone))
     if chart == "t2":
         return float(chi2_isf(1.0 / run_length, count))
-    if chart == "cusum":
-        return root_between(lambda h: _cusum_length(h) - alone, 0.1, 50.0, _EXACT)
-    deviation = float(np.sqrt(SMOOTHING / (2.0 - SMOOTHING)))
-    return root_between(
-        lambda edge: _ewma_length(edge) - alone, 0.5 * deviation, 7.0 * deviation, _EXACT
-    )
+    length, low, high = _cusum_length, 0.1, 50.0
+    if chart == "ewma":
+        deviation = float(np.sqrt(SMOOTHING / (2.0 - SMOOTHING)))
+        length, low, high = _ewma_length, 0.5 * deviation, 7.0 * deviation
+    return root_between(lambda edge: length(edge) - alone, low, high, _EXACT)
 
 
 def alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> list[int]:
@@ -100,9 +99,9 @@ def alarms(chart: Chart, deviates: Floats, run_length: float = FALSE_ALARM) -> l
     return [int(row) for row in np.flatnonzero(np.any(beyond, axis=1))]
 
 
-def _cusum_length(h: float) -> float:
-    """Return the average run length of a two-sided CUSUM (Siegmund 1985)."""
-    b = 2.0 * REFERENCE * (h + 1.166)
+def _cusum_length(edge: float) -> float:
+    """Return the average run length of a two-sided CUSUM within +-edge (Siegmund 1985)."""
+    b = 2.0 * REFERENCE * (edge + 1.166)
     return float(np.exp(b) - b - 1.0) / (2.0 * REFERENCE**2) / 2.0
 
 
@@ -129,12 +128,13 @@ def chart_and_forecast(
     times = curves.series.times_ns
     measured = curves.curves_of(curves.series.values, curves.rest)[:, at] / unit
     band = COVERAGE_FACTOR * np.sqrt(curves.series.std**2 @ curves.basis[at] ** 2) / unit
-    top.errorbar(_dates(times), measured, band, fmt="o", color=style.BLUE, ms=4, capsize=2)
     ahead = np.linspace(times[-1], max(until_ns, times[-1] + 1), _STEPS).astype(np.int64)
+    dates, later = (each.astype("datetime64[ns]") for each in (times, ahead))
+    top.errorbar(dates, measured, band, fmt="o", color=style.BLUE, ms=4, capsize=2)
     drawn = curves.curves_of(trend.forecast(ahead), curves.drawn_rest(DRAWS))[:, :, at] / unit
     low, middle, high = np.quantile(drawn, [0.025, 0.5, 0.975], axis=0)
-    top.plot(_dates(ahead), middle, color=style.ORANGE, label="forecast, 95 %")
-    top.fill_between(_dates(ahead), low, high, color=style.ORANGE, alpha=0.2, linewidth=0)
+    top.plot(later, middle, color=style.ORANGE, label="forecast, 95 %")
+    top.fill_between(later, low, high, color=style.ORANGE, alpha=0.2, linewidth=0)
     if curves.tolerance:
         for sign in (-1.0, 1.0):
             top.axhline(sign * curves.tolerance / unit, color=style.RED, ls="--", lw=1)
@@ -145,12 +145,8 @@ def chart_and_forecast(
     if basis == "own":
         deviates = own_scatter(deviates)
     edge = limit(chart, deviates.shape[1])
-    bottom.plot(_dates(times), statistic(chart, deviates), "o-", ms=3, lw=0.8)
+    bottom.plot(dates, statistic(chart, deviates), "o-", ms=3, lw=0.8)
     for sign in (1.0,) if chart == "t2" else (-1.0, 1.0):
         bottom.axhline(sign * edge, color=style.RED, ls="--", lw=1)
     bottom.set_ylabel(f"{chart}, {_WORDS[basis]}")
     return style.svg(top)
-
-
-def _dates(times_ns: Ints) -> Any:
-    return times_ns.astype("datetime64[ns]")

@@ -15,7 +15,7 @@ import os
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from hashlib import sha256
@@ -49,6 +49,7 @@ REPLACED: Final = "replaced"
 PATIENCE_S: Final = 60
 """Time to wait for another writer."""
 _OF_ITEM: Final = ("serial", "axis")
+_OF_CURVE: Final = ("angles", "deviation", "covariance")
 _VERB: Final = "rotcal history"
 
 METADATA: Final = sa.MetaData()
@@ -115,7 +116,7 @@ CURVES: Final = _table(
     _own("entry_id", WHOLE, sa.ForeignKey("entries.id")),
     _own("component", sa.Text),
     *_given(NUMBER, "period"),
-    *_given(sa.LargeBinary, "angles", "deviation", "covariance"),
+    *_given(sa.LargeBinary, *_OF_CURVE),
 )
 """The deviation curves of a result. They follow from its content."""
 
@@ -221,7 +222,7 @@ class Campaign:
     curves: Mapping[str, MeasuredCurve]
 
 
-class ParkHistory:
+class ParkHistory(AbstractContextManager["ParkHistory"]):
     """An open history; a context manager. ``place`` is its file, or URL without a password.
 
     Raises BagError where the database does not answer.
@@ -233,9 +234,6 @@ class ParkHistory:
         self._joint: sa.Connection | None = None
         with self._connected() as connection:
             _upgrade(connection, database)
-
-    def __enter__(self) -> ParkHistory:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._engine.dispose()
@@ -475,17 +473,13 @@ class ParkHistory:
 
     def _there_already(self, entry: HistoryEntry, where: str) -> HistoryEntry:
         """Return the entry that was there before; DataError if it says something else."""
-        same = sa.and_(
-            ENTRIES.c.content_sha256 == entry.content_sha256, ENTRIES.c.replaces.is_(None)
-        )
-        if entry.replaces is not None:
-            same = ENTRIES.c.replaces == entry.replaces
+        did, same = f"entry {entry.replaces} was corrected", ENTRIES.c.replaces == entry.replaces
+        if entry.replaces is None:
+            did = f"{where} is there"
+            same = sa.and_(same, ENTRIES.c.content_sha256 == entry.content_sha256)
         (old,) = self.entries(sa.or_(ENTRIES.c.sha256 == entry.sha256, same))
         facts = ("serial", "axis", "kind", "content_sha256")
         if any(getattr(old, name) != getattr(entry, name) for name in facts):
-            did = (
-                f"entry {entry.replaces} was corrected" if entry.replaces else f"{where} is there"
-            )
             raise DataError(
                 f"{did} already, by entry {old.id} as {old.kind} of {old.title} "
                 f"({old.added_by}, {day_of(old.added_ns)}): correct that one"
@@ -678,8 +672,7 @@ def _curve_rows(entry_id: int, result: Result) -> list[dict[str, Any]]:
         with suppress(DataError):
             curve = measured_curve(result, name)
             if not curve.open_zeros:
-                parts = ("angles", "deviation", "covariance")
-                arrays = {part: packed(getattr(curve, part)) for part in parts}
+                arrays = {part: packed(getattr(curve, part)) for part in _OF_CURVE}
                 facts = {"entry_id": entry_id, "component": name, "period": curve.period}
                 rows.append({**facts, **arrays})
     return rows
@@ -691,11 +684,9 @@ def packed(array: Floats) -> bytes:
 
 
 def _unpacked(row: Any) -> MeasuredCurve:
-    angles, deviation, covariance = (
-        np.frombuffer(data, dtype="<f8") for data in (row.angles, row.deviation, row.covariance)
-    )
-    n = len(angles)
-    return MeasuredCurve(angles, deviation, covariance.reshape(n, n), row.period)
+    arrays = (np.frombuffer(getattr(row, part), dtype="<f8") for part in _OF_CURVE)
+    angles, deviation, covariance = arrays
+    return MeasuredCurve(angles, deviation, covariance.reshape(2 * angles.shape), row.period)
 
 
 def _campaign(row: Any, curves: Mapping[int, Mapping[str, MeasuredCurve]]) -> Campaign:

@@ -7,8 +7,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from datetime import datetime, timezone
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -31,11 +32,8 @@ _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 def export(history: ParkHistory, folder: Path) -> int:
     """Write both files into ``folder``, each whole or not at all; return the entries' number."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, schema, batches in (
-        (ENTRIES, _entry_schema(), _entries),
-        (DEVIATIONS, _deviation_schema(), _deviations),
-    ):
-        _write(folder / name, schema, batches(history, schema))
+    for (name, schema), batches in zip(_schemas().items(), (_entries, _deviations), strict=True):
+        replace_atomically(folder / name, partial(_write, schema, batches(history, schema)))
     return int(arrow()[1].read_metadata(folder / ENTRIES).num_rows)
 
 
@@ -116,15 +114,10 @@ def _folded(line: str) -> Iterator[str]:
     yield part
 
 
-def _write(path: Path, schema: Any, batches: Iterable[Any]) -> None:
-    _, parquet = arrow()
-
-    def write(temporary: Path) -> None:
-        with parquet.ParquetWriter(temporary, schema, **_OPTIONS) as writer:
-            for batch in batches:
-                writer.write_batch(batch)
-
-    replace_atomically(path, write)
+def _write(schema: Any, batches: Iterable[Any], path: Path) -> None:
+    with arrow()[1].ParquetWriter(path, schema, **_OPTIONS) as writer:
+        for batch in batches:
+            writer.write_batch(batch)
 
 
 def _entries(history: ParkHistory, schema: Any) -> Iterator[Any]:
@@ -138,22 +131,16 @@ def _entries(history: ParkHistory, schema: Any) -> Iterator[Any]:
         yield pa.RecordBatch.from_pylist(rows, schema)
 
 
-def _entry_schema() -> Any:
+def _schemas() -> dict[str, Any]:
+    """Return the columns of both files, by name."""
     pa, _ = arrow()
-    whole = dict.fromkeys(("id", "measured_ns", "added_ns"), pa.int64())
-    kinds = {**whole, "content": pa.binary()}
-    return pa.schema(
-        [(name, kinds.get(name, pa.string())) for name in HistoryEntry.__dataclass_fields__]
-    )
-
-
-def _deviation_schema() -> Any:
-    pa, _ = arrow()
+    entry = dict.fromkeys(HistoryEntry.__dataclass_fields__, "string") | {"content": "binary"}
+    entry |= dict.fromkeys(("id", "measured_ns", "added_ns"), "int64")
     texts = ("serial", "axis", "method", "why", "verdict", "verdict_line", "component")
     numbers = ("temperature_c", "angle_rad", "deviation", "std")
-    kinds = {"entry": pa.int64(), "measured": pa.timestamp("ns", tz="UTC"), "covered": pa.bool_()}
-    kinds |= dict.fromkeys(texts, pa.string()) | dict.fromkeys(numbers, pa.float64())
-    return pa.schema(list(kinds.items()))
+    kinds = {"entry": "int64", "measured": pa.timestamp("ns", tz="UTC"), "covered": "bool"}
+    kinds |= dict.fromkeys(texts, "string") | dict.fromkeys(numbers, "float64")
+    return {ENTRIES: pa.schema(entry), DEVIATIONS: pa.schema(kinds)}
 
 
 def _deviations(history: ParkHistory, schema: Any) -> Iterator[Any]:
@@ -163,21 +150,14 @@ def _deviations(history: ParkHistory, schema: Any) -> Iterator[Any]:
         why = {entry.id: entry.why for entry in history.of_item(item)}
         parts = []
         for campaign in history.campaigns(item):
-            facts = asdict(replace(campaign, curves={}, instruments={}))
-            facts |= {"serial": item.serial, "axis": item.axis, "entry": campaign.entry_id}
-            facts |= {"measured": campaign.measured_ns, "why": why[campaign.entry_id]}
+            entry = campaign.entry_id
+            known = {"entry": entry, "measured": campaign.measured_ns, "why": why[entry]}
+            known |= vars(item) | vars(campaign)
             for component, curve in campaign.curves.items():
-                columns = {
-                    "angle_rad": curve.angles,
-                    "deviation": curve.deviation,
-                    "std": std_of(curve.covariance),
-                }
-                facts["component"] = component
-                arrays = [
-                    pa.array(columns[field.name])
-                    if field.name in columns
-                    else pa.repeat(pa.scalar(facts[field.name], field.type), len(curve.angles))
-                    for field in schema
-                ]
-                parts.append(pa.RecordBatch.from_arrays(arrays, schema=schema))
+                known["component"] = component
+                size = len(curve.angles)
+                columns = {n: pa.repeat(known[n], size) for n in schema.names if n in known}
+                columns |= {"angle_rad": curve.angles, "deviation": curve.deviation}
+                columns |= {"std": std_of(curve.covariance)}
+                parts.append(pa.RecordBatch.from_pydict(columns, schema))
         yield from pa.Table.from_batches(parts, schema).combine_chunks().to_batches()

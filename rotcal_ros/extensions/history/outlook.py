@@ -245,24 +245,22 @@ def _due(
 
 
 def _findings(view: DeviationOutlook) -> list[TableFinding]:
-    name, newest, found = view.component, view.times_ns[-1], list[TableFinding]()
-    if view.alarm is not None:
-        time_ns = view.times_ns[view.alarm]
-        words = phrase(
-            "{0} jumped before {1}: look at the table, then note what happened as an event",
-            name,
-            day_of(time_ns),
-        )
-        found.append(TableFinding("jump", time_ns, words))
-    if view.decision == "beyond":
-        words = phrase("{0} is beyond its tolerance", name)
-        found.append(TableFinding("beyond", newest, words))
-    if view.wearing and view.alarm is None:
-        words = phrase("{0} does not drift evenly: something wears, such as a bearing", name)
-        found.append(TableFinding("wear", newest, words))
-    if view.moved:
-        found.append(TableFinding("drift", newest, phrase("drift: {0}", view.trend)))
-    return found
+    name, newest, jumped = view.component, view.times_ns[-1], view.alarm is not None
+    jump_ns = view.times_ns[-1 if view.alarm is None else view.alarm]
+    jump = phrase(
+        "{0} jumped before {1}: look at the table, then note what happened as an event",
+        name,
+        day_of(jump_ns),
+    )
+    beyond = phrase("{0} is beyond its tolerance", name)
+    wear = phrase("{0} does not drift evenly: something wears, such as a bearing", name)
+    possible = (
+        (jumped, TableFinding("jump", jump_ns, jump)),
+        (view.decision == "beyond", TableFinding("beyond", newest, beyond)),
+        (view.wearing and not jumped, TableFinding("wear", newest, wear)),
+        (view.moved, TableFinding("drift", newest, phrase("drift: {0}", view.trend))),
+    )
+    return [finding for seen, finding in possible if seen]
 
 
 def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> DeviationOutlook:
@@ -274,15 +272,11 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
     if len(times) < 2:
         return plain
     trend = fit(curves.series)
-    rate, rate_std, at, moved = _rate(curves, trend)
-    kelvin, row = trend.per_kelvin(), curves.basis[at]
     alarm = _alarm(trend, "t2")
     watched = len(times) - 1 if alarm is None else alarm
     found = replace(
-        plain, rate=rate, rate_std=rate_std, angle=float(curve.angles[at]), moved=moved,
-        wearing=_alarm(trend, "cusum") is not None, harmonics=_harmonics(trend),
-        per_kelvin=kelvin and (float(row @ kelvin[0]), float(np.sqrt(row**2 @ kelvin[1] ** 2))),
-        alarm=alarm, expected=tuple(tuple(row.tolist()) for row in trend.expected(watched)),
+        _changing(plain, curves, trend), alarm=alarm, wearing=_alarm(trend, "cusum") is not None,
+        expected=tuple(tuple(row.tolist()) for row in trend.expected(watched)),
         found=tuple(curves.series.values[watched].tolist()),
     )  # fmt: skip
     since = int(np.sum(curves.series.steps == curves.series.steps[-1]))
@@ -291,11 +285,8 @@ def _of_deviation(curves: DeviationSeries, settings: HistorySettings) -> Deviati
     due_ns, probability = due_date(curves, trend, tolerance, settings)
     days = (
         (phrase("model"), (due_ns - times[-1]) / DAY_NS),
-        (phrase("staircase"), _staircase(largest, tolerance, settings)),
-        (
-            phrase("control chart"),
-            _control_chart(times[-since:], largest[-since:], tolerance, settings),
-        ),
+        (phrase("staircase"), _staircase(found, settings)),
+        (phrase("control chart"), _control_chart(found, since, settings)),
     )
     return replace(found, due_ns=due_ns, probability=probability, intervals_days=days)
 
@@ -335,23 +326,22 @@ def expected_curve(curves: DeviationSeries, trend: Trend, time_ns: int) -> tuple
     return drawn.mean(axis=0), np.atleast_2d(np.cov(drawn.T))
 
 
-def _rate(curves: DeviationSeries, trend: Trend) -> tuple[float | None, float, int, bool]:
-    """Return the change per year where it is largest, and whether it is one at all."""
+def _changing(view: DeviationOutlook, curves: DeviationSeries, trend: Trend) -> DeviationOutlook:
+    """Return a deviation with how it changes, by time and temperature, where it does most."""
     moved, std, years = trend.change()
     curve, deviation = curves.basis @ moved, np.sqrt(curves.basis**2 @ std**2)
-    at = int(np.argmax(np.abs(curve)))
+    at, kelvin = int(np.argmax(np.abs(curve))), trend.per_kelvin()
+    row = curves.basis[at]
+    by_kelvin = kelvin and (float(row @ kelvin[0]), float(np.sqrt(row**2 @ kelvin[1] ** 2)))
+    view = replace(view, angle=float(curves.newest.angles[at]), per_kelvin=by_kelvin)
     if years <= 0.0:
-        return None, 0.0, at, False
-    normal = np.abs(moved) > _SIGNIFICANT * std
-    return float(curve[at] / years), float(deviation[at] / years), at, bool(np.any(normal))
-
-
-def _harmonics(trend: Trend) -> tuple[tuple[int, float, float], ...]:
-    moved, std, years = trend.change()
-    if years <= 0.0:
-        return ()
-    orders, rates, stds = trend.series.orders, moved / years, std / years
-    return tuple(zip(orders.tolist(), rates.tolist(), stds.tolist(), strict=True))
+        return view
+    by_mode = (each.tolist() for each in (trend.series.orders, moved / years, std / years))
+    return replace(
+        view, rate=float(curve[at] / years), rate_std=float(deviation[at] / years),
+        moved=bool(np.any(np.abs(moved) > _SIGNIFICANT * std)),
+        harmonics=tuple(zip(*by_mode, strict=True)),
+    )  # fmt: skip
 
 
 def _alarm(trend: Trend, chart: Chart) -> int | None:
@@ -365,24 +355,23 @@ def _alarm(trend: Trend, chart: Chart) -> int | None:
     return next((row for row in reversed(found) if row > since), None)
 
 
-def _staircase(largest: Sequence[float], tolerance: float, settings: HistorySettings) -> float:
+def _staircase(view: DeviationOutlook, settings: HistorySettings) -> float:
     """Return the next interval (days) by method 1 of OIML D 10: automatic adjustment."""
     days = settings.interval_days
-    for value in largest[1:]:
-        days *= _LONGER if value <= _CLOSE * tolerance else _SHORTER
+    for value in view.largest[1:]:
+        days *= _LONGER if value <= _CLOSE * view.tolerance else _SHORTER
         days = min(max(days, 1.0), settings.longest_days)
     return days
 
 
-def _control_chart(
-    times: Sequence[int], largest: Sequence[float], tolerance: float, settings: HistorySettings
-) -> float:
+def _control_chart(view: DeviationOutlook, since: int, settings: HistorySettings) -> float:
     """Return the next interval (days) by method 2 of OIML D 10: drift and scatter of a chart."""
-    years = (np.array(times) - times[0]) / YEAR_NS
-    slope, level = np.polyfit(years, np.array(largest), 1)
-    left = np.array(largest) - level - slope * years
-    scatter = float(np.sqrt(np.sum(left**2) / max(1, len(times) - 2)))
-    room = tolerance - COVERAGE_FACTOR * scatter - (level + slope * years[-1])
+    times, largest = np.array(view.times_ns[-since:]), np.array(view.largest[-since:])
+    years = (times - times[0]) / YEAR_NS
+    slope, level = np.polyfit(years, largest, 1)
+    left = largest - level - slope * years
+    scatter = float(np.sqrt(np.sum(left**2) / max(1, since - 2)))
+    room = view.tolerance - COVERAGE_FACTOR * scatter - (level + slope * years[-1])
     if room <= 0.0:
         return 0.0
     days = settings.longest_days if slope <= 0.0 else 365.25 * room / slope

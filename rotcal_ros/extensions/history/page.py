@@ -64,6 +64,7 @@ def _row(view: Outlook, link: str, today: str) -> dict[str, Any]:
     spoken = SPOKEN.get()
     state = "look" if view.urgent else "due" if view.due <= today else "well"
     shown = max(view.deviations, key=lambda d: d.component == "ECC", default=None)
+    spark = shown and _path(shown, *_scales(shown, shown.times_ns[-1], _SPARK))
     return {
         "table": view.title,
         "link": link,
@@ -74,9 +75,7 @@ def _row(view: Outlook, link: str, today: str) -> dict[str, Any]:
         "due": view.due,
         "reason": spoken(view.reason),
         "state": state,
-        "spark": ""
-        if shown is None
-        else _path(shown, *_scales(shown, shown.times_ns[-1], _SPARK)),
+        "spark": spark or "",
     }
 
 

@@ -84,13 +84,9 @@ def series_of(
     cuts = [e.measured_ns for e in events if e.what in CUTTING]
     good = [c for c in campaigns if c.verdict == "ok" and c.measured_ns >= max(cuts, default=-inf)]
     counting = ([c for c in good if not c.simulated] or good)[-NEWEST:]
-    found = {}
-    for name in COMPONENTS:
-        with_it = [c for c in counting if name in c.curves]
-        series = _series(name, with_it, jumps, common_share) if with_it else None
-        if series is not None:
-            found[name] = series
-    return found
+    having = {name: [c for c in counting if name in c.curves] for name in COMPONENTS}
+    found = {n: _series(n, those, jumps, common_share) for n, those in having.items() if those}
+    return {name: series for name, series in found.items() if series is not None}
 
 
 def _series(

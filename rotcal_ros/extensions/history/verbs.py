@@ -52,20 +52,6 @@ def _settings(_context: click.Context, _option: click.Parameter, given: Any) -> 
     return of_changes(HistorySettings, "history", given, load_yaml)
 
 
-database_option: Final = click.option(
-    "--database",
-    metavar="FILE|URL",
-    help="The history: a file, or postgresql://USER@HOST/NAME; default: ROTCAL_HISTORY, else "
-    "history.db.",
-)
-settings_option: Final = click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="history.NAME=VALUE",
-    callback=_settings,
-    help="Change a setting, such as history.promise=0.99; docs/settings.md lists them.",
-)
 serial_option: Final = click.option(
     "--serial", default="", help="Serial number of a result that does not state it."
 )
@@ -76,8 +62,20 @@ why_option: Final = click.option("--why", default="", help="What happened, for p
 def asked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Give a verb the options of database and settings as one argument ``settings``."""
 
-    @database_option
-    @settings_option
+    @click.option(
+        "--database",
+        metavar="FILE|URL",
+        help="The history: a file, or postgresql://USER@HOST/NAME; default: ROTCAL_HISTORY, else "
+        "history.db.",
+    )
+    @click.option(
+        "--set",
+        "settings",
+        multiple=True,
+        metavar="history.NAME=VALUE",
+        callback=_settings,
+        help="Change a setting, such as history.promise=0.99; docs/settings.md lists them.",
+    )
     @wraps(function)
     def verb(*args: Any, database: str | None, settings: HistorySettings, **kwargs: Any) -> Any:
         parent = click.get_current_context().parent
@@ -133,11 +131,10 @@ def add(
     exit code is then 1.
     """
     from rotcal_ros.extensions.history.adding import add_sources
-    from rotcal_ros.extensions.history.database import ParkHistory
 
     done, refused, settings = [], list[RotcalError](), asked.pop("settings")
     given = {**asked, "measured_ns": time_of(measured) if measured else 0}
-    with ParkHistory(settings.database) as history, progress("adding") as shown:
+    with _open(settings, must_exist=False) as history, progress("adding") as shown:
         for number, came in enumerate(add_sources(history, sources, given, kind), 1):
             shown(number, len(sources))
             if isinstance(came, RotcalError):
@@ -331,10 +328,9 @@ def export_verb(folder: Path, settings: HistorySettings) -> int:
 @asked
 def import_verb(folder: Path, settings: HistorySettings) -> int:
     """Add the entries of an export; those that are there already stay as they are."""
-    from rotcal_ros.extensions.history.database import ParkHistory
     from rotcal_ros.extensions.history.exchange import restore
 
-    with ParkHistory(settings.database) as history:
+    with _open(settings, must_exist=False) as history:
         new, old = restore(history, folder)
     say(f"{new} entries added, {old} were there already")
     return 0
@@ -365,10 +361,10 @@ def metrics(settings: HistorySettings) -> int:
     return 0
 
 
-def _open(settings: HistorySettings) -> ParkHistory:
+def _open(settings: HistorySettings, *, must_exist: bool = True) -> ParkHistory:
     from rotcal_ros.extensions.history.database import ParkHistory
 
-    return ParkHistory(settings.database, must_exist=True)
+    return ParkHistory(settings.database, must_exist=must_exist)
 
 
 def _park(settings: HistorySettings) -> list[Outlook]:
@@ -383,9 +379,7 @@ def _plain(view: Outlook) -> dict[str, Any]:
 
 
 def _facts(entry: HistoryEntry) -> dict[str, Any]:
-    facts = asdict(entry)
-    del facts["content"]
-    return facts
+    return {name: value for name, value in asdict(entry).items() if name != "content"}
 
 
 def _print(columns: Mapping[str, str], rows: Sequence[Any]) -> None:
@@ -412,8 +406,7 @@ def _lines(view: DeviationOutlook) -> Iterator[str]:
     """Yield what is known of one deviation."""
     unit, label = unit_of(view.component)
     yield view.trend if view.rate is not None else f"{view.component}: no drift known"
-    if view.harmonics:
-        orders = ", ".join(_orders(view, unit))
+    if orders := ", ".join(_orders(view, unit)):
         yield f"{view.component}, change per year by order / {label}: {orders}"
     if view.probability is not None:
         yield f"{view.component} is within its tolerance with {100.0 * view.probability:.1f} %"
