@@ -285,7 +285,8 @@ def test_an_adapter_that_is_refused_never_speaks_to_the_machine(made):
 
 def test_plans_are_taken_from_the_planner_alone_and_nothing_begins_at_once(made, monkeypatch):
     sources = []
-    monkeypatch.setattr(dme_adapter, "PlanSubscription", lambda *source: sources.append(source))
+    plans = dme_adapter.announced_plan
+    monkeypatch.setattr(plans, "PlanSubscription", lambda *source: sources.append(source))
     monkeypatch.setattr(dme_adapter, "Driver", lambda *_: Driver())
     monkeypatch.setattr(dme_adapter, "EmergencyStop", lambda *_: SimpleNamespace(why=""))
     made.settings = lambda _group, kind: kind()
