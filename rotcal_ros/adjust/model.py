@@ -643,9 +643,7 @@ def _step(
     root, failed = lapack.dpotrf(squares)
     firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
     if not firm or not _told_by_others(model, design, root, scale):
-        basis, cofactors = _factored(
-            model, design.dense() if isinstance(design, FewEach) else design
-        )
+        basis, cofactors = _factored(model, dense(design))
         along = basis.T @ white
         return cofactors @ along, float(along @ along)
     along = lapack.dtrtrs(root, (adjoint(design, white) / scale)[moving], trans=1)[0]
