@@ -171,7 +171,7 @@ class Folder:
     def __init__(self, name: str) -> None:
         self.name = name
         self.data, kept = KEPT / f"{name}.coverage", KEPT / f"{name}.json"
-        digest = _digest(ROOT / PACKAGE, *self._paths())
+        digest = digest_of(ROOT / PACKAGE, *self._paths())
         if not kept.exists() or json.loads(kept.read_text())["digest"] != digest:
             KEPT.mkdir(parents=True, exist_ok=True)
             self.data.unlink(missing_ok=True)
@@ -315,7 +315,8 @@ def files_of(tests: Sequence[str]) -> list[str]:
     return [*dict.fromkeys(test.split("::")[0] for test in tests)]
 
 
-def _digest(*places: Path) -> str:
+def digest_of(*places: Path) -> str:
+    """Return what the files at these places, or the Python files below them, hold as a hash."""
     found = {path for place in places for path in [place, *place.rglob("*.py")]}
     files = sorted(path for path in found if path.is_file())
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

@@ -27,7 +27,7 @@ from typing import Any
 import libcst as cst
 import libcst.matchers as m
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutant_trials import ENOUGH_S, PACKAGE, ROOT, Suite, measure, side_by_side
+from mutant_trials import ENOUGH_S, PACKAGE, ROOT, Suite, digest_of, measure, side_by_side
 from mutmut.mutation.file_mutation import MutationVisitor, deep_replace
 from mutmut.mutation.mutators import mutation_operators
 from mutmut.mutation.pragma_handling import IgnoredCode
@@ -185,14 +185,15 @@ def main() -> None:
     side_by_side(given.jobs, lambda number: measure(folders[number :: given.jobs]))
     suite = Suite(folders, given.enough_s)
     given.output.parent.mkdir(parents=True, exist_ok=True)
-    notes = given.output.with_suffix(".jsonl")
+    code = digest_of(ROOT / PACKAGE, ROOT / "test")[:8]  # of other code nothing counts
+    notes = given.output.with_suffix(f".{code}.jsonl")
     end = start + 60.0 * (given.minutes or math.inf)
     rest = left(chosen, notes)
     side_by_side(
         given.jobs, lambda number: attempt(suite, rest[number :: given.jobs], killers, end, notes)
     )
-    wanted = {mutant.key for mutant in chosen}
-    tried = [entry for entry in read(notes) if tuple(entry["key"]) in wanted]
+    noted = {tuple(entry["key"]): entry for entry in read(notes)}
+    tried = [noted[mutant.key] for mutant in chosen if mutant.key in noted]
     of_room = {room: [entry for entry in tried if entry["room"] == room] for room in rooms}
     report = {
         "seed": given.seed,
