@@ -237,7 +237,7 @@ def attempt(
         killer = (killers or {}).get(mutant.key, "")
         outcome, by, tests = suite.outcome(mutant.path, mutant.line, mutant.mutated(), killer)
         place = f"{mutant.key[0]}:{mutant.line}"
-        entry = {"room": mutant.room, "place": place, "outcome": outcome, "by": by}
+        entry: dict[str, Any] = {"room": mutant.room, "place": place, "outcome": outcome, "by": by}
         entry |= {"tests": tests, "diff": mutant.diff(), "key": mutant.key}
         with notes.open("a") as file:
             file.write(json.dumps(entry) + "\n")
