@@ -99,7 +99,7 @@ class Identity:
     def __post_init__(self) -> None:
         """Refuse what is not a date or a country."""
         _check_date("received", self.received)
-        if self.measured != _time_of_day(self.measured):
+        if self.measured and self.measured != _time_of_day(self.measured):
             _check_date("measured", self.measured, " or 2026-03-31T10:00")
         country = self.laboratory_country
         if country and not (len(country) == 2 and country.isascii() and country.isupper()):
@@ -131,11 +131,11 @@ class Identity:
         return load(cls, data, "identity")
 
 
-def _time_of_day(text: str) -> str:
-    """Return a day with a time as isoformat writes it, to the minute; empty: it is none."""
+def _time_of_day(text: str) -> str | None:
+    """Return a day with a time as isoformat writes it, to the minute; None for other texts."""
     with suppress(ValueError):
         return datetime.fromisoformat(text).isoformat(timespec="minutes")
-    return ""
+    return None
 
 
 def _check_date(name: str, text: str, more: str = "") -> None:

@@ -358,8 +358,8 @@ class _Rows:
                 begun = True
                 yield number, cells
 
-    def _no_values(self, cells: Sequence[Cell]) -> str:
-        """Return why a row holds no values; empty if it does."""
+    def _no_values(self, cells: Sequence[Cell]) -> str | None:
+        """Return why a row holds no values; None if it does."""
         texts = [cell for cell in cells if cell != ""]
         if tuple(map(str, texts)) == self._layout.head:
             return phrase("the head of the table again")
@@ -376,7 +376,7 @@ class _Rows:
         keys = [cells[use.place] for name, use in uses if name not in values]
         if measured and keys and all(map(_is_nothing, keys)):
             return phrase("values that belong to nothing")
-        return ""
+        return None
 
     def _all_uses(self) -> list[Use]:
         in_matrix = [use for cells in self._layout.matrix for use in cells.uses.values()]
