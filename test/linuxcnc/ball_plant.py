@@ -4,6 +4,7 @@ usage: /usr/bin/python3 ball_plant.py PLANT.json AGENT_FOLDER PROGRAM.ngc...
 
 Runs beside LinuxCNC, on the system's Python. The ball follows the tilting joint and C by rotations
 about lines in space, which the controller does not know; while a touch is made, both stand still.
+Its pins `tilting` and `c` say at which angles it is: on a busy machine it comes late.
 """
 
 import json
@@ -17,6 +18,9 @@ import hal
 import linuxcnc
 
 TIMEOUT_S = 600.0
+PINS = {axis: f"off-{axis}.in1" for axis in "xyz"}
+PINS |= {"tilting": "there-tilting.in2", "c": "there-c.in2"}
+"""Pins of the ball, the angles last, and what hears them."""
 
 
 def turned(point, line, degrees):
@@ -36,7 +40,7 @@ def follow(plant, component, ended):
     while not ended.is_set():
         a, c = (hal.get_value(f"joint.{n}.motor-pos-cmd") for n in (3, 4))
         place = turned(turned(plant["ball"], plant["C"], c), plant["tilting"], a)
-        for axis, value in zip("xyz", place, strict=True):
+        for axis, value in zip(PINS, (*place, a, c), strict=True):
             component[axis] = value
         time.sleep(0.001)
 
@@ -47,13 +51,13 @@ def main():
     from linuxcnc_agent import LinuxCncMachine
 
     component, ended = hal.component("ball"), threading.Event()
-    for axis in "xyz":
-        component.newpin(axis, hal.HAL_FLOAT, hal.HAL_OUT)
+    for pin in PINS:
+        component.newpin(pin, hal.HAL_FLOAT, hal.HAL_OUT)
     component.ready()
-    for axis in "xyz":
-        hal.new_sig(f"ball-{axis}", hal.HAL_FLOAT)
-        hal.connect(f"ball.{axis}", f"ball-{axis}")
-        hal.connect(f"off-{axis}.in1", f"ball-{axis}")
+    for pin, hearer in PINS.items():
+        hal.new_sig(f"ball-{pin}", hal.HAL_FLOAT)
+        hal.connect(f"ball.{pin}", f"ball-{pin}")
+        hal.connect(hearer, f"ball-{pin}")
     threading.Thread(target=follow, args=(plant, component, ended), daemon=True).start()
     machine = LinuxCncMachine(linuxcnc, "C", 4)
     machine.start()

@@ -12,6 +12,8 @@ loadrt motmod servo_period_nsec=1000000 num_joints=5
 loadrt sum2 names=off-x,off-y,off-z
 loadrt hypot names=off
 loadrt comp names=touch
+loadrt near names=there-tilting,there-c
+loadrt and2 names=there
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
 net c joint.4.motor-pos-cmd => joint.4.motor-pos-fb
@@ -28,6 +30,16 @@ setp off-x.gain1 -1
 setp off-y.gain1 -1
 setp off-z.gain1 -1
 setp touch.in1 {reach}
+net a => there-tilting.in1
+net c => there-c.in1
+net there-tilting there-tilting.out => there.in0
+net there-c there-c.out => there.in1
+net there there.out => motion.digital-in-00
+setp there-tilting.difference 1e-9
+setp there-c.difference 1e-9
+addf there-tilting servo-thread
+addf there-c servo-thread
+addf there servo-thread
 addf off-x servo-thread
 addf off-y servo-thread
 addf off-z servo-thread

@@ -42,6 +42,8 @@ def program(folder, follow, stops, tilts, letter):
     for name, value in own.items():
         text, count = re.subn(rf"^#<{name}> = \S+", f"#<{name}> = {value}", text, flags=re.M)
         assert count == 1, name
+    text, count = re.subn(r"^  o35 endif$", r"\g<0>\n  M66 P0 L3 Q60", text, flags=re.M)
+    assert count == 1  # the simulated ball has followed; a real one is where its table is
     path = folder / f"follow_{follow}.ngc"
     path.write_text(text)
     return path
