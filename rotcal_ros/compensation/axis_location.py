@@ -43,27 +43,32 @@ class AxisLine:
 
     ``point`` (3,), m, is on it; ``direction`` (3,) points along it at a length of about 1; both
     with the other rotary axes at zero. ``found``: the values (4,) by name, with their standard
-    uncertainties, m and rad.
+    uncertainties, m and rad, from the nominal line through ``origin`` (3,), m; ``covariance``
+    (4, 4) is that of the values.
     """
 
     letter: str
+    origin: Floats
     point: Floats
     direction: Floats
     found: Mapping[str, tuple[float, float]]
+    covariance: Floats
 
     @classmethod
     def of(cls, found: Mapping[str, Any]) -> AxisLine:
         """Return the line that details of a result tell; two places, then two small turns."""
         names, value = list(found["names"]), np.asarray(found["value"], dtype=np.float64)
         letter = names[0][-1]
-        point, turn = np.array(found["origin"], dtype=np.float64), np.zeros(3)
+        origin = np.array(found["origin"], dtype=np.float64)
+        point, turn = origin.copy(), np.zeros(3)
         for name, number in zip(names[:2], value[:2], strict=True):
             point["XYZ".index(name[0])] += number
         for name, number in zip(names[2:], value[2:], strict=True):
             turn["ABC".index(name[0])] = number
         along = np.eye(3)[ALONG[letter]]
         values = dict(zip(names, zip(value.tolist(), found["std"], strict=True), strict=True))
-        return cls(letter, point, along + np.cross(turn, along), values)
+        direction, covariance = along + np.cross(turn, along), np.asarray(found["covariance"])
+        return cls(letter, origin, point, direction, values, covariance)
 
     def in_words(self) -> str:
         """Return place and lean with U (k = 2); files of controllers hold no other signs."""
@@ -94,15 +99,10 @@ class Located:
 def axis_lines(result: Result) -> tuple[AxisLine, ...]:
     """Return the table's axis, and the one that tilts it where it was measured.
 
-    Raises DataError for a result that tells no place of an axis.
+    Empty for a method that does not measure where they stand.
     """
     details = [result.details[n] for n in (TABLE_AXIS, TILTING_AXIS) if n in result.details]
-    if not details or "origin" not in details[0]:
-        raise DataError(
-            f"the {result.method} result does not say where the axis stands: measure with "
-            "table_balls, or leave out --what axis"
-        )
-    return tuple(AxisLine.of(found) for found in details)
+    return tuple(AxisLine.of(found) for found in details if "origin" in found)
 
 
 def prepare_location(
@@ -125,6 +125,11 @@ def prepare_location(
     """
     check_verdict(result)
     lines = axis_lines(result)
+    if not lines:
+        raise DataError(
+            f"the {result.method} result does not say where the axis stands: measure with "
+            "table_balls, or leave out --what axis"
+        )
     usual = f"{check_axis(axis)}_{controller_name}_axis"
     name = stem_of(stem, usual, simulated=result.simulated)
     head = [

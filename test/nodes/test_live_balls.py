@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_cell import LiveCell
+from rosbags.highlevel import AnyReader
 
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -19,6 +20,13 @@ pytest.importorskip("rotcal_msgs")
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 DEMO = Path(__file__).parents[2] / "config" / "table_balls_demo.yaml"
+
+
+def published(bag, topic):
+    """Return what was published on a topic, as rosbags reads it from a bag."""
+    with AnyReader([bag]) as reader:
+        of_topic = [c for c in reader.connections if c.topic == topic]
+        return [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(of_topic)]
 
 
 def test_both_axes_are_found_live_and_the_bag_repeats_them_bit_for_bit(tmp_path, monkeypatch):
@@ -51,4 +59,15 @@ def test_both_axes_are_found_live_and_the_bag_repeats_them_bit_for_bit(tmp_path,
     lean = np.array(true.tilting_lean_arcsec[1:]) * ARCSEC
     away = np.array(tilting["value"]) - [*true.tilting_axis_m[1:], *lean]
     assert np.abs(away / tilting["std"]).max() < 5.5
+    (location,) = published(live.bag, "/cell/axis_location")
+    assert (location.header.frame_id, location.verdict, location.simulated) == ("machine", "ok", 1)
+    turning, tilted = location.axes
+    assert (turning.axis, tilted.axis) == ("C", "A")
+    assert turning.names == ["XOC", "YOC", "AOC", "BOC"]
+    there = [x, y, 0.0] + np.array([b, -a, 1.0]) * height  # of the true axis, at this height
+    assert np.abs(turning.point[:2] - there[:2]).max() < 5.5 * turning.std[:2].max()
+    assert turning.point[2] == turning.origin[2] == height
+    assert np.abs(turning.direction - [b, -a, 1.0]).max() < 5.5 * turning.std[2:].max()
+    assert turning.covariance.reshape(4, 4).diagonal() == pytest.approx(turning.std**2)
+    assert tilted.point[0] == true.tilting_axis_m[0]
     assert read_recording(live.bag).solve().to_json() == text

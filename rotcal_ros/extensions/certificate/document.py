@@ -24,6 +24,7 @@ from signxml.signer import XMLSigner
 from signxml.verifier import XMLVerifier
 
 from rotcal_ros import __version__
+from rotcal_ros.compensation.axis_location import AxisLine, axis_lines
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances, Range
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS
@@ -160,7 +161,10 @@ def measurement_results(result: Result, method_title: str) -> Any:
                 DCC.usedSoftware(software()),
                 _instruments(circumstances),
                 _conditions(circumstances),
-                DCC.results(*(_curve(result, name) for name in result.components)),
+                DCC.results(
+                    *(_axis(line) for line in axis_lines(result)),
+                    *(_curve(result, name) for name in result.components),
+                ),
             )
         )
     )
@@ -239,17 +243,47 @@ def _condition(name: str, found: Range, unit: str) -> Any:
     return DCC.influenceCondition(text("name", name), DCC.data(*quantities))
 
 
+def _axis(line: AxisLine) -> Any:
+    """Return where an axis stands: two places and two small turns, each pair with its covariance.
+
+    What joins a place and a turn is in the result that is attached.
+    """
+    value, std = np.array([*line.found.values()]).T
+    origin = SI.realListXMLList(SI.valueXMLList(numbers(line.origin)), SI.unitXMLList(_METRE))
+    point = DCC.quantity(
+        text("name", phrase("Nominal point of the axis, x y z")),
+        origin,
+        refType="basic_nominalValue",
+    )
+    pairs = (
+        DCC.quantity(
+            text("name", " ".join([*line.found][at])),
+            _measured(value[at], std[at], line.covariance[at, at], unit),
+            refType="basic_measurementError",
+        )
+        for at, unit in ((slice(2), _METRE), (slice(2, 4), _RADIAN))
+    )
+    return DCC.result(
+        text("name", phrase("Average line of the axis {0}", line.letter)),
+        text(
+            "description",
+            phrase("Measured less nominal line (ISO 230-7), in the machine's coordinates."),
+            phrase("The places hold at the height of the nominal point."),
+        ),
+        DCC.data(point, *pairs),
+        refType="rotcal_axis",
+    )
+
+
 def _curve(result: Result, component: str) -> Any:
     """Return one deviation over the angles, with expanded uncertainties and covariance."""
-    unit = _METRE if component in TRANSLATIONS else _RADIAN
     angles = SI.realListXMLList(SI.valueXMLList(numbers(result.angles)), SI.unitXMLList(_RADIAN))
-    deviations = SI.realListXMLList(
-        SI.valueXMLList(numbers(result.deviations[component])),
-        SI.unitXMLList(unit),
-        _expanded(result.std[component]),
+    deviations = _measured(
+        result.deviations[component],
+        result.std[component],
+        result.covariance.get(component),
+        _METRE if component in TRANSLATIONS else _RADIAN,
     )
-    if component in result.covariance:
-        deviations.append(_covariance(result.covariance[component], unit))
     return DCC.result(
         text("name", component),
         DCC.data(
@@ -264,6 +298,16 @@ def _curve(result: Result, component: str) -> Any:
         ),
         refType=f"rotcal_{component}",
     )
+
+
+def _measured(value: Floats, std: Floats, covariance: Floats | None, unit: str) -> Any:
+    """Return values (n,) with their expanded uncertainties and, where it is known, covariance."""
+    found = SI.realListXMLList(
+        SI.valueXMLList(numbers(value)), SI.unitXMLList(unit), _expanded(std)
+    )
+    if covariance is not None:
+        found.append(_covariance(covariance, unit))
+    return found
 
 
 def _expanded(std: Floats) -> Any:

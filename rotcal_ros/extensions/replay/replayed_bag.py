@@ -30,7 +30,8 @@ from rotcal_ros.methods.configuration import read_topics
 
 OUTPUTS: Final = frozenset({
     names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table",
-    "volumetric_correction", "scene", "scene_motion", names.HEARTBEAT, names.DROPOUTS,
+    "volumetric_correction", "axis_location", "scene", "scene_motion", names.HEARTBEAT,
+    names.DROPOUTS,
 })  # fmt: skip
 """Last names of the topics that our own nodes make of the streams: live nodes make them again."""
 OF_ROS: Final = ("/diagnostics", "/rosout", "/parameter_events", "/clock")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +14,7 @@ from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Tempera
 from std_msgs.msg import Header
 
 from rotcal_ros.capture import messages
+from rotcal_ros.compensation.axis_location import AxisLine
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
@@ -172,6 +174,32 @@ def correction_message(
         "item": result.circumstances.identity.title,
     }
     return _filled(msg.VolumetricCorrection, result, now_ns, **others)
+
+
+def location_message(
+    result: Result, lines: Sequence[AxisLine], plan_id: str, now_ns: int
+) -> msg.AxisLocation:
+    """Return the message of where the axes of a result stand."""
+    others = {
+        "plan_id": plan_id,
+        "axes": [_line(line) for line in lines],
+        "item": result.circumstances.identity.title,
+    }
+    return _filled(msg.AxisLocation, result, now_ns, MACHINE, **others)
+
+
+def _line(line: AxisLine) -> msg.AxisLine:
+    values, std = zip(*line.found.values(), strict=True)
+    return msg.AxisLine(
+        axis=line.letter,
+        names=[*line.found],
+        values=values,
+        std=std,
+        covariance=line.covariance.ravel(),
+        origin=line.origin,
+        point=line.point,
+        direction=line.direction / np.linalg.norm(line.direction),
+    )
 
 
 def _columns(result: Result, sign: float) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
+from rotcal_ros.compensation.axis_location import axis_lines
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.in_force import of_axis
@@ -69,6 +70,7 @@ class SolverNode(CellNode):
         self._corrections = self.create_publisher(
             msg.VolumetricCorrection, "volumetric_correction", LATCHED
         )
+        self._locations = self.create_publisher(msg.AxisLocation, "axis_location", LATCHED)
         self._earlier = EarlierObservations(self)
         PlanSubscription(self, self._take_plan)
         self._frames = StaticFrames(self, self.health.guarded)
@@ -198,7 +200,7 @@ class SolverNode(CellNode):
         return await self.answer_of(self._begin(calibration), SOLVE_TIMEOUT_S)
 
     def _publish(self, result: Result, *, final: bool) -> None:
-        """Publish the deviations; with the final ones the corrections, of all and of ECC."""
+        """Publish the deviations; the final ones with corrections, and where the axes stand."""
         assert self._calibration is not None
         configuration = self._calibration.configuration
         plan_id, now_ns = configuration.plan_id, self.now_ns()
@@ -209,6 +211,9 @@ class SolverNode(CellNode):
         self._values = conversions.result_values(result)
         axis = configuration.cell.axis
         self._corrections.publish(conversions.correction_message(result, axis, plan_id, now_ns))
+        if lines := axis_lines(result):
+            location = conversions.location_message(result, lines, plan_id, now_ns)
+            self._locations.publish(location)
         try:
             table = table_from_result(result, axis=axis)
         except RotcalError as error:

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 import rotcal_ros as rc
 from rotcal_ros.foundation.circumstances import Circumstances, Range
 from rotcal_ros.foundation.identity import Identity
@@ -21,6 +23,13 @@ IDENTITY = {
     },
 }  # fmt: skip
 DAY_NS = 86_400 * 10**9
+AXIS = {
+    "names": ["XOC", "YOC", "AOC", "BOC"],
+    "value": np.array([1.1e-4, -7e-5, 2e-5, -3e-5]),
+    "std": np.array([1e-6, 2e-6, 3e-6, 4e-6]),
+    "covariance": np.diag([1e-12, 4e-12, 9e-12, 1.6e-11]) + 1e-13,
+    "origin": np.array([0.0, 0.0, 0.08]),
+}
 
 
 def certified(name="ball_plate", identity=IDENTITY, **changes):
@@ -37,3 +46,9 @@ def certified(name="ball_plate", identity=IDENTITY, **changes):
     )
     result = rc.read_result(DATA / f"result_{name}.json")
     return replace(result, circumstances=replace(circumstances, **changes))
+
+
+def certified_axis():
+    """Return such a result that says where the axis stands, too."""
+    result = certified()
+    return replace(result, details={**result.details, "axis": AXIS})

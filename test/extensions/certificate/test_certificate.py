@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from certified import IDENTITY, certified
+from certified import AXIS, IDENTITY, certified, certified_axis
 
 from rotcal_ros.extensions.certificate import document as written
 from rotcal_ros.extensions.certificate.document import certificate
@@ -53,6 +53,24 @@ def test_the_numbers_come_back_to_the_last_bit(name):
         columns = deviation.findall(".//si:covarianceXMLList", NAMES)
         matrix = np.array([floats(column, "si:valueXMLList") for column in columns]).T
         assert matrix.tolist() == result.covariance[component].tolist()
+
+
+def test_where_the_axis_stands_comes_back_to_the_last_bit():
+    first = document(certified_axis()).find(".//dcc:result", NAMES)
+    assert text_of(first, "dcc:name/dcc:content") == "Average line of the axis C"
+    quantities = first.findall("dcc:data/dcc:quantity", NAMES)
+    names = [text_of(q, "dcc:name/dcc:content") for q in quantities]
+    assert names == ["Nominal point of the axis, x y z", "XOC YOC", "AOC BOC"]
+    origin, place, turns = (q.find("si:realListXMLList", NAMES) for q in quantities)
+    assert floats(origin, "si:valueXMLList").tolist() == AXIS["origin"].tolist()
+    for found, at, unit in ((place, slice(2), r"\metre"), (turns, slice(2, 4), r"\radian")):
+        assert text_of(found, "si:unitXMLList") == unit
+        assert floats(found, "si:valueXMLList").tolist() == AXIS["value"][at].tolist()
+        expanded = floats(found, ".//si:valueExpandedMUXMLList")
+        assert (expanded / 2.0).tolist() == AXIS["std"][at].tolist()
+        columns = found.findall(".//si:covarianceXMLList", NAMES)
+        matrix = [floats(column, "si:valueXMLList").tolist() for column in columns]
+        assert matrix == AXIS["covariance"][at, at].tolist()
 
 
 def test_it_says_who_what_when_and_how_warm():

@@ -3,7 +3,7 @@
 from datetime import date
 
 import pytest
-from certified import IDENTITY, certified
+from certified import IDENTITY, certified, certified_axis
 from dcc_schema import read_schema
 from lxml import etree
 
@@ -27,11 +27,12 @@ NEEDED = {name: IDENTITY[name] for name in REQUIRED} | {
     [
         certified(),
         certified("tracer"),
+        certified_axis(),
         certified(simulated=True),
         certified(identity=NEEDED, pressure_pa=None, temperature_c=None, humidity=None),
         certified(identity=IDENTITY | {"place": "  hall \n 3 ", "serial": " 00 17 "}),
     ],
-    ids=["plate", "tracer", "simulated", "least", "blanks"],
+    ids=["plate", "tracer", "axis", "simulated", "least", "blanks"],
 )
 def test_a_certificate_is_valid(schema, result):
     schema.assertValid(etree.fromstring(certificate(result, "Ball plate", ISSUED)))
