@@ -153,9 +153,10 @@ class _Reach:
 
     def most(self, unseen: _Unseen) -> float:
         """Return what the error of no subset exceeds."""
-        sensitivity, mix = unseen.found.sensitivity, unseen.found.mixing()
+        sensitivity = unseen.found.sensitivity
         if self.root is None or sensitivity.common is None:
             return np.inf
+        mix = unseen.found.mixing()
         flat = mix.reshape(len(mix), -1)
         along = sensitivity.along @ flat
         share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
