@@ -55,7 +55,7 @@ class Hypotheses:
     ``values`` (q, d): s, ``along`` (q, d): u. ``mixing``: what a unit of each is on the n rows of
     its group, (n, q, d), worked out when it is asked for; ``sensitivity`` (o, n): what these do
     to the outputs. ``axes`` (q, d, d): V, where d sizes are not their own axes already.
-    ``quickly``: what a unit of each does to the outputs, where that needs no mixing.
+    ``times``: a matrix (r, n) times the mixing, (r, q, d), where that is quicker without it.
     """
 
     values: Floats
@@ -63,26 +63,32 @@ class Hypotheses:
     mixing: Callable[[], Floats]
     sensitivity: Sensitivity
     axes: Floats | None = None
-    quickly: Callable[[], Floats] | None = None
+    times: Callable[[Floats], Floats] | None = None
 
-    @property
-    def moved(self) -> Floats:
-        """What a unit of each does to the outputs, (o, q, d)."""
-        if self.quickly is not None:
-            return self.quickly()
-        mix = self.mixing()
-        return self.sensitivity.of(mix.reshape(len(mix), -1)).reshape(-1, *mix.shape[1:])
+    def reach(self, std: Floats) -> Floats:
+        """Return by how much a unit of each (q, d) moves any output at most.
+
+        In the standard uncertainties ``std`` (o,); zero or infinite: one that does not count.
+        """
+        counts = (std > 0.0) & np.isfinite(std)
+        if self.times is not None:
+            felt = self.times(self.sensitivity.dense()[counts] / std[counts, None])
+        else:
+            mix = self.mixing()
+            felt = self.sensitivity.of(mix.reshape(len(mix), -1))[counts] / std[counts, None]
+            felt = felt.reshape(-1, *mix.shape[1:])
+        return np.asarray(np.abs(felt, out=felt).max(axis=0, initial=0.0))
 
     def take(self, which: slice) -> Hypotheses:
         """Return some of them."""
-        axes, quickly = (None if self.axes is None else self.axes[which]), self.quickly
+        axes, times = (None if self.axes is None else self.axes[which]), self.times
         return Hypotheses(
             self.values[which],
             self.along[which],
             lambda: self.mixing()[:, which],
             self.sensitivity,
             axes,
-            None if quickly is None else lambda: quickly()[:, which],
+            None if times is None else lambda matrix: times(matrix)[:, which],
         )
 
     def log_bayes(self, sizes: Floats = SIZES) -> Floats:
@@ -133,8 +139,8 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
         mix = np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors)
         return np.asarray(mix.reshape(group.residual.size, *along.shape))
 
-    quickly = (lambda: _moved_by_runs(group, subsets)) if long else None
-    return Hypotheses(values, along, on_rows, group.sensitivity, vectors, quickly)
+    times = (lambda matrix: _times_runs(group, subsets, matrix)) if long else None
+    return Hypotheses(values, along, on_rows, group.sensitivity, vectors, times)
 
 
 def _of_any(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
@@ -153,14 +159,14 @@ def _of_runs(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
     return square, score
 
 
-def _moved_by_runs(group: Group, subsets: Bools) -> Floats:
-    """Return what unit shifts of elements with one axis do to the outputs (o, q, 1)."""
+def _times_runs(group: Group, subsets: Bools, matrix: Floats) -> Floats:
+    """Return a ``matrix`` (r, e) times unit shifts of elements with one axis, (r, q, 1)."""
     first, end, run = bounds(subsets)
-    response = group.sensitivity.dense() * group.relative[:, 0]
-    leading = np.pad(response.cumsum(axis=1), ((0, 0), (1, 0)))
-    moved = leading[:, end] - leading[:, first]
-    moved[:, ~run] = response @ subsets[~run].T
-    return np.asarray(moved[:, :, None])
+    unit = matrix * group.relative[:, 0]
+    leading = np.pad(unit.cumsum(axis=1), ((0, 0), (1, 0)))
+    found = leading[:, end] - leading[:, first]
+    found[:, ~run] = unit @ subsets[~run].T
+    return np.asarray(found[:, :, None])
 
 
 def _squares(group: Group, part: Floats) -> tuple[Floats, Floats]:

@@ -115,11 +115,7 @@ class _Unseen:
 
     def worst(self, std: Floats) -> Hidden:
         """Return the worst of the subsets; ``std`` (o,) of the outputs."""
-        uncertain, group = std > 0.0, self.group
-        share = (np.abs(self.found.moved[uncertain]) / std[uncertain, None, None]).max(
-            axis=0, initial=0.0
-        )
-        error = share * self.size
+        group, error = self.group, self.found.reach(std) * self.size
         q, axis = np.unravel_index(int(np.argmax(error)), error.shape)
         return Hidden(
             float(error[q, axis]),
