@@ -442,9 +442,9 @@ def defined(balls: BallsOnTable, telling: Floats) -> Floats:
     """
     scale = np.linalg.norm(telling, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    _, size, ways = np.linalg.svd(telling / scale, full_matrices=len(telling) < len(scale))
-    size = np.pad(size, (0, len(ways) - len(size)))
-    open_, chosen = ways[size <= WEAK * size[0]], np.zeros((0, len(scale)))
+    unit = telling / scale
+    squares, ways = np.linalg.eigh(unit.T @ unit)
+    open_, chosen = ways.T[squares <= WEAK**2 * squares[-1]], np.zeros((0, len(scale)))
     known, radius = np.zeros((0, len(open_))), float(np.abs(balls.places).max())
     of_tilting = () if balls.tilting is None else balls.tilting.definitions()
     for sums in (*definitions(balls.angles, balls.tilts), *of_tilting):
