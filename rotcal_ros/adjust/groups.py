@@ -113,7 +113,7 @@ class Group:
 
     @cached_property
     def leading(self) -> Floats:
-        """Sums (e + 1, e + 1) of ``weight`` over the first 0 to e elements, of those of one axis."""
+        """Sums (e + 1, e + 1) of ``weight`` over the first 0 to e elements with one axis."""
         return np.pad(self.weight[:, 0, :, 0].cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
     @cached_property

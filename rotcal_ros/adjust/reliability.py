@@ -83,14 +83,14 @@ def hidden(
     ]
     reach = _Reach.of(unseen[0].found.sensitivity, std)
     most = np.array([reach.most(each) for each in unseen])
-    worst: Hidden | None = None
+    found, reached = dict[int, Hidden](), 0.0
     for k in np.argsort(-most, kind="stable").tolist():
-        if worst is not None and most[k] < worst.error:
+        if SAFELY * most[k] < reached:
             break
-        here = unseen[k].worst(std)
-        if worst is None or here.error > worst.error:
-            worst = here
-    return worst
+        found[k] = unseen[k].worst(std)
+        reached = max(reached, found[k].error)
+    # of equals the first, whatever their rounding
+    return next(here for _, here in sorted(found.items()) if SAFELY * here.error >= reached)
 
 
 @dataclass(frozen=True, eq=False)
