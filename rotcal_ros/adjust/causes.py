@@ -19,6 +19,7 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 from scipy.special import gammaln
 
+from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.distributions import normal_isf, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.gathering import Gathering, judged
@@ -272,7 +273,7 @@ def _improbability(diagnosis: Diagnosis) -> float:
     """
     fit, n = diagnosis.fit, len(diagnosis.used)
     factors = diagnosis.noise.factors[diagnosis.model.of_component[diagnosis.used]]
-    unknowns = fit.basis.shape[1] - sum(e.columns.shape[1] for e in diagnosis.taken)
+    unknowns = fit.cofactors.rank - sum(e.columns.shape[1] for e in diagnosis.taken)
     spread = 2.0 * float(np.log(factors).sum())
     return float(fit.chi2 + spread + unknowns * np.log(n) + diagnosis.price)
 
@@ -406,7 +407,7 @@ class Look:
         return Explanation(
             f"{model.names[row]} is off by {model.unit.shown(size)}", reason,
             np.eye(len(fit.white), 1, -row), np.array([row]), support, price,
-            -fit.response[:, row] * size / fit.std[row],
+            -fit.response_of(np.array([row]))[:, 0] * size / fit.std[row],
         )  # fmt: skip
 
     @cached_property
@@ -454,7 +455,7 @@ class Look:
         seen = seen_by(self.fit, columns, family=effect.family)
         if not effect.family:
             test = effect_test(seen, self.rest)
-            return [self._explanation(effect, columns, seen, test)] if test.rank else []
+            return [self._explanation(effect, dense(columns), seen, test)] if test.rank else []
         squares = member_squares(seen)
         if not squares.any():
             return []
@@ -464,7 +465,7 @@ class Look:
             test = effect_test(seen.part(member), self.rest)._replace(probability=chance)
             if test.rank:
                 found.append(
-                    self._explanation(effect, columns[:, member], seen.part(member), test)
+                    self._explanation(effect, dense(columns[:, member]), seen.part(member), test)
                 )
         return found
 
@@ -490,47 +491,50 @@ class Look:
     def _groups(self) -> list[Group]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model, found = self.fit, self.before.model, list[Group]()
-        basis, response = fit.basis, fit.response
         for grouping in model.groupings:
             for number, members in members_of(grouping, model.may_go).items():
                 kept = members[fit.used[members]]
-                if not 1 < len(kept) < len(basis):
+                if not 1 < len(kept) < len(fit.used):
                     continue
+                gathered = gathered_of(grouping, kept)
+                # of others it is not asked what gathers, nor what that would do
+                felt = fit.response_of(kept) if len(gathered) else np.zeros((0, len(kept)))
                 group = Group.of(
                     grouping.kind, f"{grouping.kind} {number}", kept, fit.white[kept][:, None],
-                    1.0 / fit.std[kept][:, None], basis[kept] @ basis[kept].T,
-                    Sensitivity.whole(response[:, kept]), gathered_of(grouping, kept),
-                    len(members) - len(kept),
+                    1.0 / fit.std[kept][:, None], fit.cofactors.among(kept),
+                    Sensitivity.whole(felt), gathered, len(members) - len(kept),
                 )  # fmt: skip
                 found.append(group)
         return found
 
 
-def seen_by(fit: Fit, columns: Floats, *, family: bool = False) -> Seen:
+def seen_by(fit: Fit, columns: Floats | csr_array, *, family: bool = False) -> Seen:
     """Return what a solution makes of ``columns`` (n, k) of errors, of a ``family`` or together.
 
-    Of a family, which may have as many columns as there are observations, neighbours alone.
+    Of a family, which may have as many columns as there are observations, neighbours alone; only
+    a family has columns without their zeros.
     """
+    if isinstance(columns, csr_array):
+        white = columns.copy()
+        white.data /= np.repeat(np.where(fit.used, fit.std, np.inf), np.diff(columns.indptr))
+        white.eliminate_zeros()
+        return _family_seen_by(fit, white)
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     if family:
         return _family_seen_by(fit, csr_array(white))
     left = fit.left_of(white)
-    return Seen(
-        (fit.response @ white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0)
-    )
+    return Seen(fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0))
 
 
 def _family_seen_by(fit: Fit, white: csr_array) -> Seen:
     """Return what a solution makes of whitened columns (n, k), most of them zeros."""
-    taken = np.asarray(white.T @ fit.basis)  # (k, rank): what the unknowns take up of them
     whole = np.asarray((white * white).sum(axis=0))
     beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
-    beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
-    own = whole - (taken**2).sum(axis=1)
+    of_own, of_next, moved = fit.family_taken(white)
+    own, beside = whole - of_own, beside - of_next
     weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
     own[weak] = (fit.left_of(white[:, weak].toarray()) ** 2).sum(axis=0)
     information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
-    moved = np.asarray(white.T @ fit.response.T)
     return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
 
 
@@ -649,8 +653,6 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     if bent:
         squares = bent_squares(squares, redundancy, CHECKED)
     part = (model.of_component == np.arange(count)[:, None]) & fit.used
-    # R is a projection: the squared sums of its blocks follow from the basis of its complement
-    basis = np.array([fit.basis[rows].T @ fit.basis[rows] for rows in part])
-    between = np.einsum("kab,lab->kl", basis, basis)
-    information = between + np.diag(part @ (2.0 * redundancy - 1.0))
+    # R is a projection: the squared sums of its blocks follow from those of its complement
+    information = fit.cofactors.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
     return NoiseEvidence(part.any(axis=1), part @ squares, part @ redundancy, information)

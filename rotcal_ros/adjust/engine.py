@@ -24,6 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import gathering
+from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
@@ -106,7 +107,7 @@ class Adjusted:
     def _covariance(self) -> Floats:
         """Covariance (o + a, o + a) of all outputs."""
         few = self.scale * self._student
-        total = few[:, None] * (self.fit.response @ self.fit.response.T) * few
+        total = few[:, None] * self.fit.covariance * few
         for weight, change in self.diagnosis.contested():
             total = total + weight * np.outer(change, change)
         gathers = self.diagnosis.gathering.covariance()
@@ -133,7 +134,7 @@ class Adjusted:
         if estimated is None:
             return np.ones(len(self.fit.value))
         part = model.of_component == np.arange(len(model.components))[:, None]
-        variance = (self.fit.response**2) @ part.T.astype(np.float64)  # (o, c)
+        variance = self.fit.variance_from(part)  # (o, c)
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
         known = np.where(checked, estimated.log_std, 0.0)
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
@@ -150,7 +151,7 @@ class Adjusted:
             assert e.effect is not None
             assert e.mixing is not None
             own = slice(first, first + e.columns.shape[1])
-            gain = e.mixing @ self.fit.gain[own]
+            gain = e.mixing @ self.fit.gain(own)
             std = self.scale * np.linalg.norm(gain, axis=1)
             sizes = e.mixing @ self.fit.x[own]
             found.append(FoundEffect(e.effect, e.what, sizes, std, e.probability))
@@ -309,7 +310,7 @@ class Adjusted:
         used = self.fit.used[:count].reshape(measured, coordinates)
         seen, known = np.flatnonzero(used.any(axis=1)), np.arange(count, len(self.fit.used))
         rows = (seen[:, None] * coordinates + np.arange(coordinates)).ravel()
-        felt = self.scale * self.fit.response[:, np.append(rows, known)]
+        felt = self.scale * self.fit.response_of(np.append(rows, known))
         causes = tuple(self.model.names[row] for row in known.tolist())
         parts = {n: felt[part] for n, part in components.items()}
         return Influence(seen, coordinates, parts, causes)
@@ -374,7 +375,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     every = {
         e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)
         for e in model.effects
-        if e.at(computed).any()
+        if dense(e.at(computed)).any()
     }
     return PlanPrediction(std, fit.redundancy, every)
 

@@ -42,6 +42,8 @@ UNSEEN: Final = -1e-6
 No residual tells of such a shift, so what seems to is nothing."""
 OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
+LARGE: Final = 200
+"""Elements of a group from which on runs are told by running sums: products cost their square."""
 MOST_STEPS: Final = 60
 """Exchanges after which a search ends anyway."""
 
@@ -53,6 +55,7 @@ class Hypotheses:
     ``values`` (q, d): s, ``along`` (q, d): u. ``mixing``: what a unit of each is on the n rows of
     its group, (n, q, d), worked out when it is asked for; ``sensitivity`` (o, n): what these do
     to the outputs. ``axes`` (q, d, d): V, where d sizes are not their own axes already.
+    ``moving``: a quicker way to :attr:`moved`, where there is one.
     """
 
     values: Floats
@@ -60,10 +63,13 @@ class Hypotheses:
     mixing: Callable[[], Floats]
     sensitivity: Sensitivity
     axes: Floats | None = None
+    moving: Callable[[], Floats] | None = None
 
     @property
     def moved(self) -> Floats:
         """What a unit of each does to the outputs, (o, q, d)."""
+        if self.moving is not None:
+            return self.moving()
         mix = self.mixing()
         return self.sensitivity.of(mix.reshape(len(mix), -1)).reshape(-1, *mix.shape[1:])
 
@@ -76,6 +82,7 @@ class Hypotheses:
             lambda: self.mixing()[:, which],
             self.sensitivity,
             axes,
+            None if self.moving is None else lambda: self.moved[:, which],
         )
 
     def log_bayes(self, sizes: Floats = SIZES) -> Floats:
@@ -118,13 +125,46 @@ def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
 def shifts(group: Group, subsets: Bools) -> Hypotheses:
     """Return that each of the ``subsets`` (q, e) is off by the same along each axis."""
     part = subsets.astype(np.float64)
-    values, along, vectors = _own_axes(_squares(group, part)[1], part @ group.score)
+    ends = _ends(group, subsets)
+    square = _squares(group, part)[1] if ends is None else _squares_of_runs(group, *ends)
+    values, along, vectors = _own_axes(square, part @ group.score)
 
     def on_rows() -> Floats:
-        mix = np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors)
+        # of many subsets only the sets themselves are kept until then
+        mix = np.einsum("qe,ea,qab->eaqb", subsets.astype(np.float64), group.relative, vectors)
         return np.asarray(mix.reshape(group.residual.size, *along.shape))
 
-    return Hypotheses(values, along, on_rows, group.sensitivity, vectors)
+    def of_runs() -> Floats:
+        assert ends is not None
+        felt = _sums(group.sensitivity.weighted(group.relative[:, 0]).dense().T)
+        return np.asarray((felt[ends[1]] - felt[ends[0]]).T[:, :, None])
+
+    moving = None if ends is None else of_runs
+    return Hypotheses(values, along, on_rows, group.sensitivity, vectors, moving)
+
+
+def _ends(group: Group, subsets: Bools) -> tuple[Ints, Ints] | None:
+    """Return where each of the ``subsets`` (q, e) of a large group begins, and ends.
+
+    None where not all are unbroken runs of single rows.
+    """
+    if group.size < LARGE or group.residual.shape[1] > 1:
+        return None
+    begin, count = subsets.argmax(axis=1), subsets.sum(axis=1)
+    rises = subsets[:, 0] + (subsets[:, 1:] & ~subsets[:, :-1]).sum(axis=1)
+    return (begin, begin + count) if (rises == 1).all() else None
+
+
+def _squares_of_runs(group: Group, begin: Ints, end: Ints) -> Floats:
+    """Return S (q, 1, 1) of shifts of runs, as :func:`_squares` does of any subsets."""
+    whole = _sums(_sums(group.weight[:, 0, :, 0]).T)
+    square = whole[end, end] - whole[begin, end] - whole[end, begin] + whole[begin, begin]
+    return np.asarray(square[:, None, None])
+
+
+def _sums(rows: Floats) -> Floats:
+    """Return the sums (e + 1, k) of the first 0, 1, ... ``rows`` (e, k)."""
+    return np.concatenate([np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)])
 
 
 def _squares(group: Group, part: Floats) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.arrow import (
     Arrow,
@@ -28,6 +28,7 @@ from rotcal_ros.adjust.arrow import (
     times,
     weighted,
 )
+from rotcal_ros.adjust.circles import AT_ONCE, Circular, Cofactors, Eliminated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.subsets import runs
@@ -110,24 +111,24 @@ class Disturbing:
     ones hold the very noise that they would explain. ``what`` happens, for people.
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
     ``family`` has columns of which at most one is there, in the order of time; other columns are
-    there together.
+    there together. Of many columns, those entries that are not zero are enough.
     """
 
     effect: Effect
     what: str
-    columns: Floats | Callable[[Floats], Floats]
+    columns: Floats | csr_array | Callable[[Floats], Floats]
     largest: float
     unit: Unit = SECONDS
     family: bool = False
 
-    def at(self, computed: Floats) -> Floats:
+    def at(self, computed: Floats) -> Floats | csr_array:
         """Return the columns (n, k) where the observations are ``computed`` (n,)."""
         return self.columns(computed) if callable(self.columns) else self.columns
 
 
-def linear(design: Floats | csr_array) -> Equations:
+def linear(design: Design) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
-    return lambda x: (design @ x, design)
+    return lambda x: (times(design, x), design)
 
 
 def indicators(*blocks: tuple[Ints, int]) -> Floats:
@@ -153,12 +154,21 @@ def drifts(run: Ints, when: Floats) -> Floats:
 
 def knocks(run: Ints, when: Floats) -> Floats:
     """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k)."""
-    found = [
-        (run == number) & (when >= moment)
-        for number in np.unique(run[run >= 0])
-        for moment in np.unique(when[run == number])[1:]
-    ]
-    return np.column_stack([np.zeros((len(run), 0)), *found])
+    return np.asarray(few_knocks(run, when).toarray())
+
+
+def few_knocks(run: Ints, when: Floats) -> csr_array:
+    """Return the same as :func:`knocks` without its zeros, which are most of many."""
+    before, count = np.zeros(len(run), dtype=np.int64), 0
+    earlier = np.zeros(len(run), dtype=np.int64)
+    for number in np.unique(run[run >= 0]):
+        mine = run == number
+        moments, earlier[mine] = np.unique(when[mine], return_inverse=True)
+        before[mine], count = count, count + len(moments) - 1
+    ends = np.cumsum(earlier)
+    column = np.arange(earlier.sum()) + np.repeat(before - ends + earlier, earlier)
+    data, begin = np.ones(len(column)), np.append(0, ends)
+    return csr_array((data, column, begin), shape=(len(run), count))
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str]:
@@ -188,7 +198,7 @@ def instrument_effects(
     overlook, ``scale`` the same of its scale, 0.1 for one that may be off by 10 %; ``moved``: what
     may be moved.
     """
-    drifting, shifted = drifts(run, when), knocks(run, when)
+    drifting, shifted = drifts(run, when), few_knocks(run, when)
     drift, alone, moves, wrong = effect_texts(instrument, moved)
     found = [Disturbing("drift", drift, drifting, largest, unit)]
     if drifting.shape[1] > 1:
@@ -282,7 +292,7 @@ class Model:
                 raise DataError(
                     f"{name} of the model: shape {found}, expected {wanted or (n, 'k')}"
                 )
-            if not np.isfinite(values).all():
+            if not np.isfinite(values.data if isinstance(values, csr_array) else values).all():
                 raise DataError(f"{name} of the model: expected finite numbers")
         if not (self.std > 0.0).all():
             raise DataError("std of the model: expected positive numbers")
@@ -365,10 +375,14 @@ class Model:
 
         def spared(effect: Disturbing) -> Disturbing:
             if callable(effect.columns):
-                return replace(effect, columns=lambda computed: below(effect.at(computed[:n])))
+                return replace(
+                    effect, columns=lambda computed: below(dense(effect.at(computed[:n])))
+                )
             return replace(effect, columns=below(effect.columns))
 
-        def below(columns: Floats) -> Floats:
+        def below(columns: Floats | csr_array) -> Floats | csr_array:
+            if isinstance(columns, csr_array):
+                return csr_array(vstack([columns, csr_array((k, columns.shape[1]))]))
             return np.pad(columns, ((0, k), (0, 0)))
 
         return replace(
@@ -431,9 +445,47 @@ class CurveModel:
     mixed: Collection[str] = ()
 
 
+class Whole(NamedTuple):
+    """The cofactors N^-1 of a whitened design J (n, p), by the whole of it: the reference.
+
+    ``basis``: orthonormal columns (n, rank) that span J; ``root`` (p, rank) times its transposed
+    is N^-1.
+    """
+
+    basis: Floats
+    root: Floats
+
+    @property
+    def rank(self) -> int:
+        """How many unknowns are told."""
+        return int(self.basis.shape[1])
+
+    def among(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+        return np.asarray(self.basis[rows] @ self.basis[rows].T)
+
+    @property
+    def leverage(self) -> Floats:
+        """The diagonal (n,) of J N^-1 J'."""
+        return np.asarray((self.basis**2).sum(axis=1))
+
+    def taken(self, white: Floats) -> Floats:
+        """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
+        return np.asarray(self.basis @ (self.basis.T @ white))
+
+    def shared(self, part: Bools) -> Floats:
+        """Return the sums of squares (c, c) of J N^-1 J' between parts (c, n) of the rows."""
+        squares = np.array([self.basis[rows].T @ self.basis[rows] for rows in part])
+        return np.asarray(np.einsum("kab,lab->kl", squares, squares))
+
+    def squares(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
+        return np.asarray(((rows @ self.root) ** 2).sum(axis=1))
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A model at its least-squares solution, by the whole design: the dense reference.
+    """A model at its least-squares solution.
 
     ``x`` (p + q,): the unknowns, then the sizes of q effects that were found. ``residual`` (n,):
     observed - computed, also of observations that are not ``used``. ``weighed`` (n,): with which
@@ -453,23 +505,27 @@ class Fit:
         return dense(self.jacobian)
 
     @cached_property
-    def _factors(self) -> tuple[Floats, Floats]:
-        return _factored(self.model, self.design * (self.used / self.std)[:, None])
+    def cofactors(self) -> Whole | Cofactors:
+        """Those of x (p + q, p + q), from the whitened design of what is used."""
+        weight = self.used / self.std
+        if isinstance(self.jacobian, Circular):
+            by_order = _by_order(self.model, self.jacobian.weighted(weight))
+            if by_order is not None:
+                return by_order
+        return _factored(self.model, self.design * weight[:, None])
 
-    @property
-    def basis(self) -> Floats:
-        """Orthonormal columns (n, rank) that span the whitened design of what is used."""
-        return self._factors[0]
+    def gain(self, unknowns: slice) -> Floats:
+        """Return what whitened errors do to some ``unknowns``, (k, n)."""
+        found = self.cofactors
+        if isinstance(found, Whole):
+            return np.asarray((found.root @ found.basis.T)[unknowns])
+        return np.asarray(found.design.times(found.times(np.eye(len(self.x))[:, unknowns])).T)
 
-    @property
-    def root(self) -> Floats:
-        """A root (p + q, rank) of the cofactors: times its transposed it is those of x."""
-        return self._factors[1]
-
-    @cached_property
-    def gain(self) -> Floats:
-        """What whitened errors do to x (p + q, n)."""
-        return np.asarray(self.root @ self.basis.T)
+    def _rows(self, which: Bools) -> Floats:
+        """Return the derivatives (k, p + q) of some observations."""
+        if isinstance(self.jacobian, Circular):
+            return self.jacobian.rows(np.flatnonzero(which))
+        return self.design[which]
 
     @property
     def computed(self) -> Floats:
@@ -489,12 +545,12 @@ class Fit:
     @property
     def dof(self) -> int:
         """Observations in use minus unknowns that they tell."""
-        return int(self.used.sum()) - int(self.basis.shape[1])
+        return int(self.used.sum()) - self.cofactors.rank
 
     @cached_property
     def redundancy(self) -> Floats:
         """Share (n,) of each observation that the others check; zero where not used."""
-        return np.where(self.used, 1.0 - (self.basis**2).sum(axis=1), 0.0)
+        return np.where(self.used, 1.0 - self.cofactors.leverage, 0.0)
 
     @cached_property
     def test_value(self) -> Floats:
@@ -503,8 +559,8 @@ class Fit:
         Of what is not used, against what the others predict.
         """
         variance, left = self.redundancy.copy(), ~self.used
-        rows = self.design[left] / self.std[left, None]
-        variance[left] = 1.0 + ((rows @ self.root) ** 2).sum(axis=1)
+        rows = self._rows(left) / self.std[left, None]
+        variance[left] = 1.0 + self.cofactors.squares(rows)
         checked = variance > CHECKED
         root = np.sqrt(np.where(checked, variance, 1.0))
         return np.where(checked, self.residual / self.std / root, 0.0)
@@ -522,12 +578,74 @@ class Fit:
     @cached_property
     def response(self) -> Floats:
         """B (o + a, n): what whitened errors do to the outputs."""
-        return np.asarray((self.outputs @ self.root) @ self.basis.T)
+        found = self.cofactors
+        if isinstance(found, Whole):
+            return np.asarray((self.outputs @ found.root) @ found.basis.T)
+        return self.response_of(np.arange(len(self.std)))
+
+    def response_of(self, rows: Ints) -> Floats:
+        """Return what whitened errors of some ``rows`` (k,) do to the outputs, (o + a, k)."""
+        found = self.cofactors
+        if isinstance(found, Whole):
+            return self.response[:, rows]
+        p = self.model.size[1]
+        few, extra = found.design.few[rows], found.design.extra[rows]
+        return np.asarray((few @ self._carried[:p] + extra @ self._carried[p:]).T)
+
+    @cached_property
+    def _carried(self) -> Floats:
+        """N^-1 C', (p + q, o + a)."""
+        assert isinstance(self.cofactors, Cofactors)
+        return self.cofactors.times(self.outputs.T)
+
+    def moved(self, white: Floats) -> Floats:
+        """Return what whitened errors (n, k) do to the outputs, (o + a, k): B times them."""
+        found = self.cofactors
+        if isinstance(found, Whole):
+            return np.asarray(self.response @ white)
+        return np.asarray(self._carried.T @ found.design.adjoint(white))
+
+    def family_taken(self, white: csr_array) -> tuple[Floats, Floats, Floats]:
+        """Return what the unknowns take up of whitened columns (n, k), most of them zeros.
+
+        The square (k,) of each, the product (k - 1,) with the next, and what the outputs do
+        (k, o + a).
+        """
+        found = self.cofactors
+        if isinstance(found, Cofactors):
+            return found.family_taken(white, self._carried)
+        taken = np.asarray(white.T @ found.basis)  # (k, rank)
+        beside = (taken[:-1] * taken[1:]).sum(axis=1)
+        return (taken**2).sum(axis=1), beside, np.asarray(white.T @ self.response.T)
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (o + a, o + a) of the outputs, by the noise alone: B B'."""
+        if isinstance(self.cofactors, Whole):
+            return np.asarray(self.response @ self.response.T)
+        whole = self.outputs @ self._carried
+        return np.asarray(0.5 * (whole + whole.T))
+
+    def variance_from(self, part: Bools) -> Floats:
+        """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
+        if isinstance(self.cofactors, Whole):
+            return np.asarray((self.response**2) @ part.T.astype(np.float64))
+        found, every = np.zeros((len(self.outputs), len(part))), np.arange(len(self.std))
+        for rows in np.array_split(every, len(every) // AT_ONCE + 1):
+            found += self.response_of(rows) ** 2 @ part[:, rows].T.astype(np.float64)
+        return found
 
     @cached_property
     def output_std(self) -> Floats:
         """Standard deviations (o + a,) of the outputs; infinite for those that count nowhere."""
-        return self.counting(np.linalg.norm(self.outputs @ self.root, axis=1))
+        if isinstance(self.jacobian, Circular) and "cofactors" not in self.__dict__:
+            plain = Eliminated.of(self.jacobian.weighted(self.used / self.std))
+            if plain is not None:
+                return self.counting(np.sqrt(plain.squares(self.outputs)))
+        found = self.cofactors
+        if isinstance(found, Whole):
+            return self.counting(np.linalg.norm(self.outputs @ found.root, axis=1))
+        return self.counting(np.sqrt((self.outputs.T * self._carried).sum(axis=0)))
 
     def felt(self, change: Floats) -> bool:
         """Whether a ``change`` (o + a,) of the outputs is no trifle for those that count."""
@@ -540,7 +658,7 @@ class Fit:
     def left_of(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) leave in the residuals, R times them."""
         mine = white * self.used[:, None]
-        return np.asarray(mine - self.basis @ (self.basis.T @ mine))
+        return np.asarray(mine - self.cofactors.taken(mine))
 
 
 def require_determined(model: Model) -> None:
@@ -549,12 +667,26 @@ def require_determined(model: Model) -> None:
     Raises ObservabilityError with the unknowns.
     """
     computed, design = model.equations(model.first)
-    jacobian = dense(design)
-    if not (np.isfinite(computed).all() and np.isfinite(jacobian).all()):
+    whole = design.few.data if isinstance(design, Circular) else dense(design)
+    if not (np.isfinite(computed).all() and np.isfinite(whole).all()):
         raise DataError(
             "the equations give no finite numbers at the start values: give others in Model.first"
         )
-    _factored(model, jacobian / model.std[:, None])
+    if not isinstance(design, Circular):
+        _factored(model, whole / model.std[:, None])
+    elif not _by_order(model, design.weighted(1.0 / model.std)):
+        _factored(model, design.dense() / model.std[:, None])
+
+
+def _by_order(model: Model, design: Circular) -> Cofactors | None:
+    """Return the cofactors of a whitened design; None where they are not firm, or outputs felt it.
+
+    Then the whole design tells which unknowns are at fault.
+    """
+    found = Cofactors.of(design)
+    if found is None or not _is_unfelt(model.every_output, found.orders.directions):
+        return None
+    return found
 
 
 def fitted(
@@ -573,12 +705,11 @@ def fitted(
     x[: min(len(start), len(x))] = start[: len(x)]
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
-    blocks = weighted(jacobian, weight)
-    arrow = Arrow.of(blocks.few) if isinstance(blocks, FewEach) else None
+    solver = _solver(model, weighted(jacobian, weight))
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
-        step, left = _step(model, weighted(jacobian, weight), white, arrow)
+        step, left = _step(model, weighted(jacobian, weight), white, solver)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
@@ -597,6 +728,13 @@ def fitted(
             break  # no step makes it better
         x = x + step
     raise _unsettled()
+
+
+def _solver(model: Model, design: Floats | FewEach) -> Arrow | Cofactors | Eliminated | None:
+    """Return what solves a whitened ``design`` by its form; None where it has none."""
+    if isinstance(design, Circular):
+        return _by_order(model, design) or Eliminated.of(design)
+    return Arrow.of(design.few) if isinstance(design, FewEach) else None
 
 
 def _unsettled() -> DataError:
@@ -619,22 +757,30 @@ def _computed(model: Model, x: Floats, extra: Floats) -> tuple[Floats, Design]:
         computed, jacobian = model.equations(x[:p])  # outside its domain a step is shortened
     if not extra.shape[1]:
         return computed, jacobian
+    if isinstance(jacobian, Circular):
+        return computed + extra @ x[p:], jacobian.with_extra(extra)
     return computed + extra @ x[p:], np.concatenate([dense(jacobian), extra], axis=1)
 
 
 def _step(
-    model: Model, design: Floats | FewEach, white: Floats, arrow: Arrow | None
+    model: Model,
+    design: Floats | FewEach,
+    white: Floats,
+    solver: Arrow | Cofactors | Eliminated | None,
 ) -> tuple[Floats, float]:
     """Return the step (p + q,) that ``white`` (n,) asks for, and the square that it takes off.
 
     Block by block, or by the normal equations, which are quick, where these are firm.
     """
     step = None
-    if isinstance(design, FewEach) and arrow is not None:
-        step = arrow.solved(design, white)
+    if isinstance(design, FewEach) and solver is not None:
+        step = solver.solved(design, white)
     if step is not None:
         felt = times(design, step)
         return step, float(felt @ felt)
+    if isinstance(design, Circular):
+        _require_told(model, design)
+        design = design.dense()
     squares = normal(design)
     scale = np.sqrt(np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0))
     squares /= scale * scale[:, None]
@@ -643,13 +789,26 @@ def _step(
     root, failed = lapack.dpotrf(squares)
     firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
     if not firm or not _told_by_others(model, design, root, scale):
-        basis, cofactors = _factored(model, dense(design))
-        along = basis.T @ white
-        return cofactors @ along, float(along @ along)
+        whole = _factored(model, dense(design))
+        along = whole.basis.T @ white
+        return whole.root @ along, float(along @ along)
     along = lapack.dtrtrs(root, (adjoint(design, white) / scale)[moving], trans=1)[0]
     step = np.zeros(len(scale))
     step[moving] = lapack.dtrtrs(root, along)[0]
     return step / scale, float(along @ along)
+
+
+def _require_told(model: Model, design: Circular) -> None:
+    """Raise ObservabilityError for unknowns of a weighted ``design`` that no observation feels."""
+    felt = (model.every_output != 0.0).any(axis=0)
+    telling = np.asarray(abs(design.few).sum(axis=0))
+    unseen = np.flatnonzero(felt & (telling == 0.0))
+    if unseen.size:
+        raise _untold(_in_words(model, unseen, np.zeros((model.size[0], len(felt)), np.bool_)))
+
+
+def _untold(names: str) -> ObservabilityError:
+    return ObservabilityError(f"no observation tells of {names}: measure them, or leave them out")
 
 
 def _moving(model: Model, unknowns: int) -> Ints | slice:
@@ -678,8 +837,8 @@ def _told_by_others(model: Model, design: Floats | FewEach, root: Floats, scale:
     return bool((np.linalg.norm(left, axis=0) <= OPEN).all())
 
 
-def _factored(model: Model, white: Floats) -> tuple[Floats, Floats]:
-    """Return the basis (n, rank) of a whitened design, and a root (p, rank) of the cofactors.
+def _factored(model: Model, white: Floats) -> Whole:
+    """Return the cofactors of a whitened design (n, p).
 
     Of columns that were brought to length one: by QR, or by SVD where that is not firm. What is
     open is told by small singular values, whatever the units of the unknowns.
@@ -692,7 +851,7 @@ def _factored(model: Model, white: Floats) -> tuple[Floats, Floats]:
         if lapack.dtrcon(upper)[0] > FIRM and _is_open(model, scale, unit, basis, upper):
             root = np.zeros((len(scale), len(upper)))
             root[moving] = lapack.dtrtri(upper)[0]
-            return basis, root / scale[:, None]
+            return Whole(basis, root / scale[:, None])
     try:
         u, s, vt = np.linalg.svd(unit, full_matrices=False)
     except np.linalg.LinAlgError as error:  # the unknowns have run away
@@ -701,7 +860,7 @@ def _factored(model: Model, white: Floats) -> tuple[Floats, Floats]:
     if not determined.all() or len(s) < len(scale):
         full = vt if len(vt) == len(scale) else np.linalg.svd(unit)[2]
         _require_unfelt(model, scale, full[int(determined.sum()) :], white != 0.0)
-    return u[:, determined], vt[determined].T / s[determined] / scale[:, None]
+    return Whole(u[:, determined], vt[determined].T / s[determined] / scale[:, None])
 
 
 def _is_open(model: Model, scale: Floats, unit: Floats, basis: Floats, upper: Floats) -> bool:
@@ -743,9 +902,7 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) 
     unseen = (telling[:, : len(share)].sum(axis=0) == 0) & (share > FREE)
     if unseen.any():
         names = _in_words(model, np.flatnonzero(unseen), telling)
-        raise ObservabilityError(
-            f"no observation tells of {names}: measure them, or leave them out"
-        )
+        raise _untold(names)
     wanted = (outputs != 0.0).any(axis=0)[: len(share)]
     named = wanted & (share > NAMED * share[wanted].max())
     if len(lost) == 1:  # one part has moved against the other

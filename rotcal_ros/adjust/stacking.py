@@ -51,8 +51,10 @@ def whitened(model: Model) -> Model:
 
     def divided(effect: Disturbing) -> Disturbing:
         if callable(effect.columns):
-            return replace(effect, columns=lambda read: effect.at(read * std) / std[:, None])
-        return replace(effect, columns=effect.columns / std[:, None])
+            return replace(
+                effect, columns=lambda read: dense(effect.at(read * std)) / std[:, None]
+            )
+        return replace(effect, columns=dense(effect.columns) / std[:, None])
 
     return replace(
         model,
@@ -172,5 +174,5 @@ def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
         what=f"in {name} {effect.what}",
         columns=(lambda computed: spread(columns(computed[at])))
         if callable(columns)
-        else spread(columns),
+        else spread(dense(columns)),
     )
