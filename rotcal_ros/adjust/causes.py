@@ -22,10 +22,11 @@ from scipy.special import gammaln
 from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.distributions import normal_isf, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
+from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import CHECKED, Group
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
-from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, gathered_of, members_of
+from rotcal_ros.adjust.model import Disturbing, Model, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
     LEAST_FACTOR,
     LEAST_REDUNDANCY,
@@ -282,7 +283,10 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
         noise, fit = _settled_noise(diagnosis, bent)
-        look = Look(replace(diagnosis, noise=noise, start=fit.x), fit)
+        # what was judged before is judged anew: large groups are not kept twice
+        gathering = replace(diagnosis.gathering, judgement=None)
+        diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
+        look = Look(diagnosis, fit)
         diagnosis = look.diagnosis
         found = sorted(look.significant(), key=lambda e: -round(e.support / TIED))
         best = next((e for e in found if _bearable(diagnosis, e)), None)

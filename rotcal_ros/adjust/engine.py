@@ -28,9 +28,10 @@ from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
+from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
-from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, require_determined
+from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
