@@ -19,14 +19,13 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 from scipy.special import gammaln
 
-from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.distributions import normal_isf, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
-from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.fit import Fit, Whole, fitted
 from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import CHECKED, Group
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
-from rotcal_ros.adjust.model import Disturbing, Model, gathered_of, members_of
+from rotcal_ros.adjust.model import Disturbing, Model, Steps, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
     LEAST_FACTOR,
     LEAST_REDUNDANCY,
@@ -459,7 +458,8 @@ class Look:
         seen = seen_by(self.fit, columns, family=effect.family)
         if not effect.family:
             test = effect_test(seen, self.rest)
-            return [self._explanation(effect, dense(columns), seen, test)] if test.rank else []
+            whole = _columns(columns, slice(None))
+            return [self._explanation(effect, whole, seen, test)] if test.rank else []
         squares = member_squares(seen)
         if not squares.any():
             return []
@@ -469,7 +469,7 @@ class Look:
             test = effect_test(seen.part(member), self.rest)._replace(probability=chance)
             if test.rank:
                 found.append(
-                    self._explanation(effect, dense(columns[:, member]), seen.part(member), test)
+                    self._explanation(effect, _columns(columns, member), seen.part(member), test)
                 )
         return found
 
@@ -489,7 +489,7 @@ class Look:
             where = f" from {first} on" if stays else f" from {first} to {last}"
         return Explanation(
             f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
-            support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
+            support, price, -(test.size @ seen.moved[:]), effect, test.axes, test.probability,
         )  # fmt: skip
 
     def _groups(self) -> list[Group]:
@@ -512,34 +512,102 @@ class Look:
         return found
 
 
-def seen_by(fit: Fit, columns: Floats | csr_array, *, family: bool = False) -> Seen:
+def _columns(columns: Floats | Steps, which: slice) -> Floats:
+    return columns.whole(which) if isinstance(columns, Steps) else columns[:, which]
+
+
+def seen_by(fit: Fit, columns: Floats | Steps, *, family: bool = False) -> Seen:
     """Return what a solution makes of ``columns`` (n, k) of errors, of a ``family`` or together.
 
-    Of a family, which may have as many columns as there are observations, neighbours alone; only
-    a family has columns without their zeros.
+    Of a family, which may have as many columns as there are observations, neighbours alone.
     """
-    if isinstance(columns, csr_array):
-        white = columns.copy()
-        white.data /= np.repeat(np.where(fit.used, fit.std, np.inf), np.diff(columns.indptr))
+    if isinstance(columns, Steps):
+        if not isinstance(fit.cofactors, Whole):
+            return _steps_seen_by(fit, columns)
+        white = columns.few()
+        white.data /= np.repeat(np.where(fit.used, fit.std, np.inf), np.diff(white.indptr))
         white.eliminate_zeros()
-        return _family_seen_by(fit, white)
+        return _family_seen_by(fit, fit.cofactors, white)
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    if family:
-        return _family_seen_by(fit, csr_array(white))
+    if family and isinstance(fit.cofactors, Whole):
+        return _family_seen_by(fit, fit.cofactors, csr_array(white))
     left = fit.left_of(white)
     return Seen(fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0))
 
 
-def _family_seen_by(fit: Fit, white: csr_array) -> Seen:
+def _family_seen_by(fit: Fit, cofactors: Whole, white: csr_array) -> Seen:
     """Return what a solution makes of whitened columns (n, k), most of them zeros."""
+    taken = np.asarray(white.T @ cofactors.basis)  # (k, rank): what the unknowns take up of them
     whole = np.asarray((white * white).sum(axis=0))
     beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
-    of_own, of_next, moved = fit.family_taken(white)
-    own, beside = whole - of_own, beside - of_next
+    beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
+    own = whole - (taken**2).sum(axis=1)
     weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
     own[weak] = (fit.left_of(white[:, weak].toarray()) ** 2).sum(axis=0)
     information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
+    moved = np.asarray(white.T @ fit.response.T)
     return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
+
+
+def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:
+    """Return what a solution order by order makes of steps, by running sums along each run."""
+    moves = StepMoves(fit, steps)
+    parts = [np.zeros((4, 0)), *(_run_seen_by(fit, moves.root, *run) for run in steps.runs)]
+    own, beside, score, whole = np.concatenate(parts, axis=1)
+    ends = np.cumsum([len(first) for _, first in steps.runs])[:-1]
+    for end in ends[(ends > 0) & (ends < len(own))].tolist():
+        left = fit.left_of(moves.white(slice(end - 1, end + 1)))
+        beside[end - 1] = left[:, 0] @ left[:, 1]
+    for k in np.flatnonzero(own < WEAK * whole).tolist():  # a small difference of large numbers
+        own[k] = (fit.left_of(moves.white(slice(k, k + 1))) ** 2).sum()
+    between = beside[:-1]
+    information = diags_array([between, own, between], offsets=[-1, 0, 1], format="csr")
+    return Seen(moves, information, score, whole)
+
+
+def _run_seen_by(fit: Fit, root: Floats, rows: Ints, first: Ints) -> Floats:
+    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m)."""
+    mine = root[rows]
+    taken = _later(_later(mine[:, None] * fit.cofactors.among(rows) * mine).T)
+    square = _later(mine**2)[first]
+    own = square - taken[first, first]
+    beside = np.append(square[1:] - taken[first[:-1], first[1:]], [0.0] * (len(first) > 0))
+    return np.stack([own, beside, _later(mine * fit.white[rows])[first], square])
+
+
+@dataclass(frozen=True, eq=False)
+class StepMoves:
+    """What ``steps`` do to the outputs: (k, o + a), too many numbers to be kept."""
+
+    fit: Fit
+    steps: Steps
+
+    @cached_property
+    def root(self) -> Floats:
+        """By what an error is whitened (n,)."""
+        return np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
+
+    def white(self, which: slice) -> Floats:
+        """Return some columns (n, m), whitened."""
+        return np.asarray(self.steps.whole(which) * self.root[:, None])
+
+    def __getitem__(self, which: slice) -> Floats:
+        """Return what some columns do, (m, o + a)."""
+        return np.asarray(self.fit.moved(self.white(which)).T)
+
+    def worst(self, std: Floats) -> Floats:
+        """Return the most (k,) that each does to an output, in their ``std`` (o + a,)."""
+        counts = np.isfinite(std) & (std > 0.0)
+        found = [np.zeros(0)]
+        for rows, first in self.steps.runs:
+            felt = self.fit.response_of(rows)[counts] * self.root[rows] / std[counts, None]
+            found.append(_later(felt.T)[first].max(axis=1, initial=0.0))
+        return np.concatenate(found)
+
+
+def _later(rows: Floats) -> Floats:
+    """Return the sums of each of the ``rows`` (e, ...) and all that come later."""
+    return np.cumsum(rows[::-1], axis=0)[::-1]
 
 
 def _robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:

@@ -10,6 +10,7 @@ unknowns, are a low rank beside that (Woodbury).
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, TypeAlias
@@ -17,7 +18,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, lapack
-from scipy.sparse import csc_array, csr_array, vstack
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.arrow import FewEach
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -171,6 +172,61 @@ class Circular(FewEach):
 
 
 @dataclass(frozen=True, eq=False)
+class Outputs:
+    """Rows C (o, p) that differ little from one that they share: of many, little is kept.
+
+    ``few`` (o, p) beside the row of ``common`` (g, p) that each belongs to, by ``part`` (o,).
+    """
+
+    few: csr_array
+    common: Floats
+    part: Ints
+
+    @classmethod
+    def of(cls, parts: Sequence[Floats]) -> Outputs:
+        """Return those of ``parts`` (o, p), one below the other, that share a row each."""
+        common = np.zeros((len(parts), parts[0].shape[1]))
+        for k, rows in enumerate(parts):
+            if len(rows):  # what two of three rows share
+                common[k] = np.median(rows[[0, len(rows) // 2, -1]], axis=0)
+        few = [csr_array(rows - row) for rows, row in zip(parts, common, strict=True)]
+        part = np.repeat(np.arange(len(parts)), [len(rows) for rows in parts])
+        return cls(csr_array(vstack(few, format="csr")), common, part)
+
+    def __len__(self) -> int:
+        """Return their number o."""
+        return len(self.part)
+
+    def first(self, count: int) -> Outputs:
+        """Return the first ``count`` of them."""
+        return replace(self, few=self.few[:count], part=self.part[:count])
+
+    def times(self, x: Floats) -> Floats:
+        """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""
+        x = x[: self.common.shape[1]]
+        return np.asarray(self.few @ x + (self.common @ x)[self.part])
+
+    def parts(self, unknowns: int) -> Iterator[tuple[slice, Floats]]:
+        """Yield some rows after the other, (r, ``unknowns``) and which they are."""
+        more = ((0, 0), (0, unknowns - self.common.shape[1]))
+        for begin in range(0, len(self), AT_ONCE):
+            here = slice(begin, min(begin + AT_ONCE, len(self)))
+            yield here, np.pad(self.few[here].toarray() + self.common[self.part[here]], more)
+
+    @cached_property
+    def lengths(self) -> Floats:
+        """The length (o,) of each."""
+        every = self.parts(self.common.shape[1])
+        return np.concatenate([np.linalg.norm(rows, axis=1) for _, rows in every])
+
+    @cached_property
+    def felt(self) -> Bools:
+        """Which unknowns (p,) one of them feels."""
+        every = [(rows != 0.0).any(axis=0) for _, rows in self.parts(self.common.shape[1])]
+        return np.asarray(np.any(every, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
 class ByOrder:
     """The inverse normal matrix of complete ``turns``, order by order.
 
@@ -278,7 +334,7 @@ class Cofactors:
         """
         turns = design.turns
         share, usual, odd = turns.shares(design.weight)
-        if odd.sum() > turns.size or not usual.all():
+        if odd.sum() > turns.size:
             return None
         orders = ByOrder.of(turns, usual)
         if orders is None:
@@ -354,24 +410,6 @@ class Cofactors:
         """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
         return self.design.times(self.times(self.design.adjoint(white)))
 
-    def family_taken(self, white: csr_array, carried: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return what the unknowns take up of whitened columns (n, k), most of them zeros.
-
-        The square (k,) of each, the product (k - 1,) with the next, and what outputs (k, o) do,
-        whose N^-1 C' is ``carried`` (p + q, o).
-        """
-        columns, k = csc_array(white), white.shape[1]
-        own, beside, moved = np.zeros(k), np.zeros(k), np.zeros((k, carried.shape[1]))
-        for begin in range(0, k, AT_ONCE):
-            here = slice(begin, min(begin + AT_ONCE, k))
-            few = columns[:, here.start : here.stop + 1]
-            felt = np.concatenate([(self.design.few.T @ few).toarray(), self.design.extra.T @ few])
-            gain, count = self.times(felt), here.stop - begin
-            own[here] = (felt * gain).sum(axis=0)[:count]
-            beside[begin : begin + felt.shape[1] - 1] = (felt[:, 1:] * gain[:, :-1]).sum(axis=0)
-            moved[here] = felt[:, :count].T @ carried
-        return own, beside[:-1], moved
-
     def shared(self, part: Bools) -> Floats:
         """Return the sums of squares (c, c) of J N^-1 J' between parts (c, n) of the rows.
 
@@ -390,6 +428,10 @@ class Cofactors:
     def squares(self, rows: Floats) -> Floats:
         """Return the variances (k,) of what ``rows`` (k, p + q) make of the unknowns."""
         return np.asarray((rows * self.times(rows.T).T).sum(axis=1))
+
+    def gained(self, rows: Ints) -> Floats:
+        """Return N^-1 J' of some ``rows`` (k,), (p + q, k)."""
+        return self.times(self.design.rows(rows).T)
 
 
 def _inverse(square: Floats) -> Floats | None:

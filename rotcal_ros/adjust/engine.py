@@ -24,7 +24,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import gathering
-from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
@@ -106,13 +105,15 @@ class Adjusted:
 
     @cached_property
     def _covariance(self) -> Floats:
-        """Covariance (o + a, o + a) of all outputs."""
-        few = self.scale * self._student
-        total = few[:, None] * self.fit.covariance * few
+        """Covariance of the outputs that count; of all (o + a) where it is the whole matrix."""
+        fit = self.fit
+        count = len(self.model.outputs if fit.by_order is not None else fit.value)
+        few = (self.scale * self._student)[:count]
+        total = few[:, None] * fit.covariance(count) * few
         for weight, change in self.diagnosis.contested():
-            total = total + weight * np.outer(change, change)
+            total = total + weight * np.outer(change[:count], change[:count])
         gathers = self.diagnosis.gathering.covariance()
-        return np.asarray(total if gathers is None else total + gathers)
+        return np.asarray(total if gathers is None else total + gathers[:count, :count])
 
     @cached_property
     def also(self) -> Mapping[str, tuple[Floats, Floats]]:
@@ -166,7 +167,13 @@ class Adjusted:
 
     @cached_property
     def _every_std(self) -> Floats:
-        return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
+        if self.fit.by_order is None:
+            return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
+        variance = (self.scale * self._student) ** 2 * self.fit.variance
+        for weight, change in self.diagnosis.contested():
+            variance = variance + weight * change**2
+        gathers = self.diagnosis.gathering.covariance()
+        return np.sqrt(variance if gathers is None else variance + gathers.diagonal())
 
     @property
     def counting_std(self) -> Floats:
@@ -376,7 +383,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     every = {
         e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)
         for e in model.effects
-        if dense(e.at(computed)).any()
+        if e.whole(computed).any()
     }
     return PlanPrediction(std, fit.redundancy, every)
 

@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.arrow import (
     Arrow,
@@ -106,21 +105,27 @@ class Fit:
         return dense(self.jacobian)
 
     @cached_property
+    def by_order(self) -> Cofactors | None:
+        """The cofactors of circles; None of others, or where too much is missing for that."""
+        if not isinstance(self.jacobian, Circular):
+            return None
+        return _by_order(self.model, self.jacobian.weighted(self.used / self.std))
+
+    @cached_property
     def cofactors(self) -> Whole | Cofactors:
         """Those of x (p + q, p + q), from the whitened design of what is used."""
-        weight = self.used / self.std
-        if isinstance(self.jacobian, Circular):
-            by_order = _by_order(self.model, self.jacobian.weighted(weight))
-            if by_order is not None:
-                return by_order
-        return _factored(self.model, self.design * weight[:, None])
+        if self.by_order is not None:
+            return self.by_order
+        return _factored(self.model, self.design * (self.used / self.std)[:, None])
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
         found = self.cofactors
         if isinstance(found, Whole):
             return np.asarray((found.root @ found.basis.T)[unknowns])
-        return np.asarray(found.design.times(found.times(np.eye(len(self.x))[:, unknowns])).T)
+        count = unknowns.stop - unknowns.start
+        each = np.eye(len(self.x), count, -unknowns.start)
+        return np.asarray(found.design.times(found.times(each)).T)
 
     def _rows(self, which: Bools) -> Floats:
         """Return the derivatives (k, p + q) of some observations."""
@@ -174,6 +179,8 @@ class Fit:
     @property
     def value(self) -> Floats:
         """All outputs (o + a,)."""
+        if self.by_order is not None:
+            return self.model.told.times(self.x)
         return np.asarray(self.outputs @ self.x)
 
     @cached_property
@@ -189,49 +196,48 @@ class Fit:
         found = self.cofactors
         if isinstance(found, Whole):
             return self.response[:, rows]
-        p = self.model.size[1]
-        few, extra = found.design.few[rows], found.design.extra[rows]
-        return np.asarray((few @ self._carried[:p] + extra @ self._carried[p:]).T)
-
-    @cached_property
-    def _carried(self) -> Floats:
-        """N^-1 C', (p + q, o + a)."""
-        assert isinstance(self.cofactors, Cofactors)
-        return self.cofactors.times(self.outputs.T)
+        parts = np.array_split(rows, len(rows) // AT_ONCE + 1)
+        return np.hstack([self.model.told.times(found.gained(part)) for part in parts])
 
     def moved(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) do to the outputs, (o + a, k): B times them."""
         found = self.cofactors
         if isinstance(found, Whole):
             return np.asarray(self.response @ white)
-        return np.asarray(self._carried.T @ found.design.adjoint(white))
+        return self.model.told.times(found.times(found.design.adjoint(white)))
 
-    def family_taken(self, white: csr_array) -> tuple[Floats, Floats, Floats]:
-        """Return what the unknowns take up of whitened columns (n, k), most of them zeros.
-
-        The square (k,) of each, the product (k - 1,) with the next, and what the outputs do
-        (k, o + a).
-        """
+    def covariance(self, count: int) -> Floats:
+        """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
         found = self.cofactors
-        if isinstance(found, Cofactors):
-            return found.family_taken(white, self._carried)
-        taken = np.asarray(white.T @ found.basis)  # (k, rank)
-        beside = (taken[:-1] * taken[1:]).sum(axis=1)
-        return (taken**2).sum(axis=1), beside, np.asarray(white.T @ self.response.T)
+        if isinstance(found, Whole):
+            return self._covariance[:count, :count]
+        first, whole = self.model.told.first(count), np.zeros((count, count))
+        for here, rows in first.parts(len(self.x)):
+            whole[:, here] = first.times(found.times(rows.T))
+        whole += whole.T.copy()
+        whole *= 0.5
+        return whole
 
     @cached_property
-    def covariance(self) -> Floats:
-        """Covariance (o + a, o + a) of the outputs, by the noise alone: B B'."""
-        if isinstance(self.cofactors, Whole):
-            return np.asarray(self.response @ self.response.T)
-        whole = self.outputs @ self._carried
-        return np.asarray(0.5 * (whole + whole.T))
+    def _covariance(self) -> Floats:
+        return np.asarray(self.response @ self.response.T)
+
+    @cached_property
+    def variance(self) -> Floats:
+        """Variances (o + a,) of the outputs, by the noise alone."""
+        found = self.cofactors
+        if isinstance(found, Whole):
+            return self._covariance.diagonal()
+        parts = self.model.told.parts(len(self.x))
+        return np.concatenate([found.squares(rows) for _, rows in parts])
 
     def variance_from(self, part: Bools) -> Floats:
         """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
         if isinstance(self.cofactors, Whole):
             return np.asarray((self.response**2) @ part.T.astype(np.float64))
-        found, every = np.zeros((len(self.outputs), len(part))), np.arange(len(self.std))
+        if len(part) == 1:
+            return self.variance[:, None]
+        found, every = np.zeros((len(self.model.told), len(part))), np.arange(len(self.std))
         for rows in np.array_split(every, len(every) // AT_ONCE + 1):
             found += self.response_of(rows) ** 2 @ part[:, rows].T.astype(np.float64)
         return found
@@ -239,14 +245,17 @@ class Fit:
     @cached_property
     def output_std(self) -> Floats:
         """Standard deviations (o + a,) of the outputs; infinite for those that count nowhere."""
-        if isinstance(self.jacobian, Circular) and "cofactors" not in self.__dict__:
+        if self.by_order is not None:
+            return self.counting(np.sqrt(self.variance))
+        if isinstance(self.jacobian, Circular):
             plain = Eliminated.of(self.jacobian.weighted(self.used / self.std))
             if plain is not None:
-                return self.counting(np.sqrt(plain.squares(self.outputs)))
+                parts = self.model.told.parts(len(self.x))
+                squares = np.concatenate([plain.squares(rows) for _, rows in parts])
+                return self.counting(np.sqrt(squares))
         found = self.cofactors
-        if isinstance(found, Whole):
-            return self.counting(np.linalg.norm(self.outputs @ found.root, axis=1))
-        return self.counting(np.sqrt((self.outputs.T * self._carried).sum(axis=0)))
+        assert isinstance(found, Whole)
+        return self.counting(np.linalg.norm(self.outputs @ found.root, axis=1))
 
     def felt(self, change: Floats) -> bool:
         """Whether a ``change`` (o + a,) of the outputs is no trifle for those that count."""
@@ -285,9 +294,11 @@ def _by_order(model: Model, design: Circular) -> Cofactors | None:
     Then the whole design tells which unknowns are at fault.
     """
     found = Cofactors.of(design)
-    if found is None or not _is_unfelt(model.every_output, found.orders.directions):
+    if found is None:
         return None
-    return found
+    directions = found.orders.directions
+    felt = np.abs(model.told.times(directions))
+    return found if _are_small(felt, model.told.lengths, directions) else None
 
 
 def fitted(
@@ -401,7 +412,7 @@ def _step(
 
 def _require_told(model: Model, design: Circular) -> None:
     """Raise ObservabilityError for unknowns of a weighted ``design`` that no observation feels."""
-    felt = (model.every_output != 0.0).any(axis=0)
+    felt = model.told.felt
     telling = np.asarray(abs(design.few).sum(axis=0))
     unseen = np.flatnonzero(felt & (telling == 0.0))
     if unseen.size:
@@ -483,8 +494,13 @@ def _is_open(model: Model, scale: Floats, unit: Floats, basis: Floats, upper: Fl
 def _is_unfelt(outputs: Floats, directions: Floats) -> bool:
     """Whether ``outputs`` (o, p + q) feel none of the ``directions`` (p + q, k)."""
     felt = np.abs(outputs @ directions)
+    return _are_small(felt, np.linalg.norm(outputs, axis=1), directions)
+
+
+def _are_small(felt: Floats, outputs: Floats, directions: Floats) -> bool:
+    """Whether what outputs of these lengths (o,) have ``felt`` (o, k) is nothing but rounding."""
     lengths = np.linalg.norm(directions, axis=0)
-    return bool((felt <= FREE * np.linalg.norm(outputs, axis=1, keepdims=True) * lengths).all())
+    return bool((felt <= FREE * outputs[:, None] * lengths).all())
 
 
 def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) -> None:

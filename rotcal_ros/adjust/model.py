@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csc_array, csr_array
 
 from rotcal_ros.adjust.arrow import (
     Design,
@@ -25,6 +25,7 @@ from rotcal_ros.adjust.arrow import (
     times,
     weighted,
 )
+from rotcal_ros.adjust.circles import Outputs
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.subsets import runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -84,6 +85,45 @@ class Grouping(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Steps:
+    """Shifts by one unit from each moment within a run on, in time: columns (n, k).
+
+    They are written out when they are asked for: of many observations they are very many.
+    ``run`` (n,): -1 for none; ``when`` (n,): the order or the time.
+    """
+
+    run: Ints
+    when: Floats
+
+    @cached_property
+    def runs(self) -> list[tuple[Ints, Ints]]:
+        """Of each run its rows (e,) in time, and with which of them its columns (m,) begin."""
+        found = []
+        for number in np.unique(self.run[self.run >= 0]):
+            mine = np.flatnonzero(self.run == number)
+            rows = mine[np.argsort(self.when[mine], kind="stable")]
+            found.append((rows, np.unique(self.when[rows], return_index=True)[1][1:]))
+        return found
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers n of observations and k of columns."""
+        return len(self.run), sum(len(first) for _, first in self.runs)
+
+    def few(self, which: slice = slice(None)) -> csr_array:
+        """Return some columns (n, m) by those entries that are not zero."""
+        touched = [rows[k:] for rows, first in self.runs for k in first.tolist()][which]
+        begin = np.append(0, np.cumsum([len(rows) for rows in touched], dtype=np.int64))
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *touched])
+        entries = np.ones(len(rows)), rows, begin
+        return csr_array(csc_array(entries, shape=(len(self.run), len(touched))))
+
+    def whole(self, which: slice = slice(None)) -> Floats:
+        """Return some columns (n, m), zeros included."""
+        return np.asarray(self.few(which).toarray())
+
+
+@dataclass(frozen=True, eq=False)
 class Disturbing:
     """An effect that could spoil the observations: ``columns`` (n, k) of errors per unit of size.
 
@@ -92,19 +132,24 @@ class Disturbing:
     ones hold the very noise that they would explain. ``what`` happens, for people.
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
     ``family`` has columns of which at most one is there, in the order of time; other columns are
-    there together. Of many columns, those entries that are not zero are enough.
+    there together.
     """
 
     effect: Effect
     what: str
-    columns: Floats | csr_array | Callable[[Floats], Floats]
+    columns: Floats | Steps | Callable[[Floats], Floats]
     largest: float
     unit: Unit = SECONDS
     family: bool = False
 
-    def at(self, computed: Floats) -> Floats | csr_array:
+    def at(self, computed: Floats) -> Floats | Steps:
         """Return the columns (n, k) where the observations are ``computed`` (n,)."""
         return self.columns(computed) if callable(self.columns) else self.columns
+
+    def whole(self, computed: Floats) -> Floats:
+        """Return the same, written out."""
+        found = self.at(computed)
+        return found.whole() if isinstance(found, Steps) else found
 
 
 def linear(design: Design) -> Equations:
@@ -135,21 +180,7 @@ def drifts(run: Ints, when: Floats) -> Floats:
 
 def knocks(run: Ints, when: Floats) -> Floats:
     """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k)."""
-    return np.asarray(few_knocks(run, when).toarray())
-
-
-def few_knocks(run: Ints, when: Floats) -> csr_array:
-    """Return the same as :func:`knocks` without its zeros, which are most of many."""
-    before, count = np.zeros(len(run), dtype=np.int64), 0
-    earlier = np.zeros(len(run), dtype=np.int64)
-    for number in np.unique(run[run >= 0]):
-        mine = run == number
-        moments, earlier[mine] = np.unique(when[mine], return_inverse=True)
-        before[mine], count = count, count + len(moments) - 1
-    ends = np.cumsum(earlier)
-    column = np.arange(earlier.sum()) + np.repeat(before - ends + earlier, earlier)
-    data, begin = np.ones(len(column)), np.append(0, ends)
-    return csr_array((data, column, begin), shape=(len(run), count))
+    return Steps(run, when).whole()
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str]:
@@ -179,7 +210,7 @@ def instrument_effects(
     overlook, ``scale`` the same of its scale, 0.1 for one that may be off by 10 %; ``moved``: what
     may be moved.
     """
-    drifting, shifted = drifts(run, when), few_knocks(run, when)
+    drifting, shifted = drifts(run, when), Steps(run, when)
     drift, alone, moves, wrong = effect_texts(instrument, moved)
     found = [Disturbing("drift", drift, drifting, largest, unit)]
     if drifting.shape[1] > 1:
@@ -273,7 +304,7 @@ class Model:
                 raise DataError(
                     f"{name} of the model: shape {found}, expected {wanted or (n, 'k')}"
                 )
-            if not np.isfinite(values.data if isinstance(values, csr_array) else values).all():
+            if not (isinstance(values, Steps) or np.isfinite(values).all()):
                 raise DataError(f"{name} of the model: expected finite numbers")
         if not (self.std > 0.0).all():
             raise DataError("std of the model: expected positive numbers")
@@ -306,6 +337,11 @@ class Model:
     def every_output(self) -> Floats:
         """``outputs`` and, below them, all of ``also`` (o + a, p)."""
         return np.concatenate([self.outputs, *self.also.values()])
+
+    @cached_property
+    def told(self) -> Outputs:
+        """The same by what they have in common."""
+        return Outputs.of([self.outputs, *self.also.values()])
 
     @cached_property
     def held(self) -> Ints:
@@ -355,15 +391,16 @@ class Model:
             return np.append(computed, rows @ x), beside(design, rows)
 
         def spared(effect: Disturbing) -> Disturbing:
-            if callable(effect.columns):
-                return replace(
-                    effect, columns=lambda computed: below(dense(effect.at(computed[:n])))
-                )
-            return replace(effect, columns=below(effect.columns))
+            columns = effect.columns
+            if callable(columns):
+                return replace(effect, columns=lambda computed: below(columns(computed[:n])))
+            if isinstance(columns, Steps):
+                none, nowhere = np.full(k, -1), np.zeros(k)
+                steps = Steps(np.append(columns.run, none), np.append(columns.when, nowhere))
+                return replace(effect, columns=steps)
+            return replace(effect, columns=below(columns))
 
-        def below(columns: Floats | csr_array) -> Floats | csr_array:
-            if isinstance(columns, csr_array):
-                return csr_array(vstack([columns, csr_array((k, columns.shape[1]))]))
+        def below(columns: Floats) -> Floats:
             return np.pad(columns, ((0, k), (0, 0)))
 
         return replace(

@@ -169,15 +169,13 @@ def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int, coordinates: int 
     for each; where they are made of the block ECC, an arrival that is off moves each as that does.
     Declared effects strike with all their columns alike, a family at one moment.
     """
-    from rotcal_ros.adjust.arrow import dense
-
     noise, other = streams(seed)
     exact = model.observed
     found = exact + sizes.get("axis noise", 1.0) * model.std * noise.standard_normal(len(exact))
     off = np.repeat(arrival_errors(plan, sizes, other), coordinates)
     found[: len(off)] += _per_turn(model)[: len(off)] * off
     for effect in model.effects:
-        columns = dense(effect.at(exact))
+        columns = effect.whole(exact)
         moment = other.integers(columns.shape[1])
         pattern = columns[:, moment] if effect.family else columns.sum(axis=1)
         found = found + sizes.get(effect.effect, 0.0) * pattern

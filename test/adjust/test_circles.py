@@ -1,5 +1,6 @@
 """Circles order by order: what dense least squares and the general solution say, in any case."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -172,10 +173,14 @@ def test_order_by_order_says_what_the_whole_matrix_says(name):
     drawn = [each.trials(np.random.default_rng(1), 3) for each in (found, expected)]
     # what gathers is drawn by the root of its covariance, which has half of the digits
     assert drawn[0] == pytest.approx(drawn[1], abs=1e-6 * SIGMA)
-    for mine, other in zip(found.protections(), expected.protections(), strict=True):
-        assert (mine.effect, mine.treatment, mine.why) == (
-            other.effect, other.treatment, other.why
-        )  # fmt: skip
+    assert [words_of(p) for p in found.protections()] == [
+        words_of(p) for p in expected.protections()
+    ]
+
+
+def words_of(protection):
+    """Return what is told, without which of several settings that are alike it is."""
+    return protection.effect, protection.treatment, re.sub(r"setting \d", "a", protection.why)
 
 
 def test_a_wrong_reading_changes_what_dense_least_squares_without_it_says():
