@@ -22,7 +22,8 @@ from scipy.optimize import least_squares
 
 from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.model import Model, fitted
+from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.methods.table_balls.model import model_of
 from rotcal_ros.methods.table_balls.settings import BallsPlanSettings
 

@@ -52,6 +52,10 @@ class FewEach:
         n = self.few.shape[0]
         return np.asarray(self.few.T @ y[:n] + self.known.T @ y[n:])
 
+    def beside(self, rows: Floats) -> FewEach:
+        """Return the design with further ``rows`` (k, p) at its end."""
+        return FewEach(self.few, np.concatenate([self.known, rows]))
+
 
 Design: TypeAlias = "Floats | csr_array | FewEach"
 """Derivatives (n, p), whole or only those that may not be zero."""
@@ -69,7 +73,7 @@ def beside(design: Design, rows: Floats) -> Design:
     if isinstance(design, np.ndarray):
         return np.concatenate([design, rows])
     if isinstance(design, FewEach):
-        return FewEach(design.few, np.concatenate([design.known, rows]))
+        return design.beside(rows)
     return FewEach(design, rows)
 
 
@@ -83,7 +87,7 @@ def weighted(design: Design, weight: Floats) -> Floats | FewEach:
     return few.weighted(weight)
 
 
-def times(design: Floats | FewEach, x: Floats) -> Floats:
+def times(design: Design, x: Floats) -> Floats:
     """Return a design (n, p) times ``x`` (p,) or (p, k)."""
     return design.times(x) if isinstance(design, FewEach) else np.asarray(design @ x)
 

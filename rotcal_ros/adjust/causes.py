@@ -22,10 +22,11 @@ from scipy.special import gammaln
 from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.distributions import normal_isf, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
+from rotcal_ros.adjust.fit import Fit, Whole, fitted
 from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import CHECKED, Group
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
-from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, gathered_of, members_of
+from rotcal_ros.adjust.model import Disturbing, Model, Steps, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
     LEAST_FACTOR,
     LEAST_REDUNDANCY,
@@ -275,7 +276,7 @@ def _improbability(diagnosis: Diagnosis) -> float:
     """
     fit, n = diagnosis.fit, len(diagnosis.used)
     factors = diagnosis.noise.factors[diagnosis.model.of_component[diagnosis.used]]
-    unknowns = fit.basis.shape[1] - sum(e.columns.shape[1] for e in diagnosis.taken)
+    unknowns = fit.cofactors.rank - sum(e.columns.shape[1] for e in diagnosis.taken)
     spread = 2.0 * float(np.log(factors).sum())
     return float(fit.chi2 + spread + unknowns * np.log(n) + diagnosis.price)
 
@@ -284,7 +285,10 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
         noise, fit = _settled_noise(diagnosis, bent)
-        look = Look(replace(diagnosis, noise=noise, start=fit.x), fit)
+        # what was judged before is judged anew: large groups are not kept twice
+        gathering = replace(diagnosis.gathering, judgement=None)
+        diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
+        look = Look(diagnosis, fit)
         diagnosis = look.diagnosis
         found = sorted(look.significant(), key=lambda e: -round(e.support / TIED))
         best = next((e for e in found if _bearable(diagnosis, e)), None)
@@ -411,7 +415,7 @@ class Look:
         return Explanation(
             f"{model.names[row]} is off by {model.unit.shown(size)}", reason,
             np.eye(len(fit.white), 1, -row), np.array([row]), support, price,
-            -fit.response[:, row] * size / fit.std[row],
+            -fit.response_of(np.array([row]))[:, 0] * size / fit.std[row],
         )  # fmt: skip
 
     @cached_property
@@ -459,7 +463,8 @@ class Look:
         seen = seen_by(self.fit, columns, family=effect.family)
         if not effect.family:
             test = effect_test(seen, self.rest)
-            return [self._explanation(effect, columns, seen, test)] if test.rank else []
+            whole = _columns(columns, slice(None))
+            return [self._explanation(effect, whole, seen, test)] if test.rank else []
         squares = member_squares(seen)
         if not squares.any():
             return []
@@ -469,7 +474,7 @@ class Look:
             test = effect_test(seen.part(member), self.rest)._replace(probability=chance)
             if test.rank:
                 found.append(
-                    self._explanation(effect, columns[:, member], seen.part(member), test)
+                    self._explanation(effect, _columns(columns, member), seen.part(member), test)
                 )
         return found
 
@@ -489,46 +494,56 @@ class Look:
             where = f" from {first} on" if stays else f" from {first} to {last}"
         return Explanation(
             f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
-            support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
+            support, price, -(test.size @ seen.moved[:]), effect, test.axes, test.probability,
         )  # fmt: skip
 
     def _groups(self) -> list[Group]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model, found = self.fit, self.before.model, list[Group]()
-        basis, response = fit.basis, fit.response
         for grouping in model.groupings:
             for number, members in members_of(grouping, model.may_go).items():
                 kept = members[fit.used[members]]
-                if not 1 < len(kept) < len(basis):
+                if not 1 < len(kept) < len(fit.used):
                     continue
+                gathered = gathered_of(grouping, kept)
+                # of others it is not asked what gathers, nor what that would do
+                felt = fit.response_of(kept) if len(gathered) else np.zeros((0, len(kept)))
                 group = Group.of(
                     grouping.kind, f"{grouping.kind} {number}", kept, fit.white[kept][:, None],
-                    1.0 / fit.std[kept][:, None], basis[kept] @ basis[kept].T,
-                    Sensitivity.whole(response[:, kept]), gathered_of(grouping, kept),
-                    len(members) - len(kept),
+                    1.0 / fit.std[kept][:, None], fit.cofactors.among(kept),
+                    Sensitivity.whole(felt), gathered, len(members) - len(kept),
                 )  # fmt: skip
                 found.append(group)
         return found
 
 
-def seen_by(fit: Fit, columns: Floats, *, family: bool = False) -> Seen:
+def _columns(columns: Floats | Steps, which: slice) -> Floats:
+    return columns.whole(which) if isinstance(columns, Steps) else columns[:, which]
+
+
+def seen_by(fit: Fit, columns: Floats | Steps, *, family: bool = False) -> Seen:
     """Return what a solution makes of ``columns`` (n, k) of errors, of a ``family`` or together.
 
     Of a family, which may have as many columns as there are observations, neighbours alone.
     """
+    if isinstance(columns, Steps):
+        if not isinstance(fit.cofactors, Whole):
+            return _steps_seen_by(fit, columns)
+        white = columns.few()
+        white.data /= np.repeat(np.where(fit.used, fit.std, np.inf), np.diff(white.indptr))
+        white.eliminate_zeros()
+        return _family_seen_by(fit, fit.cofactors, white)
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    if family:
+    if family and isinstance(fit.cofactors, Whole):
         few = np.count_nonzero(white) < FEW * white.size
-        return _family_seen_by(fit, csr_array(white) if few else white)
+        return _family_seen_by(fit, fit.cofactors, csr_array(white) if few else white)
     left = fit.left_of(white)
-    return Seen(
-        (fit.response @ white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0)
-    )
+    return Seen(fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0))
 
 
-def _family_seen_by(fit: Fit, white: Floats | csr_array) -> Seen:
+def _family_seen_by(fit: Fit, cofactors: Whole, white: Floats | csr_array) -> Seen:
     """Return what a solution makes of whitened columns (n, k), sparse if most of them is zeros."""
-    taken = np.asarray(white.T @ fit.basis)  # (k, rank): what the unknowns take up of them
+    taken = np.asarray(white.T @ cofactors.basis)  # (k, rank): what the unknowns take up of them
     whole = np.asarray((white * white).sum(axis=0))
     beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
     beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
@@ -536,8 +551,69 @@ def _family_seen_by(fit: Fit, white: Floats | csr_array) -> Seen:
     weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
     own[weak] = (fit.left_of(dense(white[:, weak])) ** 2).sum(axis=0)
     information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
-    moved = taken @ (fit.outputs @ fit.root).T
+    moved = taken @ (fit.outputs @ cofactors.root).T
     return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
+
+
+def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:
+    """Return what a solution order by order makes of steps, by running sums along each run."""
+    moves = StepMoves(fit, steps)
+    parts = [np.zeros((4, 0)), *(_run_seen_by(fit, moves.root, *run) for run in steps.runs)]
+    own, beside, score, whole = np.concatenate(parts, axis=1)
+    ends = np.cumsum([len(first) for _, first in steps.runs])[:-1]
+    for end in ends[(ends > 0) & (ends < len(own))].tolist():
+        left = fit.left_of(moves.white(slice(end - 1, end + 1)))
+        beside[end - 1] = left[:, 0] @ left[:, 1]
+    for k in np.flatnonzero(own < WEAK * whole).tolist():  # a small difference of large numbers
+        own[k] = (fit.left_of(moves.white(slice(k, k + 1))) ** 2).sum()
+    between = beside[:-1]
+    information = diags_array([between, own, between], offsets=[-1, 0, 1], format="csr")
+    return Seen(moves, information, score, whole)
+
+
+def _run_seen_by(fit: Fit, root: Floats, rows: Ints, first: Ints) -> Floats:
+    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m)."""
+    mine = root[rows]
+    taken = _later(_later(mine[:, None] * fit.cofactors.among(rows) * mine).T)
+    square = _later(mine**2)[first]
+    own = square - taken[first, first]
+    beside = np.append(square[1:] - taken[first[:-1], first[1:]], [0.0] * (len(first) > 0))
+    return np.stack([own, beside, _later(mine * fit.white[rows])[first], square])
+
+
+@dataclass(frozen=True, eq=False)
+class StepMoves:
+    """What ``steps`` do to the outputs: (k, o + a), too many numbers to be kept."""
+
+    fit: Fit
+    steps: Steps
+
+    @cached_property
+    def root(self) -> Floats:
+        """By what an error is whitened (n,)."""
+        return np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
+
+    def white(self, which: slice) -> Floats:
+        """Return some columns (n, m), whitened."""
+        return np.asarray(self.steps.whole(which) * self.root[:, None])
+
+    def __getitem__(self, which: slice) -> Floats:
+        """Return what some columns do, (m, o + a)."""
+        return np.asarray(self.fit.moved(self.white(which)).T)
+
+    def worst(self, std: Floats) -> Floats:
+        """Return the most (k,) that each does to an output, in their ``std`` (o + a,)."""
+        counts = np.isfinite(std) & (std > 0.0)
+        found = [np.zeros(0)]
+        for rows, first in self.steps.runs:
+            felt = self.fit.response_of(rows)[counts] * self.root[rows] / std[counts, None]
+            found.append(_later(felt.T)[first].max(axis=1, initial=0.0))
+        return np.concatenate(found)
+
+
+def _later(rows: Floats) -> Floats:
+    """Return the sums of each of the ``rows`` (e, ...) and all that come later."""
+    return np.cumsum(rows[::-1], axis=0)[::-1]
 
 
 def _robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
@@ -660,8 +736,6 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     if bent:
         squares = bent_squares(squares, redundancy, CHECKED)
     part = (model.of_component == np.arange(count)[:, None]) & fit.used
-    # R is a projection: the squared sums of its blocks follow from the basis of its complement
-    basis = np.array([fit.basis[rows].T @ fit.basis[rows] for rows in part])
-    between = np.einsum("kab,lab->kl", basis, basis)
-    information = between + np.diag(part @ (2.0 * redundancy - 1.0))
+    # R is a projection: the squared sums of its blocks follow from those of its complement
+    information = fit.cofactors.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
     return NoiseEvidence(part.any(axis=1), part @ squares, part @ redundancy, information)

@@ -14,7 +14,7 @@ time are alike, so that the largest of many is judged by the expected number of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -34,6 +34,16 @@ HARMLESS: Final = 0.1
 """Error, in standard uncertainties, of what cannot be told from nothing."""
 
 
+class Moves(Protocol):
+    """What each of k columns does to o outputs, (k, o), worked out when it is asked for."""
+
+    def __getitem__(self, which: slice) -> Floats:
+        """Return what some of them do, (m, o)."""
+
+    def worst(self, std: Floats) -> Floats:
+        """Return the most (k,) that each does to an output, in their standard uncertainties."""
+
+
 @dataclass(frozen=True, eq=False)
 class Seen:
     """What the solution makes of k columns of errors, each of unit size.
@@ -43,7 +53,7 @@ class Seen:
     their squared length before the unknowns took up their part.
     """
 
-    moved: Floats
+    moved: Floats | Moves
     information: Floats | csr_array
     score: Floats
     whole: Floats
@@ -197,7 +207,7 @@ def unseen(
     would overlook. ``significance``: of this effect's own test. ``dof``: degrees of freedom of the
     adjustment, where the noise was estimated from it.
     """
-    share = _share(seen.moved, std)
+    share = _share(seen.moved[:], std)
     axes, values, silent = _axes(seen)
     columns = max(len(seen.whole), 1)
     if dof - columns < 1.0:
@@ -227,7 +237,11 @@ def unseen_family(
 
     Arguments as of :func:`unseen`.
     """
-    share = _share(seen.moved, std).max(axis=1, initial=0.0)
+    moved = seen.moved
+    if isinstance(moved, np.ndarray):
+        share = _share(moved, std).max(axis=1, initial=0.0)
+    else:
+        share = moved.worst(std)
     if not len(share):
         return Unseen(0.0, found=True)
     if dof - 1.0 < 1.0:

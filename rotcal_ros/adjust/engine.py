@@ -27,9 +27,10 @@ from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
+from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
-from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, require_determined
+from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -104,13 +105,15 @@ class Adjusted:
 
     @cached_property
     def _covariance(self) -> Floats:
-        """Covariance (o + a, o + a) of all outputs."""
-        few = self.scale * self._student
-        total = few[:, None] * (self.fit.response @ self.fit.response.T) * few
+        """Covariance of the outputs that count; of all (o + a) where it is the whole matrix."""
+        fit = self.fit
+        count = len(self.model.outputs if fit.by_order is not None else fit.value)
+        few = (self.scale * self._student)[:count]
+        total = few[:, None] * fit.covariance(count) * few
         for weight, change in self.diagnosis.contested():
-            total = total + weight * np.outer(change, change)
+            total = total + weight * np.outer(change[:count], change[:count])
         gathers = self.diagnosis.gathering.covariance()
-        return np.asarray(total if gathers is None else total + gathers)
+        return np.asarray(total if gathers is None else total + gathers[:count, :count])
 
     @cached_property
     def also(self) -> Mapping[str, tuple[Floats, Floats]]:
@@ -133,7 +136,7 @@ class Adjusted:
         if estimated is None:
             return np.ones(len(self.fit.value))
         part = model.of_component == np.arange(len(model.components))[:, None]
-        variance = (self.fit.response**2) @ part.T.astype(np.float64)  # (o, c)
+        variance = self.fit.variance_from(part)  # (o, c)
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
         known = np.where(checked, estimated.log_std, 0.0)
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
@@ -150,7 +153,7 @@ class Adjusted:
             assert e.effect is not None
             assert e.mixing is not None
             own = slice(first, first + e.columns.shape[1])
-            gain = e.mixing @ self.fit.gain[own]
+            gain = e.mixing @ self.fit.gain(own)
             std = self.scale * np.linalg.norm(gain, axis=1)
             sizes = e.mixing @ self.fit.x[own]
             found.append(FoundEffect(e.effect, e.what, sizes, std, e.probability))
@@ -164,7 +167,13 @@ class Adjusted:
 
     @cached_property
     def _every_std(self) -> Floats:
-        return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
+        if self.fit.by_order is None:
+            return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
+        variance = (self.scale * self._student) ** 2 * self.fit.variance
+        for weight, change in self.diagnosis.contested():
+            variance = variance + weight * change**2
+        gathers = self.diagnosis.gathering.covariance()
+        return np.sqrt(variance if gathers is None else variance + gathers.diagonal())
 
     @property
     def counting_std(self) -> Floats:
@@ -309,7 +318,7 @@ class Adjusted:
         used = self.fit.used[:count].reshape(measured, coordinates)
         seen, known = np.flatnonzero(used.any(axis=1)), np.arange(count, len(self.fit.used))
         rows = (seen[:, None] * coordinates + np.arange(coordinates)).ravel()
-        felt = self.scale * self.fit.response[:, np.append(rows, known)]
+        felt = self.scale * self.fit.response_of(np.append(rows, known))
         causes = tuple(self.model.names[row] for row in known.tolist())
         parts = {n: felt[part] for n, part in components.items()}
         return Influence(seen, coordinates, parts, causes)
@@ -374,7 +383,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     every = {
         e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)
         for e in model.effects
-        if e.at(computed).any()
+        if e.whole(computed).any()
     }
     return PlanPrediction(std, fit.redundancy, every)
 

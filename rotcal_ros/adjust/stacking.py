@@ -17,7 +17,7 @@ import numpy as np
 
 from rotcal_ros.adjust.arrow import Design, dense
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit
+from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Steps, Unit
 from rotcal_ros.foundation.arrays import Floats
 
 IN_NOISE: Final = Unit("standard deviations", 1.0)
@@ -51,8 +51,8 @@ def whitened(model: Model) -> Model:
 
     def divided(effect: Disturbing) -> Disturbing:
         if callable(effect.columns):
-            return replace(effect, columns=lambda read: effect.at(read * std) / std[:, None])
-        return replace(effect, columns=effect.columns / std[:, None])
+            return replace(effect, columns=lambda read: effect.whole(read * std) / std[:, None])
+        return replace(effect, columns=effect.whole(model.observed) / std[:, None])
 
     return replace(
         model,
@@ -172,5 +172,5 @@ def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
         what=f"in {name} {effect.what}",
         columns=(lambda computed: spread(columns(computed[at])))
         if callable(columns)
-        else spread(columns),
+        else spread(columns.whole() if isinstance(columns, Steps) else columns),
     )

@@ -175,7 +175,7 @@ def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int, coordinates: int 
     off = np.repeat(arrival_errors(plan, sizes, other), coordinates)
     found[: len(off)] += _per_turn(model)[: len(off)] * off
     for effect in model.effects:
-        columns = effect.at(exact)
+        columns = effect.whole(exact)
         moment = other.integers(columns.shape[1])
         pattern = columns[:, moment] if effect.family else columns.sum(axis=1)
         found = found + sizes.get(effect.effect, 0.0) * pattern

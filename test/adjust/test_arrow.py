@@ -6,8 +6,9 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.arrow import Arrow, FewEach, beside, dense, weighted
 from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Grouping, Model, fitted
+from rotcal_ros.adjust.model import Grouping, Model
 from rotcal_ros.foundation.errors import ObservabilityError
 
 WORDS = Words("readings", "heat", "at the station", "at the station")

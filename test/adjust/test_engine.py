@@ -9,6 +9,7 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.causes import Limits, seen_by
 from rotcal_ros.adjust.engine import adjust, predicted
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
     Disturbing,
@@ -16,7 +17,6 @@ from rotcal_ros.adjust.model import (
     Model,
     Unit,
     drifts,
-    fitted,
     from_mean,
     indicators,
     instrument_effects,
@@ -149,7 +149,7 @@ def test_the_solution_is_that_of_scipy():
 def test_quick_steps_and_quick_factors_end_where_singular_values_do(world, monkeypatch):
     _, model = world(np.random.default_rng(6))
     quick = adjust(model)
-    monkeypatch.setattr("rotcal_ros.adjust.model.FIRM", np.inf)
+    monkeypatch.setattr("rotcal_ros.adjust.fit.FIRM", np.inf)
     slow = adjust(model)
     assert quick.value == pytest.approx(slow.value, abs=1e-9 * SIGMA)
     assert quick.std == pytest.approx(slow.std, rel=1e-9)
@@ -698,6 +698,6 @@ def test_a_family_is_seen_as_its_columns_one_by_one_are():
 def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
     nothing, noise = np.zeros((5, 2)), np.arange(5.0)
     assert adjust(ready(nothing, np.zeros((1, 2)), noise)).value == [0.0]
-    for solved in (adjust, lambda m: fitted(m, np.ones(5, dtype=bool), m.std, m.first).basis):
+    for solved in (adjust, lambda m: fitted(m, np.ones(5, dtype=bool), m.std, m.first).cofactors):
         with pytest.raises(ObservabilityError, match="no observation tells of unknown 0, unk"):
             solved(ready(nothing, np.eye(2), noise))

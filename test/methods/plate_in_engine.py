@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rotcal_ros.adjust.model import Model, fitted, linear, require_determined
+from rotcal_ros.adjust.fit import fitted, require_determined
+from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.estimate import drift_columns

@@ -8,7 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.model import Model, require_determined
+from rotcal_ros.adjust.fit import require_determined
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
 from rotcal_ros.foundation.observations import Observation, PointKind

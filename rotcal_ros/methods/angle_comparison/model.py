@@ -24,12 +24,12 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
+from rotcal_ros.adjust.circles import Circular
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
     Grouping,
     Model,
     from_mean,
-    indicators,
     instrument_effects,
     linear,
 )
@@ -146,17 +146,15 @@ def model_of(
         "reference mark": len(circles.marks) if certified or settings > 1 else 0,
         "setting": settings + certified,
     }
-    table, mark, zero = blocks.values()
-    rows = indicators((circles.table[read.position], table), (read.target, mark))
-    rows[:, table:] *= -1.0
-    design = np.concatenate([rows, indicators((read.station, zero))], axis=1)
+    table, mark, _ = blocks.values()
+    design = _design(circles, read, mark, sum(blocks.values()))
     positions = np.eye(table, sum(blocks.values()))[circles.table]
     reference = {REFERENCE: from_mean(blocks, "reference mark")} if mark else {}
     model = Model(
         blocks=blocks,
         observed=SIGNS[solver.readings_count] * read.value,
         std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
-        equations=linear(csr_array(design)),
+        equations=linear(design),
         outputs=positions - positions[0],
         also=reference,
         words=WORDS,
@@ -180,3 +178,22 @@ def model_of(
     known = np.eye(mark, sum(blocks.values()), table)
     known[:, -1] = 1.0
     return model.knowing("the certificate", known, errors, solver.reference_std_arcsec * ARCSEC)
+
+
+def _design(circles: Circles, read: Readings, mark: int, unknowns: int) -> Circular | csr_array:
+    """Return the design of readings, of ``mark`` errors of the reference and all ``unknowns``.
+
+    Where the reference has the same places as the table it is solved order by order.
+    """
+    table = circles.n_table
+    column = np.stack(
+        [circles.table[read.position], table + read.target, table + mark + read.station], axis=1
+    )
+    value = np.array([1.0, -1.0, 1.0])
+    if not mark:
+        column, value = column[:, ::2], value[::2]
+    entries = np.tile(value, len(column)), column.ravel(), len(value) * np.arange(len(column) + 1)
+    rows = csr_array(entries, shape=(len(column), unknowns))
+    if not mark or table % mark:
+        return rows
+    return Circular.of(rows, table // mark + 1, mark)

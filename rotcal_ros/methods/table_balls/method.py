@@ -10,7 +10,8 @@ import numpy as np
 from numpy.polynomial.polynomial import polyfit
 
 from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.model import Model, require_determined
+from rotcal_ros.adjust.fit import require_determined
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
 from rotcal_ros.foundation.arrays import Floats

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from mirror_scene import measured
 
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Model, fitted
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.linear import linear

@@ -10,7 +10,7 @@ from chances import LONG
 from scipy.stats import binom
 
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.model import fitted
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration

@@ -13,7 +13,7 @@ from scipy.stats import binom, chi2, ncx2
 
 from rotcal_ros.adjust.arrow import Arrow, weighted
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.model import fitted
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.protection import EFFECTS

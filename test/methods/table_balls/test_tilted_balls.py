@@ -8,7 +8,7 @@ from ball_world import ONE, THREE, World, shifted, turned
 from chances import LONG
 from scipy.stats import binom
 
-from rotcal_ros.adjust.model import fitted
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.compensation.axis_location import axis_lines
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.units import ARCSEC

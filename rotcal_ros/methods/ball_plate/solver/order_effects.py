@@ -76,7 +76,7 @@ class DisplacementPatterns:
     @property
     def response(self) -> Floats:
         """Errors of the six deviations per unit (6, N, m), m and rad."""
-        return np.asarray(self.seen.moved.T.reshape(6, -1, len(self.closing)))
+        return np.asarray(self.seen.moved[:].T.reshape(6, -1, len(self.closing)))
 
     @property
     def rounding(self) -> float:
@@ -169,7 +169,7 @@ def _worst_unseen(
     """
     fitted, closed = disturbance.seen.information / fit, disturbance.closing / closure
     gain, floor = (
-        (disturbance.seen.moved / std.ravel()).T,
+        (disturbance.seen.moved[:] / std.ravel()).T,
         disturbance.rounding / max(fit, closure),
     )
     bounds = [
