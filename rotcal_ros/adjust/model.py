@@ -50,6 +50,8 @@ CONVERGED: Final = 1e-14
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
 HALVINGS: Final = 20
+MOST_MOMENTS: Final = 1000
+"""Moments at which a move is looked for in each of several ways."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -124,6 +126,18 @@ class Disturbing:
         """Return the columns (n, k) where the observations are ``computed`` (n,)."""
         return self.columns(computed) if callable(self.columns) else self.columns
 
+    def mapped(
+        self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats]
+    ) -> Disturbing:
+        """Return the effect on observations that were changed.
+
+        ``to`` changes columns (n, k) as observations were, ``back`` takes computed ones (n',) to
+        what they were before.
+        """
+        if callable(self.columns):
+            return replace(self, columns=lambda computed: to(self.at(back(computed))))
+        return replace(self, columns=to(self.columns))
+
 
 def linear(design: Floats | csr_array) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
@@ -159,6 +173,17 @@ def knocks(run: Ints, when: Floats) -> Floats:
         for moment in np.unique(when[run == number])[1:]
     ]
     return np.column_stack([np.zeros((len(run), 0)), *found])
+
+
+def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
+    """Return what a move by one unit does from each moment within a ``run`` (n,) on: (n, k m).
+
+    ``felt`` (n, k): what each reading feels of k ways to move, one after the other. Of very many
+    moments some, evenly.
+    """
+    every = knocks(run, when)
+    some = every[:, :: -(-every.shape[1] // MOST_MOMENTS) or 1]
+    return np.column_stack([some * each[:, None] for each in felt.T])
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str]:
@@ -363,11 +388,6 @@ class Model:
             computed, design = self.equations(x)
             return np.append(computed, rows @ x), beside(design, rows)
 
-        def spared(effect: Disturbing) -> Disturbing:
-            if callable(effect.columns):
-                return replace(effect, columns=lambda computed: below(effect.at(computed[:n])))
-            return replace(effect, columns=below(effect.columns))
-
         def below(columns: Floats) -> Floats:
             return np.pad(columns, ((0, k), (0, 0)))
 
@@ -380,7 +400,7 @@ class Model:
             component=np.append(self.of_component, np.full(k, len(self.components))),
             judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
-            effects=[spared(effect) for effect in self.effects],
+            effects=[e.mapped(below, lambda computed: computed[:n]) for e in self.effects],
             row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
         )
 
@@ -392,21 +412,29 @@ class Model:
         roots it changes an observation least, and its own error stays nearly its own.
         """
         ways, size, _ = np.linalg.svd(errors / self.std[:, None], full_matrices=False)
-        off = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+        root = np.sqrt(1.0 + size**2)
 
-        def freed(columns: Floats) -> Floats:
-            white = columns / self.std[:, None]
-            white = white - (ways * off) @ (ways.T @ white)
-            return np.asarray(white * self.std[:, None])
+        def changed(values: Floats, by: Floats) -> Floats:
+            """Multiply ``values`` (n,) or (n, k) by so much along each of the ways."""
+            white = (values.T / self.std).T
+            white = white + (ways * (by - 1.0)) @ (ways.T @ white)
+            return np.asarray((white.T * self.std).T)
+
+        def freed(values: Floats) -> Floats:
+            return changed(values, 1.0 / root)
 
         def equations(x: Floats) -> tuple[Floats, Design]:
             computed, design = self.equations(x)
-            return freed(computed[:, None])[:, 0], freed(dense(design))
+            return freed(computed), freed(dense(design))
 
-        if self.effects:
-            raise DataError("errors in common go before effects: declare these of what is left")
-        observed = freed(self.observed[:, None])[:, 0]
-        return replace(self, observed=observed, equations=equations)
+        return replace(
+            self,
+            observed=freed(self.observed),
+            equations=equations,
+            effects=[
+                e.mapped(freed, lambda computed: changed(computed, root)) for e in self.effects
+            ],
+        )
 
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""

@@ -49,10 +49,8 @@ def whitened(model: Model) -> Model:
         computed, design = model.equations(x)
         return computed / std, dense(design) / std[:, None]
 
-    def divided(effect: Disturbing) -> Disturbing:
-        if callable(effect.columns):
-            return replace(effect, columns=lambda read: effect.at(read * std) / std[:, None])
-        return replace(effect, columns=effect.columns / std[:, None])
+    def divided(columns: Floats) -> Floats:
+        return columns / std[:, None]
 
     return replace(
         model,
@@ -60,7 +58,7 @@ def whitened(model: Model) -> Model:
         std=np.ones(len(std)),
         equations=equations,
         unit=IN_NOISE,
-        effects=[divided(effect) for effect in model.effects],
+        effects=[e.mapped(divided, lambda computed: computed * std) for e in model.effects],
     )
 
 
@@ -166,11 +164,5 @@ def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
     def spread(columns: Floats) -> Floats:
         return np.pad(columns, ((at.start, n - at.stop), (0, 0)))
 
-    columns = effect.columns
-    return replace(
-        effect,
-        what=f"in {name} {effect.what}",
-        columns=(lambda computed: spread(columns(computed[at])))
-        if callable(columns)
-        else spread(columns),
-    )
+    there = replace(effect, what=f"in {name} {effect.what}")
+    return there.mapped(spread, lambda computed: computed[at])

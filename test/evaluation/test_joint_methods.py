@@ -12,11 +12,13 @@ from scipy.optimize import least_squares
 from six_scene import scene
 from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 
-from rotcal_ros.adjust.model import Disturbing, Model, linear
+from rotcal_ros.adjust.causes import seen_by
+from rotcal_ros.adjust.effects import effect_test
+from rotcal_ros.adjust.model import Disturbing, Model, fitted, linear
 from rotcal_ros.evaluation.combination import combine
 from rotcal_ros.evaluation.joint import JointInput, solve_together
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate
@@ -307,6 +309,20 @@ def test_errors_in_common_are_those_of_the_whole_covariance():
         rows.T @ shared.observed / 0.5, design.T @ inverse @ read, rtol=1e-9
     )
     np.testing.assert_allclose(model.sharing(np.zeros((9, 0))).observed, read)
-    drift = Disturbing("drift", "it drifts", np.ones((9, 1)), 1.0)
-    with pytest.raises(DataError, match="errors in common go before effects"):
-        replace(model, effects=(drift,)).sharing(common)
+    # an effect is tested as by the whole covariance, whether its columns are known or computed
+    column = rng.normal(size=(9, 1))
+    left = inverse - inverse @ design @ np.linalg.solve(
+        design.T @ inverse @ design, design.T @ inverse
+    )
+    of_all = left @ column @ np.linalg.solve(column.T @ left @ column, column.T @ left)
+    for columns in (column, lambda computed: column + 0.0 * computed[:, None]):
+        drift = Disturbing("drift", "it drifts", columns, 1.0)
+        spoiled = replace(model, effects=(drift,)).sharing(common)
+        fit = fitted(spoiled, np.full(9, True), spoiled.std, spoiled.first)
+        test = effect_test(seen_by(fit, spoiled.effects[0].at(fit.computed)))
+        assert test.squares == pytest.approx(read @ of_all @ read, rel=1e-9)
+    reads = Disturbing("scale", "its scale is wrong", lambda computed: computed[:, None], 1.0)
+    scaled = replace(model, effects=(reads,)).sharing(common)
+    np.testing.assert_allclose(
+        scaled.effects[0].at(scaled.observed)[:, 0], scaled.observed, rtol=1e-9
+    )

@@ -8,11 +8,12 @@ instruments may tell how they stand to each other.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.adjust.arrow import Design
-from rotcal_ros.adjust.model import CurveModel, Grouping, Model, Unit
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit, steps
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import MICROMETRE
@@ -23,6 +24,10 @@ from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
 from rotcal_ros.methods.ball_plate.solver.screening import screen
 from rotcal_ros.methods.ball_plate.solver.solution import adjust
+
+UM: Final = Unit("um", MICROMETRE)
+LARGEST: Final = 1e-4
+"""Drift or move, m, that nobody would overlook."""
 
 
 def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
@@ -49,17 +54,33 @@ def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
             equations=_equations(whole),
             outputs=np.zeros((0, size + drifts)),
             words=WORDS,
-            unit=Unit("um", MICROMETRE),
+            unit=UM,
             components=("the centres in the plane", "the centres along the axis"),
             component=np.tile([0, 0, 1], n),
             groupings=[
                 Grouping("table position", np.repeat(whole.position, 3)),
                 Grouping("ball step", np.repeat(whole.ball_step, 3), np.repeat(whole.rows, 3)),
             ],
+            effects=_effects(whole),
             row_names=[f"{axis} of {whole.row_name(r)}" for r in range(n) for axis in "xyz"],
         ),
         angles[whole.table_positions],
         curves,
+    )
+
+
+def _effects(problem: BallPlateProblem) -> tuple[Disturbing, ...]:
+    """Return what could spoil the centres: a drift of the origin of the CMM, a plate that moved.
+
+    Turns of the plate by what they move its balls.
+    """
+    n = problem.centres.size
+    motion = model.plate_motion(problem).reshape(n, 6)
+    moved = steps(np.zeros(n, dtype=np.int64), np.repeat(problem.rows, 3), motion)
+    drift = drift_columns(problem.run_time, 1).reshape(n, 3)
+    return (
+        Disturbing("drift", "the origin of the CMM drifts", drift, LARGEST, UM),
+        Disturbing("knock", "the plate moved on the table", moved, LARGEST, UM, family=True),
     )
 
 

@@ -12,6 +12,7 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
     of_targets,
     slips_of,
     step_of,
+    taken,
 )
 from rotcal_ros.methods.tracer_six.solver.network import gauge_design
 from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
@@ -25,9 +26,9 @@ def curve_model(solution: SixSolution) -> CurveModel:
     """
     problem, layout, grid = solution.problem, solution.layout, solution.grid
     curves, state = solution.table.curves, solution.network.state
-    station, target = np.nonzero(grid.row >= 0)
+    station, target, order = taken(grid.row, problem.measuring_order)
     row, std = grid.row[station, target], grid.length_std[station, target]
-    zero, order = layout.zero[station, target], problem.measuring_order[row]
+    zero = layout.zero[station, target]
     step = step_of(problem.slip, solution.slips, len(row))
     slips = slips_of(zero, order, step, float(std.min()))
     lengths = CarriedLengths(
