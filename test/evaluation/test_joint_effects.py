@@ -87,17 +87,18 @@ def test_what_happens_to_lengths_is_named_beside_readings(by, what, size):
     assert is_right(found)
 
 
-def plate_with(seed, turn=0.0, drift=0.0):
-    """A plate that turned on the table before position 5, or a CMM whose origin drifts along x."""
+def plate_with(seed, turn=0.0, since=0, drift=0.0):
+    """A plate that turned before row ``since``, or a CMM whose origin drifts along x."""
     problem = plate_problem(range(GRID), noise=2e-7, sigma=2e-7, seed=seed)
-    centres = turned(turn * (problem.position >= 5), problem.centres)
-    centres[:, 0] += drift * np.linspace(-0.5, 0.5, len(centres))
+    centres = turned(turn * (problem.rows >= since), problem.centres)
+    centres[:, 0] += drift * problem.run_time
     return plate_of(replace(problem, centres=centres))
 
 
-def test_a_plate_that_turned_on_the_table_is_named_beside_readings():
+def test_a_plate_that_turned_between_two_positions_is_named_beside_readings():
     """Alone, it cannot be told from a table that turned."""
-    plate = plate_with(3, turn=3.0 * ARCSEC)
+    plate = plate_with(3, turn=3.0 * ARCSEC, since=60)
+    assert plate.result.verdict == "ok"
     found = solve_together([plate, rough_polygon(7)]).result
     named, sizes, std = only_effect(found)
     assert named.startswith("in plate the plate moved on the table from x of row 60 ")
@@ -105,12 +106,20 @@ def test_a_plate_that_turned_on_the_table_is_named_beside_readings():
     assert is_right(found)
 
 
+def test_a_plate_that_turned_among_the_balls_of_a_position_is_named():
+    found = solve_together([plate_with(3, turn=ARCSEC, since=66), rough_polygon(7)]).result
+    named, sizes, std = only_effect(found)
+    assert named.startswith("in plate the plate moved on the table from x of row 6")
+    assert sizes == pytest.approx([ARCSEC * RADIUS], abs=4.0 * std[0])
+    assert is_right(found)
+
+
 def test_a_machine_that_drifts_under_a_plate_is_named():
     """Along z it drifts unseen: that looks like EZC and the balls of the plate."""
-    found = solve_together([plate_with(3, drift=2.5 * MICROMETRE), rough_polygon(7)]).result
+    found = solve_together([plate_with(3, drift=6.0 * MICROMETRE), rough_polygon(7)]).result
     named, sizes, std = only_effect(found)
     assert named == "in plate the origin of the CMM drifts"
-    assert sizes == pytest.approx([2.5e-6, 0.0, 0.0], abs=4.0 * std.max())
+    assert sizes == pytest.approx([6e-6, 0.0, 0.0], abs=4.0 * std.max())
     (words,) = (words for words in found.warnings if named in words)
     assert words.count("±") == 2
     assert is_right(found)

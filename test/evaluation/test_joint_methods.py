@@ -18,7 +18,7 @@ from rotcal_ros.adjust.model import Disturbing, Model, fitted, linear
 from rotcal_ros.evaluation.combination import combine
 from rotcal_ros.evaluation.joint import JointInput, solve_together
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate
@@ -38,7 +38,10 @@ MEAN = np.eye(GRID) - 1.0 / GRID
 
 def plate_of(problem, name="plate"):
     model = plate_model.curve_model(problem, problem.angles)
-    return JointInput(name, ball_plate.solve(problem), model)
+    try:
+        return JointInput(name, ball_plate.solve(problem), model)
+    except DataError:
+        return JointInput(name, nothing(model), model)
 
 
 def tracer_of(problem, name="tracer"):
@@ -56,14 +59,14 @@ def nothing(model):
     return Result(
         method="a method",
         angles=model.angles,
-        deviations={"ECC": np.zeros(count)},
-        std={"ECC": np.ones(count)},
-        covariance={"ECC": each},
+        deviations={c: np.zeros(count) for c in model.curves},
+        std={c: np.ones(count) for c in model.curves},
+        covariance=dict.fromkeys(model.curves, each),
         sigma0=1.0,
         dof=0,
         n_observations=len(model.model.observed),
         verdict="suspect",
-        zeros=Zeros(free=tuple(FreeDirection("", {"ECC": k}) for k in each)),
+        zeros=Zeros(free=tuple(FreeDirection("", dict.fromkeys(model.curves, k)) for k in each)),
     )
 
 
