@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from carried_tracer import TARGETS, tracer_problem
+from carried_tracer import LENGTH_STD, TARGETS, tracer_problem
 from chances import LONG, most, share
 from joint_world import balls, drawn, instrument, polygon, truth
 from mirror_cell import measure, ring_cell
 from test_joint_methods import ROUGH, plate_of, tracer_of
-from two_groups import ALTERNATING, GRID, RADIUS, plate_problem, turned
+from two_groups import ALTERNATING, ANGLES, GRID, RADIUS, plate_problem, turned
 
 from rotcal_ros.evaluation.joint import JointInput, solve_together
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -139,7 +139,9 @@ def mirror_with(seed, *, turn=0.0, tracker=0.0):
     xyz = problem.xyz.copy()
     xyz[later] = turned(np.full(len(later), tracker), xyz[later])
     problem = replace(problem, xyz=xyz)
-    mirror = JointInput("mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem))
+    mirror = JointInput(
+        "mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem)[0]
+    )
     return [mirror, tracer_of(tracer_problem(seed, ecc, SIXTEEN))], ecc
 
 
@@ -185,3 +187,74 @@ def test_sound_worlds_alarm_no_more_often_than_limits_allow():
     assert doubted <= most(0.2, runs)
     low, high = share(0.95, runs)
     assert low < np.mean(inside) < high
+
+
+def four(seed, *, lengths=0.0, scale=0.0, mirror=0.0):
+    """Balls, plate, mirror and lengths of one table, and its ECC.
+
+    ``lengths``: noise of lengths beside what is stated, in units of it; ``scale``: by how much
+    they are too long; ``mirror``: what the mirror sees more, rad in order 2.
+    """
+    rng = np.random.default_rng([seed, 6])
+    world = drawn(rng)
+    world.motions[3:5] = 0.0
+    shift, ecc = world.motions[:3].T, world.motions[5]
+    plate = plate_problem(range(GRID), ecc, shift, noise=2e-7, sigma=2e-7, seed=seed)
+    deviations = np.zeros((GRID, 6))
+    deviations[:, 5] = ecc + mirror * np.cos(2.0 * ANGLES)
+    visits = (*(tuple(range(s, s + 4)) for s in range(0, 9, 3)), (9, 10, 11))
+    seen = measure(ring_cell(ANGLES, visits, 6, 2), deviations, rng=rng, way="joint")
+    problem = tracer_problem(seed, ecc)
+    read = problem.length + lengths * LENGTH_STD * rng.standard_normal(problem.length.shape)
+    read = read + scale * np.linalg.norm(problem.targets[problem.target], axis=1)
+    return [
+        instrument("balls", balls(world, rng)),
+        plate_of(plate),
+        JointInput("mirror", plane_mirror.solve(seen), mirror_model.curve_model(seen)[0]),
+        tracer_of(replace(problem, length=read)),
+    ], ecc - ecc.mean()
+
+
+@pytest.mark.slow
+def test_of_four_instruments_the_one_that_scatters_is_named_and_weighed():
+    instruments, ecc = four(1, lengths=np.sqrt(8.0))
+    found = solve_together(instruments).result
+    noise = found.details["noise"]
+    assert noise["the lengths of tracer"] == pytest.approx(3.0, rel=0.2)
+    others = [factor for name, factor in noise.items() if name != "the lengths of tracer"]
+    assert 0.6 < min(others) <= max(others) < 1.6
+    (words,) = (words for words in found.warnings if words.startswith("the scatter of"))
+    assert words.startswith("the scatter of the lengths of tracer is ")
+    assert found.verdict == "suspect"
+    assert is_right(found, ecc)
+
+
+@pytest.mark.slow
+def test_of_four_instruments_the_one_of_wrong_scale_is_named():
+    instruments, ecc = four(2, scale=3e-5)
+    found = solve_together(instruments).result
+    named, sizes, std = only_effect(found)
+    assert named == "in tracer the scale of the lengths is wrong"
+    assert sizes == pytest.approx([3e-5], abs=4.0 * std[0])
+    assert is_right(found, ecc)
+
+
+@pytest.mark.slow
+def test_of_four_instruments_the_one_that_sees_another_table_is_named():
+    instruments, ecc = four(3, mirror=4.0 * ARCSEC)
+    found = solve_together(instruments).result
+    named, sizes, std = only_effect(found)
+    assert named == "order 2 of ECC (cosine, sine) is another for mirror than for the others"
+    assert sizes == pytest.approx([4.0 * ARCSEC, 0.0], abs=4.0 * std.max())
+    assert is_right(found, ecc)
+
+
+@pytest.mark.slow
+def test_four_sound_instruments_agree():
+    instruments, ecc = four(4)
+    together = solve_together(instruments)
+    assert together.result.verdict == "ok"
+    (of_ecc,) = (group for group in together.groups if "ECC" in group.joined)
+    assert of_ecc.consistent
+    assert of_ecc.dof >= 3 * (GRID - 1)
+    assert is_right(together.result, ecc)

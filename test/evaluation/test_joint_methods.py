@@ -37,7 +37,7 @@ MEAN = np.eye(GRID) - 1.0 / GRID
 
 
 def plate_of(problem, name="plate"):
-    model = plate_model.curve_model(problem, problem.angles)
+    model, _ = plate_model.curve_model(problem, problem.angles)
     try:
         return JointInput(name, ball_plate.solve(problem), model)
     except DataError:
@@ -217,7 +217,9 @@ def mirror_of(seed, way):
     deviations[:16, 3:] = ARCSEC * rng.standard_normal((16, 3)) * [1.0, 1.0, 2.0]
     deviations[16] = deviations[0]
     problem = measure(paper_cell(reflectors=2), deviations, rng=rng, way=way)
-    mirror = JointInput("mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem))
+    mirror = JointInput(
+        "mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem)[0]
+    )
     return mirror, deviations[:16, 5] - deviations[:16, 5].mean()
 
 

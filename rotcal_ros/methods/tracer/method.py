@@ -14,7 +14,14 @@ from rotcal_ros.foundation.errors import DataError, GeometryError, Observability
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.geometry.rotations import on_table
-from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
+from rotcal_ros.methods.arrivals import (
+    Arrivals,
+    RepeatedTrials,
+    arrivals_of,
+    mean_of_arrivals,
+    mean_of_runs,
+    scatter_of,
+)
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
 from rotcal_ros.methods.tracer import table
@@ -86,19 +93,25 @@ def of_curves(
 ) -> CurveModel | None:
     """Return what the accepted lengths tell of ECC, to be solved with other instruments.
 
-    None where the table comes to its angles more than once, and for runs joined by what was
-    measured twice.
+    Of the mean where the table comes to its angles more than once. None for runs joined by what
+    was measured twice.
     """
     from rotcal_ros.methods.tracer.solver.carried_lengths import curve_model
 
-    joined = _interrupted(observations) and not _in_segments(configuration)
-    if joined or configuration.plan.repeated:
+    if _interrupted(observations) and not _in_segments(configuration):
         return None
+    arrivals = _arrivals(configuration)
     try:
         solution = _at_equal_places(configuration, plan, observations).solution
     except (ObservabilityError, GeometryError):
+        if arrivals is not None:
+            raise
         return curve_model(problem(configuration, plan, observations), None)
-    return curve_model(solution.problem, solution)
+    found = curve_model(solution.problem, solution)
+    if arrivals is None:
+        return found
+    arrivals = arrivals.take(solution.positions)
+    return mean_of_arrivals(found, arrivals, scatter_of(result_of(solution), arrivals))
 
 
 def _interrupted(observations: Sequence[Observation]) -> bool:

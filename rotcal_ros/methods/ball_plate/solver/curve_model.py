@@ -30,13 +30,13 @@ LARGEST: Final = 1e-4
 """Drift or move, m, that nobody would overlook."""
 
 
-def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
+def curve_model(problem: BallPlateProblem, angles: Floats) -> tuple[CurveModel, Ints]:
     """Return the centres over the six deviations at the table positions in use.
 
-    ``angles``, rad, are those of all table positions. The centres that :func:`~.result.solve` does
-    without at once are left out. Noise in the plane and along the axis are two components. Raises
-    DataError as the screening does, and ObservabilityError where no noise is stated and the plate
-    alone cannot tell it.
+    ``angles``, rad, are those of all table positions; also returns which are in use. Centres that
+    :func:`~.result.solve` does without at once are left out. Noise in the plane and along the axis
+    are two components. Raises DataError as the screening does, and ObservabilityError where no
+    noise is stated and the plate alone cannot tell it.
     """
     whole = screen(closing_apart(problem)[0])[0]
     fields, drifts = model.blocks(whole), 3 * whole.drift
@@ -46,7 +46,7 @@ def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
     for name in COMPONENTS:
         at, length = model.component_places(whole, name)
         curves[name] = np.eye(size + drifts)[at] / length
-    return CurveModel(
+    found = CurveModel(
         Model(
             blocks=blocks | ({"drift": drifts} if drifts else {}),
             observed=whole.centres.ravel()[first],
@@ -67,6 +67,7 @@ def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
         angles[whole.table_positions],
         curves,
     )
+    return found, whole.table_positions
 
 
 def _in_time(problem: BallPlateProblem) -> Ints:

@@ -34,12 +34,13 @@ LARGEST: Final = 1000.0 * ARCSEC
 """Turn of a mirror or a tracker that nobody would overlook."""
 
 
-def curve_model(problem: PlaneMirrorProblem) -> CurveModel:
+def curve_model(problem: PlaneMirrorProblem) -> tuple[CurveModel, Ints]:
     """Return pairs of points and readings of nests over ECC, linear about their solution.
 
     Rows are whitened along the beam, across it, and upwards. Swings of the tracker that nests do
-    not show are errors in common; the tilts of the mirror are stated. Raises DataError or
-    GeometryError as :func:`~.solve.solve`.
+    not show are errors in common; the tilts of the mirror are stated. Also returns the
+    positions (n,) of the problem that it has. Raises DataError or GeometryError as
+    :func:`~.solve.solve`.
     """
     prepared = settled(problem).screened.prepared
     deviations = prepared.curve(no_residuals(problem)).deviations
@@ -88,7 +89,8 @@ def curve_model(problem: PlaneMirrorProblem) -> CurveModel:
         ],
     )
     common = below(swung.reshape(3 * m, -1))
-    return CurveModel(model.sharing(common), prepared.angles, {"ECC": np.eye(n, size)})
+    found = CurveModel(model.sharing(common), prepared.angles, {"ECC": np.eye(n, size)})
+    return found, prepared.positions
 
 
 def _effects(view: Linear, prepared: PreparedWay) -> tuple[Disturbing, ...]:
