@@ -1,10 +1,11 @@
 """Plans that come to their angles more than once, and corrected air, enter by their readings."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from carried_tracer import MOTION_STD, DenseTracer, tracer_problem
+from carried_tracer import LENGTH_STD, MOTION_STD, DenseTracer, tracer_problem
 from joint_world import instrument, polygon
 from scipy.optimize import least_squares
 from test_joint_methods import MEAN, ROUGH, dense_polygon
@@ -19,6 +20,7 @@ from rotcal_ros.methods.arrivals import arrivals_of, mean_of_arrivals, mean_of_r
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.tracer import solver as tracer
 from rotcal_ros.methods.tracer.solver import carried_lengths
+from rotcal_ros.methods.tracer.solver.joined_runs import RepeatedLengths, Runs, adjust_joined
 from rotcal_ros.methods.tracer.solver.solution import adjust as adjust_tracer
 
 ROOT = Path(__file__).parents[2]
@@ -125,3 +127,49 @@ def test_the_error_of_the_air_is_one_that_all_lengths_share():
     size = np.linalg.eigvalsh(lost / scale / scale[:, None])
     assert size[-1] > 0.1
     assert (np.abs(size[:-1]) < 1e-4 * size[-1]).all()
+
+
+def test_joined_runs_and_readings_are_one_least_squares():
+    """Of a station that was interrupted: its later lengths count from another zero.
+
+    Three lengths were read again. That these tell more than the zero is no matter.
+    """
+    problem, jump = tracer_problem(9), 4e-5
+    run = ((problem.position > 5) | ((problem.position == 5) & (problem.target >= 9))).astype(int)
+    row = np.flatnonzero((problem.position == 5) & (problem.target < 3))
+    rng = np.random.default_rng(9)
+    noise = rng.standard_normal((2, len(row)))
+    true = problem.length[row] - LENGTH_STD * noise[0]  # of which the first reading is off by that
+    later, std = true + jump + LENGTH_STD * noise[1], np.full(3, LENGTH_STD)
+    again = RepeatedLengths(1, row, later, std, np.zeros((3, 3)))
+    broken = replace(problem, length=problem.length + jump * run)
+    joined = adjust_joined(Runs(broken, run, np.zeros((len(run), 3)), [again]))
+    model = carried_lengths.curve_model(
+        joined.solution.problem, joined.solution, joined.trials.zeros
+    )
+    measured = polygon(ALTERNATING, np.random.default_rng(9), noise=ROUGH)
+    both = [JointInput("tracer", joined.result(), model), instrument("polygon", measured)]
+    found = solve_together(both).result
+
+    dense, (rows, values) = DenseTracer(broken), dense_polygon(measured, GRID)
+    size = sum(dense.sizes)
+
+    def misfit(x):
+        own, zero = x[:size], x[size]
+        lengths = dense.misfit(own)
+        lengths[: len(run)] += run * zero / LENGTH_STD
+        first = lengths[row] + (broken.length[row] - again.length + zero) / LENGTH_STD
+        seen = rows @ np.append(x[:GRID], x[size + 1 :]) - values
+        return np.concatenate([lengths, first, seen])
+
+    start = np.append(dense.start(), np.zeros(GRID + 4))
+    best = least_squares(misfit, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    scale = np.linalg.norm(best.jac, axis=0)
+    inverse = (np.linalg.pinv(best.jac / scale, rcond=1e-6) / scale[:, None])[:GRID]
+    std = np.linalg.norm(MEAN @ inverse, axis=1)
+    interrupted = np.arange(GRID) == 5
+    assert found.std["ECC"] == pytest.approx(std, rel=0.06)
+    assert found.std["ECC"][~interrupted] == pytest.approx(std[~interrupted], rel=0.01)
+    apart = np.abs(found.deviations["ECC"] - MEAN @ best.x[:GRID]) / std
+    assert apart.max() < 0.4
+    assert apart[~interrupted].max() < 0.15

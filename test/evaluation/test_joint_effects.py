@@ -221,8 +221,8 @@ def test_of_four_instruments_the_one_that_scatters_is_named_and_weighed():
     found = solve_together(instruments).result
     noise = found.details["noise"]
     assert noise["the lengths of tracer"] == pytest.approx(3.0, rel=0.2)
-    others = [factor for name, factor in noise.items() if name != "the lengths of tracer"]
-    assert 0.6 < min(others) <= max(others) < 1.6
+    others = [noise[f"the centres {of}"] for of in ("of balls", "in the plane of plate")]
+    assert [*others, noise["the points of mirror"]] == pytest.approx([1.0] * 3, rel=0.15)
     (words,) = (words for words in found.warnings if words.startswith("the scatter of"))
     assert words.startswith("the scatter of the lengths of tracer is ")
     assert found.verdict == "suspect"

@@ -9,7 +9,7 @@ from chances import LONG, most, scatter, share
 from joint_world import POLYGON_NOISE, instrument, polygon
 from mirror_cell import measure, paper_cell
 from scipy.optimize import least_squares
-from six_scene import scene
+from six_scene import on_circle, scene
 from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 
 from rotcal_ros.adjust.causes import seen_by
@@ -208,6 +208,33 @@ def test_several_places_are_their_result_where_no_zero_can_slip():
         assert together.std[c] == pytest.approx(after.std[c], rel=1e-3)
         apart = together.deviations[c] - after.deviations[c]
         assert np.abs(apart).max() < 0.02 * after.std[c].min()
+
+
+def test_two_places_tell_what_they_can_however_wide_the_tilts_are_stated():
+    """The tilt about the line through them, which they never feel, others tell."""
+    three = scene(np.random.default_rng(2), m=8)
+
+    def of(seen, name, **more):
+        problem = tracer_six.SixProblem(
+            **seen.rows, slip=0.0, scatter_translation_std=0.0, scatter_rotation_std=0.0, **more
+        )
+        model = six_model.curve_model(adjust_six(problem))
+        return JointInput(name, tracer_six.solve(problem), model)
+
+    whole = of(three, "three")
+    line = scene(np.random.default_rng(3), places=on_circle()[:2], m=8, table=(three.c, three.d))
+    few, wide = (of(line, "two", tilt_std=std) for std in (5e-5, 5e-4))
+    together, again = (solve_together([whole, two]).result for two in (few, wide))
+    alone, after = (combine([m.alone for m in every]).result for every in ([whole], [whole, wide]))
+    assert together.verdict == again.verdict == "ok"
+    for c in COMPONENTS:
+        assert again.std[c] == pytest.approx(together.std[c], rel=2e-3)
+        assert (again.std[c] < 0.9 * alone.std[c]).all()
+        assert (again.std[c] < after.std[c]).all()
+        # what fewer lengths said is as far off as the difference of both covariances
+        change = again.deviations[c] - alone.deviations[c]
+        allowed = np.sqrt(alone.std[c] ** 2 - again.std[c] ** 2)
+        assert (np.abs(change) < 4.0 * allowed).all()
 
 
 def mirror_of(seed, way):

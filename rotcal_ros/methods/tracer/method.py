@@ -90,24 +90,27 @@ def trials(
 
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> CurveModel | None:
+) -> CurveModel:
     """Return what the accepted lengths tell of ECC, to be solved with other instruments.
 
-    Of the mean where the table comes to its angles more than once. None for runs joined by what
-    was measured twice.
+    Of the mean where the table comes to its angles more than once. What is uncertain of the zero
+    of a joined run is an error that its lengths share.
     """
     from rotcal_ros.methods.tracer.solver.carried_lengths import curve_model
 
-    if _interrupted(observations) and not _in_segments(configuration):
-        return None
     arrivals = _arrivals(configuration)
+    joins = _interrupted(observations) and not _in_segments(configuration)
     try:
-        solution = _at_equal_places(configuration, plan, observations).solution
+        if joins:
+            joined = adjust_joined(_runs(configuration, plan, observations))
+            solution, zeros = joined.solution, joined.trials.zeros
+        else:
+            solution, zeros = _at_equal_places(configuration, plan, observations).solution, None
     except (ObservabilityError, GeometryError):
-        if arrivals is not None:
+        if joins or arrivals is not None:
             raise
         return curve_model(problem(configuration, plan, observations), None)
-    found = curve_model(solution.problem, solution)
+    found = curve_model(solution.problem, solution, zeros)
     if arrivals is None:
         return found
     arrivals = arrivals.take(solution.positions)

@@ -258,12 +258,15 @@ def step_of(slip: float, slips: Slips | None, lengths: int) -> float:
     return slip * float(np.sqrt(SLIPPED / lengths * (1.0 if slips is None else 1.0 - slips.found)))
 
 
-def curve_model(problem: TracerProblem, solution: TracerSolution | None) -> CurveModel:
+def curve_model(
+    problem: TracerProblem, solution: TracerSolution | None, joined: Floats | None = None
+) -> CurveModel:
     """Return the lengths of one place over ECC at its positions.
 
-    Shifts of the table in the plane are stated: the error motion, about a centre that is not
-    known. ``solution`` of the lengths alone, None where there is none: then ObservabilityError if
-    no error motion is stated.
+    Noise is what is stated, for all instruments to estimate. Shifts of the table in the plane are
+    stated, too: the error motion, about a centre that is not known. ``solution`` of the lengths
+    alone, None where there is none: then ObservabilityError if no error motion is stated.
+    ``joined`` (r, p, n), m: what errors in the zeros of joined runs do to the lengths.
     """
     if solution is None:
         grid = arrange(_on_a_circle(problem))[0]
@@ -275,6 +278,10 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None) -> Curv
         problem, grid, angles = solution.problem, solution.grid, solution.table_angles
         stations, distances = solution.fit.stations, solution.fit.distances
     lengths = _carried(problem, grid, angles, stations, distances, solution)
+    if joined is not None:
+        strip, target, _ = taken(grid.row, problem.measuring_order)
+        together = np.hstack([lengths.common, joined[:, strip, target].T])
+        lengths = replace(lengths, common=together)
     m = len(angles)
     plane = [3 * j + axis for j in range(m) for axis in (0, 1)]
     motion = lengths.rows_of("shift", plane) - np.tile(lengths.rows_of("frame"), (m, 1))
@@ -282,7 +289,7 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None) -> Curv
     return lengths.model(
         {"ECC": lengths.rows_of("turn")},
         [
-            of_targets(lengths, grid.target_std, grid.free),
+            of_targets(lengths, problem.target_std[grid.target_ids], grid.free),
             KnownBeforehand("the error motion", motion, std),
             *_wandering(lengths, grid),
         ],
@@ -328,7 +335,8 @@ def _carried(
     found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
     strip, target, order = taken(grid.row, problem.measuring_order)
     zero = grid.station if grid.zero is None else grid.zero
-    row, std = grid.row[strip, target], grid.length_std[strip, target]
+    row = grid.row[strip, target]
+    std = problem.length_std[row]
     slipping = problem.slip if grid.segment_ids is not None and problem.segment is not None else 0
     step = step_of(slipping, None if solution is None else solution.slips, len(row))
     return CarriedLengths(
