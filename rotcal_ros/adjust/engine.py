@@ -47,7 +47,7 @@ COVERED: Final = 1.959964
 """Standard uncertainties on either side that hold 95 % of a normal distribution."""
 UNCHECKED: Final = 0.99
 """Share of its prior from which on the factor of a component is no estimate."""
-TOLD: Final = 1e-6
+ROUNDED: Final = 1e-6
 """Uncertainty of a size, per largest, below which it is the rounding of one that nothing tells."""
 LIMITS: Final = Limits()
 
@@ -66,8 +66,8 @@ class FoundEffect(NamedTuple):
 
     def in_words(self) -> str:
         """Return what happened, by how much as far as the observations tell."""
-        unit, told = self.effect.unit, self.std > TOLD * self.std.max(initial=0.0)
-        sizes, expanded = self.sizes[told] / unit.si, 2.0 * self.std[told] / unit.si
+        unit, seen = self.effect.unit, self.std > ROUNDED * self.std.max(initial=0.0)
+        sizes, expanded = self.sizes[seen] / unit.si, 2.0 * self.std[seen] / unit.si
         each = ", ".join(f"{size:.3g} ± {u:.2g}" for size, u in zip(sizes, expanded, strict=True))
         return f"{self.what}, by {each} {unit.name} (k = 2, p = {self.probability:.2g})"
 
