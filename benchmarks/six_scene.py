@@ -51,13 +51,14 @@ def place_segments(rng, n_places, per_place, breaks):
 
 def scene(
     rng, targets=None, places=None, m=12, curves=(2e-6, 1e-5), scatter=(0.0, 0.0), arrivals=1,
-    noise=1.0, mounted=1e-3, lean=(0.0, 0.0), zero="per_run", angles=None, breaks=0,
+    noise=1.0, mounted=1e-3, lean=(0.0, 0.0), zero="per_run", angles=None, breaks=0, table=None,
 ):  # fmt: skip
     """Return a simulated measurement.
 
     ``zero`` "per_segment": in each run the beam broke ``breaks`` times, at random.
 
-    ``curves``, ``scatter``: standard deviations in m and rad. ``mounted``: how far from the
+    ``curves``, ``scatter``: standard deviations in m and rad. ``table``: curves (c, d) of their
+    own, as those of another scene. ``mounted``: how far from the
     nominal places the tracer stands, m; ``lean`` of the axis in the machine, rad.
     """
     targets = good_targets() if targets is None else targets
@@ -65,6 +66,7 @@ def scene(
     angles = np.arange(m) * 2.0 * np.pi / m if angles is None else angles
     m, p, n = len(angles), len(places), len(targets)
     d, c = curves[0] * rng.normal(size=(m, 3)), curves[1] * rng.normal(size=(m, 3))
+    c, d = (c, d) if table is None else table
     place, position, arrival = (x.ravel() for x in np.mgrid[:p, :m, :arrivals])
     axis = Rotation.from_rotvec([lean[0], lean[1], 0.0])
     turned = axis * Rotation.from_rotvec(c) * Rotation.from_euler("z", angles[:, None])

@@ -66,6 +66,8 @@ WEAK: Final = 1e-4
 """Information of a size, per that of its errors without the unknowns, below which digits go."""
 FEW: Final = 0.1
 """Share of entries that are not zero below which columns are sparse."""
+FEW_EFFECTS: Final = 3
+"""Effects that are taken up, one after the other, instead of larger noise."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -282,6 +284,36 @@ def _improbability(diagnosis: Diagnosis) -> float:
 
 
 def _explained(diagnosis: Diagnosis) -> Diagnosis:
+    """Return what explains the residuals; an effect may do so better than larger noise."""
+    found = _explained_beside_noise(diagnosis)
+    if found.noise.factors.max() <= 1.0:
+        return found
+    other = _by_effects(diagnosis)
+    if other is None:
+        return found
+    if _improbability(other) < _improbability(found) - TIED:
+        return _contested_by(other, found)
+    return _contested_by(found, other)
+
+
+def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
+    """Return how few effects explain what else had to be noise; None if they do not."""
+    ones = np.ones(len(diagnosis.model.components))
+    for _ in range(FEW_EFFECTS):
+        fit = diagnosis.fitted(ones, diagnosis.start)
+        look = Look(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
+        found = [e for e in look.significant() if _bearable(look.before, e)]
+        best = max(found, key=lambda e: e.support, default=None)
+        if best is None or best.effect is None:
+            return None
+        diagnosis = look.diagnosis.holding(best, look.rivals(best))
+        after = _explained_beside_noise(diagnosis)
+        if after.noise.estimated is None:
+            return after
+    return None
+
+
+def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
         noise, fit = _settled_noise(diagnosis, bent)
@@ -487,8 +519,8 @@ class Look:
         where = ""
         if effect.family:
             touched = np.flatnonzero(columns[:, 0])
-            if len(np.unique(columns[touched, 0])) == 2:  # a shift that is told from its mean
-                touched = np.flatnonzero(columns[:, 0] > 0.0)
+            if len(np.unique(columns[touched, 0])) == 2 and columns[touched, 0].max() > 0.0:
+                touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift told from its mean
             first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
             stays = np.ptp(columns[touched, 0]) == 0.0
             where = f" from {first} on" if stays else f" from {first} to {last}"

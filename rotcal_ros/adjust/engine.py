@@ -48,6 +48,8 @@ COVERED: Final = 1.959964
 """Standard uncertainties on either side that hold 95 % of a normal distribution."""
 UNCHECKED: Final = 0.99
 """Share of its prior from which on the factor of a component is no estimate."""
+ROUNDED: Final = 1e-6
+"""Uncertainty of a size, per largest, below which it is the rounding of one that nothing tells."""
 LIMITS: Final = Limits()
 
 
@@ -64,9 +66,9 @@ class FoundEffect(NamedTuple):
     probability: float
 
     def in_words(self) -> str:
-        """Return what happened, by how much."""
-        unit = self.effect.unit
-        sizes, expanded = self.sizes / unit.si, 2.0 * self.std / unit.si
+        """Return what happened, by how much as far as the observations tell."""
+        unit, seen = self.effect.unit, self.std > ROUNDED * self.std.max(initial=0.0)
+        sizes, expanded = self.sizes[seen] / unit.si, 2.0 * self.std[seen] / unit.si
         each = ", ".join(f"{size:.3g} ± {u:.2g}" for size, u in zip(sizes, expanded, strict=True))
         return f"{self.what}, by {each} {unit.name} (k = 2, p = {self.probability:.2g})"
 

@@ -35,6 +35,8 @@ from rotcal_ros.foundation.units import ARCSEC
 
 FIRM: Final = 1e-6
 """Reciprocal condition number from which on a design needs no singular values."""
+MOST_MOMENTS: Final = 1000
+"""Moments at which a move is looked for in each of several ways."""
 
 Equations = Callable[[Floats], tuple[Floats, Design]]
 """Takes the unknowns (p,) to the computed observations (n,) and their derivatives (n, p).
@@ -110,6 +112,12 @@ class Steps:
         """Numbers n of observations and k of columns."""
         return len(self.run), sum(len(first) for _, first in self.runs)
 
+    def with_others(self, count: int) -> Steps:
+        """Return the same with ``count`` observations that belong to no run below the others."""
+        return Steps(
+            np.append(self.run, np.full(count, -1)), np.append(self.when, np.zeros(count))
+        )
+
     def few(self, which: slice = slice(None)) -> csr_array:
         """Return some columns (n, m) by those entries that are not zero."""
         touched = [rows[k:] for rows, first in self.runs for k in first.tolist()][which]
@@ -151,6 +159,18 @@ class Disturbing:
         found = self.at(computed)
         return found.whole() if isinstance(found, Steps) else found
 
+    def mapped(
+        self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats]
+    ) -> Disturbing:
+        """Return the effect on observations that were changed.
+
+        ``to`` changes columns (n, k) as observations were, ``back`` takes computed ones (n',) to
+        what they were before.
+        """
+        if callable(self.columns):
+            return replace(self, columns=lambda computed: to(self.whole(back(computed))))
+        return replace(self, columns=to(self.whole(np.zeros(0))))
+
 
 def linear(design: Design) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
@@ -181,6 +201,17 @@ def drifts(run: Ints, when: Floats) -> Floats:
 def knocks(run: Ints, when: Floats) -> Floats:
     """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k)."""
     return Steps(run, when).whole()
+
+
+def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
+    """Return what a move by one unit does from each moment within a ``run`` (n,) on: (n, k m).
+
+    ``felt`` (n, k): what each reading feels of k ways to move, one after the other. Of very many
+    moments some, evenly.
+    """
+    every = knocks(run, when)
+    some = every[:, :: -(-every.shape[1] // MOST_MOMENTS) or 1]
+    return np.column_stack([some * each[:, None] for each in felt.T])
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str]:
@@ -391,14 +422,9 @@ class Model:
             return np.append(computed, rows @ x), beside(design, rows)
 
         def spared(effect: Disturbing) -> Disturbing:
-            columns = effect.columns
-            if callable(columns):
-                return replace(effect, columns=lambda computed: below(columns(computed[:n])))
-            if isinstance(columns, Steps):
-                none, nowhere = np.full(k, -1), np.zeros(k)
-                steps = Steps(np.append(columns.run, none), np.append(columns.when, nowhere))
-                return replace(effect, columns=steps)
-            return replace(effect, columns=below(columns))
+            if isinstance(effect.columns, Steps):
+                return replace(effect, columns=effect.columns.with_others(k))
+            return effect.mapped(below, lambda computed: computed[:n])
 
         def below(columns: Floats) -> Floats:
             return np.pad(columns, ((0, k), (0, 0)))
@@ -424,21 +450,29 @@ class Model:
         roots it changes an observation least, and its own error stays nearly its own.
         """
         ways, size, _ = np.linalg.svd(errors / self.std[:, None], full_matrices=False)
-        off = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+        root = np.sqrt(1.0 + size**2)
 
-        def freed(columns: Floats) -> Floats:
-            white = columns / self.std[:, None]
-            white = white - (ways * off) @ (ways.T @ white)
-            return np.asarray(white * self.std[:, None])
+        def changed(values: Floats, by: Floats) -> Floats:
+            """Multiply ``values`` (n,) or (n, k) by so much along each of the ways."""
+            white = (values.T / self.std).T
+            white = white + (ways * (by - 1.0)) @ (ways.T @ white)
+            return np.asarray((white.T * self.std).T)
+
+        def freed(values: Floats) -> Floats:
+            return changed(values, 1.0 / root)
 
         def equations(x: Floats) -> tuple[Floats, Design]:
             computed, design = self.equations(x)
-            return freed(computed[:, None])[:, 0], freed(dense(design))
+            return freed(computed), freed(dense(design))
 
-        if self.effects:
-            raise DataError("errors in common go before effects: declare these of what is left")
-        observed = freed(self.observed[:, None])[:, 0]
-        return replace(self, observed=observed, equations=equations)
+        return replace(
+            self,
+            observed=freed(self.observed),
+            equations=equations,
+            effects=[
+                e.mapped(freed, lambda computed: changed(computed, root)) for e in self.effects
+            ],
+        )
 
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""

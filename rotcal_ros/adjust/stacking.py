@@ -17,7 +17,7 @@ import numpy as np
 
 from rotcal_ros.adjust.arrow import Design, dense
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Steps, Unit
+from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit
 from rotcal_ros.foundation.arrays import Floats
 
 IN_NOISE: Final = Unit("standard deviations", 1.0)
@@ -49,10 +49,8 @@ def whitened(model: Model) -> Model:
         computed, design = model.equations(x)
         return computed / std, dense(design) / std[:, None]
 
-    def divided(effect: Disturbing) -> Disturbing:
-        if callable(effect.columns):
-            return replace(effect, columns=lambda read: effect.whole(read * std) / std[:, None])
-        return replace(effect, columns=effect.whole(model.observed) / std[:, None])
+    def divided(columns: Floats) -> Floats:
+        return columns / std[:, None]
 
     return replace(
         model,
@@ -60,7 +58,7 @@ def whitened(model: Model) -> Model:
         std=np.ones(len(std)),
         equations=equations,
         unit=IN_NOISE,
-        effects=[divided(effect) for effect in model.effects],
+        effects=[e.mapped(divided, lambda computed: computed * std) for e in model.effects],
     )
 
 
@@ -166,11 +164,5 @@ def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
     def spread(columns: Floats) -> Floats:
         return np.pad(columns, ((at.start, n - at.stop), (0, 0)))
 
-    columns = effect.columns
-    return replace(
-        effect,
-        what=f"in {name} {effect.what}",
-        columns=(lambda computed: spread(columns(computed[at])))
-        if callable(columns)
-        else spread(columns.whole() if isinstance(columns, Steps) else columns),
-    )
+    there = replace(effect, what=f"in {name} {effect.what}")
+    return there.mapped(spread, lambda computed: computed[at])

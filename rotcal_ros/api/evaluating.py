@@ -30,6 +30,7 @@ from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.planning.check_rule import RISK, CheckRule
+from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.result_sources import (
     ResultSource,
@@ -237,7 +238,7 @@ def _measured_input(number: int, source: Curve) -> CombinationInput:
 
 def _instrument(number: int, source: Recording | Measurements | Result | Name) -> JointInput:
     if isinstance(source, str | PathLike):
-        return read_instrument(Path(source))
+        return read_instrument(Input(Path(source)))
     if isinstance(source, Result):
         return JointInput(f"{source.method} ({number})", source)
     return instrument_of(f"{source.configuration.method.name} ({number})", source)

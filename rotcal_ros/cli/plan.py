@@ -239,11 +239,12 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
 
 def _present(path: Path, seed: int) -> JointInput:
     """Return what there is: a result, a bag, or a configuration that is planned."""
+    from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import read_instrument
 
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return _expected(str(path), _planned(str(path)), seed)
-    return read_instrument(path)
+    return read_instrument(Input(path))
 
 
 def _print_additions(rows: Sequence[tuple[str, float, Expected]]) -> None:

@@ -32,11 +32,14 @@ if TYPE_CHECKING:
 
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.methods.method import Measurements
+    from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.replay import Recording
 
 
 @click.command()
-@click.argument("sources", nargs=-1, required=True, type=path_type, metavar="BAG|TABLE [...]")
+@click.argument(
+    "sources", nargs=-1, required=True, type=path_type, metavar="BAG|TABLE|RESULT [...]"
+)
 @click.option(
     "--setup",
     "setups",
@@ -100,8 +103,9 @@ def command(
     combinations and compared with the first; --groups holds for all of them.
 
     Several sources, measured on the same table by any methods, are solved together: one curve of
-    each deviation, one verdict, and a test of the instruments against each other. The exit code is
-    0 for the verdict ok and 1 for suspect or failed.
+    each deviation, one verdict, and a test of the instruments against each other. Beside them a
+    RESULT (a JSON file) stands for observations that are not at hand; rotcal combine joins results
+    alone. The exit code is 0 for the verdict ok and 1 for suspect or failed.
     """
     from rotcal_ros.recordings.inputs import Input
 
@@ -115,12 +119,17 @@ def command(
         Input(source, setup, targets, changes, taken_from, namespace, announce)
         for source, setup in zip(sources, _setups(sources, setups), strict=True)
     ]
+    if len(inputs) > 1 and not explain:
+        return _show_together(inputs, output, as_json)
     with progress("reading") as shown:
-        every = [each.read(shown) for each in inputs]
+        every = [each.read(shown) for each in inputs if not _is_result(each.path)]
     if explain:
         return 0
-    if len(every) > 1:
-        return _show_together(sources, every, output, as_json)
+    if not every:
+        raise click.UsageError(
+            f"{sources[0]} is a result, solved already: `rotcal report` shows it, and `rotcal "
+            "combine` joins it to other results; beside bags and tables it is solved with them"
+        )
     (source,), (data,) = sources, every
     if not (balls or coarser or groups):
         return show_result(data.solve(), output, as_json=as_json)
@@ -149,18 +158,18 @@ def _setups(sources: Sequence[Path], setups: Sequence[Path]) -> list[Path | None
     return [next(given, None) if table else None for table in tables]
 
 
-def _show_together(
-    sources: Sequence[Path],
-    every: Sequence[Recording | Measurements],
-    output: Path | None,
-    as_json: bool,
-) -> int:
+def _is_result(path: Path) -> bool:
+    return path.suffix == ".json"
+
+
+def _show_together(inputs: Sequence[Input], output: Path | None, as_json: bool) -> int:
     """Solve several sources together and show the result."""
     from rotcal_ros.evaluation.joint import solve_together
-    from rotcal_ros.recordings.result_sources import instrument_of
+    from rotcal_ros.recordings.result_sources import read_instrument
 
-    measured = zip(map(str, sources), every, strict=True)
-    found = solve_together([instrument_of(name, data) for name, data in measured])
+    with progress("reading") as shown:
+        instruments = [read_instrument(each, shown) for each in inputs]
+    found = solve_together(instruments)
     if not as_json:
         from rotcal_ros.report.terminal.tables import say_groups
 

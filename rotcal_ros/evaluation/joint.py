@@ -191,6 +191,7 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     zeros = block_diag(*(unknown(group) for group in groups if group))
     inverse = np.linalg.pinv(rows, rcond=NONE)
     beyond = np.eye(len(rows)) - rows @ inverse
+    beyond[np.abs(beyond) < NONE] = 0.0  # the rounding of nothing has an inverse, too
     # The zero that brings the shared curve to where the outputs count from.
     fixed = np.linalg.pinv(beyond @ zeros, rcond=NONE) @ beyond
     curve = seen - zeros @ (fixed @ seen)

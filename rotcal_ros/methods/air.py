@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.refraction import EQUATIONS, Air, Equation, Sensors, index_std
 from rotcal_ros.foundation.results import Directions, Result
 from rotcal_ros.methods.air_settings import AirSettings
+
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import CurveModel
 
 Observations = Sequence[Observation]
 BY_INSTRUMENT: Final = "corrected by the instrument, not here"
@@ -84,6 +87,22 @@ class Refraction:
             return solve(tuple(observations))
         result = solve(self.corrected(observations))
         return with_common(result, solve(self._over(observations, 1.0)))
+
+    def of_curves(
+        self, observations: Observations, find: Callable[[Any], CurveModel | None]
+    ) -> CurveModel | None:
+        """Return the model of corrected observations; the error of the index is theirs in common.
+
+        None where that error changes what is left out before.
+        """
+        found = find(self.corrected(observations))
+        if self.equation is None or found is None:
+            return found
+        moved = find(self._over(observations, 1.0))
+        if moved is None or moved.model.names != found.model.names:
+            return None
+        error = moved.model.observed - found.model.observed
+        return replace(found, model=found.model.sharing(error[:, None]))
 
     def in_words(self, observations: Observations) -> str:
         """Say who corrects, by what, and how uncertain it is; empty without lengths."""

@@ -4,7 +4,8 @@ The stations of a result are then arrivals of the table. What belongs to an angl
 its arrivals; how they scatter is the table's own repeatability.
 
 :func:`arrivals_of` lists the arrivals of a plan, :func:`mean_of_runs` makes the mean curves of a
-result, :class:`RepeatedTrials` those of simulated measurements.
+result, :func:`mean_of_arrivals` those of a model, :class:`RepeatedTrials` those of simulated
+measurements.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotcal_ros.adjust.model import CurveModel, block_rows
+from rotcal_ros.adjust.stacking import reparametrised
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
@@ -93,10 +96,7 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
     if len(arrivals.target) != len(ecc):
         raise DataError(f"{len(ecc)} stations in the result, {len(arrivals.target)} arrivals")
     tied = mean_curve(arrivals, from_first=from_first)
-    scatter = {
-        name: repeatability_std(values, result.covariance[name], arrivals)
-        for name, values in result.deviations.items()
-    }
+    scatter = scatter_of(result, arrivals)
     spread = {
         name: result.covariance[name] + scatter[name] ** 2 * np.eye(len(ecc))
         for name in result.deviations
@@ -122,6 +122,31 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
     return _with_steps(mean) if from_first else mean
 
 
+def mean_of_arrivals(
+    found: CurveModel, arrivals: Arrivals, scatter: Mapping[str, float] | None = None
+) -> CurveModel:
+    """Return a model of all arrivals as one of their mean curves at the targets.
+
+    ``scatter``: standard deviation of one arrival about the mean of its side, by component, m or
+    rad; nothing, or none: the mean is that of the arrivals that were measured. How much arrivals
+    scatter is a component of the noise.
+    """
+    known = {c: std for c, std in (scatter or {}).items() if std}
+    side = np.unique(2 * arrivals.target + arrivals.upward, return_inverse=True)[1]
+    count, size = int(side.max()) + 1, found.model.size[1]
+    means = {f"mean of {c}": count for c in known}
+    to = np.eye(size, size + sum(means.values()))
+    model = reparametrised(found.model, to, {**found.model.blocks, **means})
+    every = {c: rows @ to for c, rows in found.curves.items()}
+    curves = {c: arrivals.averaging() @ rows for c, rows in every.items()}
+    for c, std in known.items():
+        mean = block_rows(model.blocks, f"mean of {c}")
+        left = every[c] - mean[side]
+        model = model.knowing(f"the arrivals of {c}", left, np.zeros(len(side)), std)
+        curves[c] = arrivals.averaging() @ mean[side]
+    return CurveModel(model, arrivals.targets[arrivals.measured], curves, found.mixed)
+
+
 @dataclass(frozen=True, eq=False)
 class RepeatedTrials:
     """Trials of all arrivals, with their repeatability (c,), m and rad, as c mean curves."""
@@ -138,11 +163,8 @@ class RepeatedTrials:
 
         ``from_first`` as in :func:`mean_of_runs`.
         """
-        scatter = [
-            repeatability_std(result.deviations[name], result.covariance[name], arrivals)
-            for name in result.components
-        ]
-        return cls(prepared, mean_curve(arrivals, from_first=from_first), np.array(scatter))
+        scatter = np.array([*scatter_of(result, arrivals).values()])
+        return cls(prepared, mean_curve(arrivals, from_first=from_first), scatter)
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the mean deviations (count, c k), component by component, in m and rad."""
@@ -191,6 +213,14 @@ def mean_curve(arrivals: Arrivals, *, from_first: bool = True) -> Floats:
     """Return (k', m): from all arrivals to the mean curve, counted from its first value if so."""
     average = arrivals.averaging()
     return average - average[:1] if from_first else average
+
+
+def scatter_of(result: Result, arrivals: Arrivals) -> dict[str, float]:
+    """Return the :func:`repeatability_std` of each component of the result of all arrivals."""
+    return {
+        name: repeatability_std(result.deviations[name], result.covariance[name], arrivals)
+        for name in result.components
+    }
 
 
 def repeatability_std(ecc: Floats, covariance: Floats, arrivals: Arrivals) -> float:

@@ -24,7 +24,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Effect, Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, mean_of_runs
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, mean_of_arrivals, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     Disturbance,
@@ -129,20 +129,19 @@ class ByModel:
 
     def of_curves(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-    ) -> CurveModel | None:
+    ) -> CurveModel:
         """Return what accepted observations tell of the curves, to be solved with others.
 
-        None where the table comes to its angles more than once: how it scatters, the result knows.
+        Where the table comes to its angles from both sides, of the mean.
         """
-        if self.arrivals(configuration) is not None:
-            return None
         model = self.model(configuration, Readings.of(observations))
         parts, count = self._parts(configuration, model)
         curves = {name: model.outputs[part] for name, part in parts.items()}
-        untold = self.untold(configuration)
-        return CurveModel(
+        untold, arrivals = self.untold(configuration), self.arrivals(configuration)
+        found = CurveModel(
             model, np.array(plan.table_angles[:count]), {**curves, **untold}, tuple(untold)
         )
+        return found if arrivals is None else mean_of_arrivals(found, arrivals)
 
     def _parts(self, configuration: Configuration, model: Model) -> tuple[dict[str, slice], int]:
         """Return which outputs are the deviations of which component, and how many each has."""

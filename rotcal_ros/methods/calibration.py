@@ -199,13 +199,14 @@ class Calibration:
     def of_curves(self, observations: Iterable[Observation]) -> CurveModel | None:
         """Return the observations that count as a model, to be solved with other instruments.
 
-        None where only the result tells all: where the method says so, and where air or clocks
-        add to its uncertainty.
+        None where only the result tells all: where the method says so, and where clocks add to its
+        uncertainty. What the index of the air is uncertain by is an error that lengths share.
         """
         find = self.method.of_curves
-        if find is None or self.refraction.equation is not None or self.arrival_std():
+        if find is None or self.arrival_std():
             return None
-        return find(self.configuration, self.plan, self._that_count(observations))
+        used = self._that_count(observations)
+        return self.refraction.of_curves(used, partial(find, self.configuration, self.plan))
 
     def untold(self, observations: Iterable[Observation], model: CurveModel) -> Result:
         """Return a result that says nothing: of observations that need those of others.

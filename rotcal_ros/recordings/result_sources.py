@@ -8,6 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+from rotcal_ros.bags.reader import Progress
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.iso230 import (
     HEADER,
@@ -130,24 +131,33 @@ def solved(measured: Recording | Measurements) -> ResultSource:
 def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
     """Return a bag or a table, ready to be solved together with others.
 
-    Also one that cannot be solved alone: the others may tell what it lacks.
+    Also one that cannot be solved alone: the others may tell what it lacks, or what happened to
+    it. Where its data contradict each other the result says so, and is suspect at best.
     """
     try:
         return JointInput(name, measured.solve(), measured.of_curves())
-    except (ObservabilityError, GeometryError):
+    except DataError as refused:
         if not isinstance(measured, Recording | PlannedMeasurements):
             raise
         model = measured.of_curves()
         if model is None:
             raise
-        return JointInput(name, measured.calibration.untold(measured.observations, model), model)
+        untold = measured.calibration.untold(measured.observations, model)
+        if isinstance(measured, Recording):
+            untold = measured.with_warnings(untold)
+        if not isinstance(refused, ObservabilityError | GeometryError):
+            untold = replace(untold, warnings=(f"alone: {refused}", *untold.warnings)).doubted()
+        return JointInput(name, untold, model)
 
 
-def read_instrument(path: Path) -> JointInput:
-    """Return a bag, or a result in a JSON file, ready to be solved together with others."""
-    if path.suffix == ".json":
-        return JointInput(str(path), read_source(path).result)
-    return instrument_of(str(path), Input(path).read())
+def read_instrument(given: Input, progress: Progress | None = None) -> JointInput:
+    """Return a bag, a table, or a result in a JSON file, ready to be solved with others.
+
+    A result stands for its observations, with all their covariance. Raises as :func:`read_source`.
+    """
+    if given.path.suffix == ".json":
+        return JointInput(str(given.path), read_source(given.path, given).result)
+    return instrument_of(str(given.path), given.read(progress))
 
 
 def read_repeated_runs(

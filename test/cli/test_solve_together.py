@@ -94,6 +94,28 @@ def repr_of(value):
     return repr(value.item()) if isinstance(value, np.generic) else repr(value)
 
 
+def test_a_result_stands_for_its_observations(tables, tmp_path):
+    """Of a linear method with one component it says all: the same as from both tables."""
+    (first, its), (second, others) = tables
+    made = tmp_path / "first.json"
+    assert run("solve", first, "--setup", its, "-o", made).exit_code == 0
+    both = json.loads(
+        run("solve", first, second, "--setup", its, "--setup", others, "--json").stdout
+    )
+    ran = run("solve", made, second, "--setup", others, "--json")
+    assert ran.exit_code == 0, ran.output
+    mixed = json.loads(ran.stdout)
+    for name in ("deviations", "std"):
+        assert mixed[name]["ECC"] == pytest.approx(both[name]["ECC"], abs=1e-12)
+    assert mixed["n_observations"] == both["n_observations"]
+    ran = run("solve", made)
+    assert ran.exit_code == 2
+    assert "is a result, solved already" in ran.stderr
+    ran = run("solve", made, first, "--setup", its)
+    assert ran.exit_code == 3
+    assert "share 39 observations" in ran.stderr
+
+
 def test_what_is_of_one_source_only_is_refused(tables):
     (first, its), (second, others) = tables
     setups = ("--setup", its, "--setup", others)

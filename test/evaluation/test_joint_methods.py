@@ -9,10 +9,12 @@ from chances import LONG, most, scatter, share
 from joint_world import POLYGON_NOISE, instrument, polygon
 from mirror_cell import measure, paper_cell
 from scipy.optimize import least_squares
-from six_scene import scene
+from six_scene import on_circle, scene
 from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 
-from rotcal_ros.adjust.model import Disturbing, Model, linear
+from rotcal_ros.adjust.causes import seen_by
+from rotcal_ros.adjust.effects import effect_test
+from rotcal_ros.adjust.model import Disturbing, Model, fitted, linear
 from rotcal_ros.evaluation.combination import combine
 from rotcal_ros.evaluation.joint import JointInput, solve_together
 from rotcal_ros.foundation.components import COMPONENTS
@@ -35,8 +37,11 @@ MEAN = np.eye(GRID) - 1.0 / GRID
 
 
 def plate_of(problem, name="plate"):
-    model = plate_model.curve_model(problem, problem.angles)
-    return JointInput(name, ball_plate.solve(problem), model)
+    model, _ = plate_model.curve_model(problem, problem.angles)
+    try:
+        return JointInput(name, ball_plate.solve(problem), model)
+    except DataError:
+        return JointInput(name, nothing(model), model)
 
 
 def tracer_of(problem, name="tracer"):
@@ -54,14 +59,14 @@ def nothing(model):
     return Result(
         method="a method",
         angles=model.angles,
-        deviations={"ECC": np.zeros(count)},
-        std={"ECC": np.ones(count)},
-        covariance={"ECC": each},
+        deviations={c: np.zeros(count) for c in model.curves},
+        std={c: np.ones(count) for c in model.curves},
+        covariance=dict.fromkeys(model.curves, each),
         sigma0=1.0,
         dof=0,
         n_observations=len(model.model.observed),
         verdict="suspect",
-        zeros=Zeros(free=tuple(FreeDirection("", {"ECC": k}) for k in each)),
+        zeros=Zeros(free=tuple(FreeDirection("", dict.fromkeys(model.curves, k)) for k in each)),
     )
 
 
@@ -205,6 +210,33 @@ def test_several_places_are_their_result_where_no_zero_can_slip():
         assert np.abs(apart).max() < 0.02 * after.std[c].min()
 
 
+def test_two_places_tell_what_they_can_however_wide_the_tilts_are_stated():
+    """The tilt about the line through them, which they never feel, others tell."""
+    three = scene(np.random.default_rng(2), m=8)
+
+    def of(seen, name, **more):
+        problem = tracer_six.SixProblem(
+            **seen.rows, slip=0.0, scatter_translation_std=0.0, scatter_rotation_std=0.0, **more
+        )
+        model = six_model.curve_model(adjust_six(problem))
+        return JointInput(name, tracer_six.solve(problem), model)
+
+    whole = of(three, "three")
+    line = scene(np.random.default_rng(3), places=on_circle()[:2], m=8, table=(three.c, three.d))
+    few, wide = (of(line, "two", tilt_std=std) for std in (5e-5, 5e-4))
+    together, again = (solve_together([whole, two]).result for two in (few, wide))
+    alone, after = (combine([m.alone for m in every]).result for every in ([whole], [whole, wide]))
+    assert together.verdict == again.verdict == "ok"
+    for c in COMPONENTS:
+        assert again.std[c] == pytest.approx(together.std[c], rel=2e-3)
+        assert (again.std[c] < 0.9 * alone.std[c]).all()
+        assert (again.std[c] < after.std[c]).all()
+        # what fewer lengths said is as far off as the difference of both covariances
+        change = again.deviations[c] - alone.deviations[c]
+        allowed = np.sqrt(alone.std[c] ** 2 - again.std[c] ** 2)
+        assert (np.abs(change) < 4.0 * allowed).all()
+
+
 def mirror_of(seed, way):
     """A mirror, seen from six stations, and ECC of its table at the first sixteen positions."""
     rng = np.random.default_rng(seed)
@@ -212,7 +244,9 @@ def mirror_of(seed, way):
     deviations[:16, 3:] = ARCSEC * rng.standard_normal((16, 3)) * [1.0, 1.0, 2.0]
     deviations[16] = deviations[0]
     problem = measure(paper_cell(reflectors=2), deviations, rng=rng, way=way)
-    mirror = JointInput("mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem))
+    mirror = JointInput(
+        "mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem)[0]
+    )
     return mirror, deviations[:16, 5] - deviations[:16, 5].mean()
 
 
@@ -307,6 +341,20 @@ def test_errors_in_common_are_those_of_the_whole_covariance():
         rows.T @ shared.observed / 0.5, design.T @ inverse @ read, rtol=1e-9
     )
     np.testing.assert_allclose(model.sharing(np.zeros((9, 0))).observed, read)
-    drift = Disturbing("drift", "it drifts", np.ones((9, 1)), 1.0)
-    with pytest.raises(DataError, match="errors in common go before effects"):
-        replace(model, effects=(drift,)).sharing(common)
+    # an effect is tested as by the whole covariance, whether its columns are known or computed
+    column = rng.normal(size=(9, 1))
+    left = inverse - inverse @ design @ np.linalg.solve(
+        design.T @ inverse @ design, design.T @ inverse
+    )
+    of_all = left @ column @ np.linalg.solve(column.T @ left @ column, column.T @ left)
+    for columns in (column, lambda computed: column + 0.0 * computed[:, None]):
+        drift = Disturbing("drift", "it drifts", columns, 1.0)
+        spoiled = replace(model, effects=(drift,)).sharing(common)
+        fit = fitted(spoiled, np.full(9, True), spoiled.std, spoiled.first)
+        test = effect_test(seen_by(fit, spoiled.effects[0].at(fit.computed)))
+        assert test.squares == pytest.approx(read @ of_all @ read, rel=1e-9)
+    reads = Disturbing("scale", "its scale is wrong", lambda computed: computed[:, None], 1.0)
+    scaled = replace(model, effects=(reads,)).sharing(common)
+    np.testing.assert_allclose(
+        scaled.effects[0].at(scaled.observed)[:, 0], scaled.observed, rtol=1e-9
+    )

@@ -23,7 +23,13 @@ from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
+from rotcal_ros.methods.arrivals import (
+    Arrivals,
+    RepeatedTrials,
+    arrivals_of,
+    mean_of_arrivals,
+    mean_of_runs,
+)
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.ball_plate.figures import figures, tables
 from rotcal_ros.methods.ball_plate.plan import check_plan, plan
@@ -88,17 +94,19 @@ def of_curves(
 ) -> CurveModel | None:
     """Return what the accepted observations tell of the curves, to be solved with others.
 
-    None where the table comes to its angles from both sides, or an allowance is stated: that has
-    no noise of its own.
+    None where an allowance is stated: that has no noise of its own.
     """
     from rotcal_ros.methods.ball_plate.solver.curve_model import curve_model
 
     solver = configuration.solver
-    allowed = solver.drift_allowance_m or solver.group_allowance_m
-    if configuration.plan.bidirectional or allowed:
+    if solver.drift_allowance_m or solver.group_allowance_m:
         return None
-    chosen = _chosen(configuration, plan, observations)
-    return curve_model(chosen, _arrivals(configuration, plan).targets)
+    chosen, arrivals = (
+        _chosen(configuration, plan, observations),
+        _arrivals(configuration, plan),
+    )
+    found, positions = curve_model(chosen, arrivals.targets[arrivals.target])
+    return mean_of_arrivals(found, arrivals.take(positions))
 
 
 def _told_by_touches(

@@ -29,7 +29,13 @@ from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
-from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
+from rotcal_ros.methods.arrivals import (
+    Arrivals,
+    RepeatedTrials,
+    arrivals_of,
+    mean_of_arrivals,
+    mean_of_runs,
+)
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import measured_in_words
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials, zero_at_the_first
@@ -82,16 +88,17 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> CurveModel | None:
+) -> CurveModel:
     """Return what the accepted points tell of ECC, to be solved with other instruments."""
-    return _of_curves(_problem(configuration, plan, observations)[0])
+    return _of_curves(configuration, _problem(configuration, plan, observations)[0])
 
 
-def _of_curves(problem: PlaneMirrorProblem) -> CurveModel | None:
-    """Return the points as a model; None where the table comes to its angles from both sides."""
+def _of_curves(configuration: Configuration, problem: PlaneMirrorProblem) -> CurveModel:
     from rotcal_ros.methods.plane_mirror.solver.curve_model import curve_model
 
-    return None if problem.upward is not None else curve_model(problem)
+    found, positions = curve_model(problem)
+    arrivals = _arrivals(configuration)
+    return found if arrivals is None else mean_of_arrivals(found, arrivals.take(positions))
 
 
 def trials(
@@ -280,9 +287,9 @@ class TrackerPoints:
         points = self._points()
         return replace(solve_points(self.configuration, points), raw_data=_raw(points))
 
-    def of_curves(self) -> CurveModel | None:
+    def of_curves(self) -> CurveModel:
         """Return what the points tell of ECC, to be solved with other instruments."""
-        return _of_curves(configured(self._points(), self.configuration))
+        return _of_curves(self.configuration, configured(self._points(), self.configuration))
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the points."""

@@ -169,7 +169,7 @@ class BallsOnTable:
     @cached_property
     def arms(self) -> Floats:
         """From the ball of each target to that in the spindle (k b, 3), m, at angle 0."""
-        return np.asarray(self.bars @ _around(self.places)).reshape(-1, 3)
+        return np.asarray(self.bars @ around(self.places)).reshape(-1, 3)
 
     @cached_property
     def aims(self) -> Floats:
@@ -366,7 +366,7 @@ def _moved(away: Floats, rows: Floats, own: Floats, at: slice, by: Floats) -> Fl
     return np.asarray(away + np.einsum("nij,nj->ni", rows[:, :, at], own[:, at]))
 
 
-def _around(places: Floats) -> Floats:
+def around(places: Floats) -> Floats:
     """Return the directions outward, along its way, and up (k, 3, 3) of balls at ``places``."""
     flat = places * [1.0, 1.0, 0.0]
     radius = np.linalg.norm(flat, axis=1)[:, None]
@@ -461,7 +461,7 @@ def defined(balls: BallsOnTable, telling: Floats) -> Floats:
 def ball_motions(balls: BallsOnTable, place: Floats) -> Iterator[Floats]:
     """Yield rows (p, u) of the :data:`MOTIONS` of a ball at ``place`` (3,), m, at each angle."""
     place = balls.turned(place[None])[:, 0]
-    for direction in np.swapaxes(_around(place), 0, 1):
+    for direction in np.swapaxes(around(place), 0, 1):
         parts = np.concatenate([direction, np.cross(place, direction)], axis=1)
         rows = np.zeros((len(place), sum(balls.blocks.values())))
         for number, name in enumerate(COMPONENTS):

@@ -14,7 +14,14 @@ from rotcal_ros.foundation.errors import DataError, GeometryError, Observability
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.geometry.rotations import on_table
-from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
+from rotcal_ros.methods.arrivals import (
+    Arrivals,
+    RepeatedTrials,
+    arrivals_of,
+    mean_of_arrivals,
+    mean_of_runs,
+    scatter_of,
+)
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
 from rotcal_ros.methods.tracer import table
@@ -83,22 +90,31 @@ def trials(
 
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> CurveModel | None:
+) -> CurveModel:
     """Return what the accepted lengths tell of ECC, to be solved with other instruments.
 
-    None where the table comes to its angles more than once, and for runs joined by what was
-    measured twice.
+    Of the mean where the table comes to its angles more than once. What is uncertain of the zero
+    of a joined run is an error that its lengths share.
     """
     from rotcal_ros.methods.tracer.solver.carried_lengths import curve_model
 
-    joined = _interrupted(observations) and not _in_segments(configuration)
-    if joined or configuration.plan.repeated:
-        return None
+    arrivals = _arrivals(configuration)
+    joins = _interrupted(observations) and not _in_segments(configuration)
     try:
-        solution = _at_equal_places(configuration, plan, observations).solution
+        if joins:
+            joined = adjust_joined(_runs(configuration, plan, observations))
+            solution, zeros = joined.solution, joined.trials.zeros
+        else:
+            solution, zeros = _at_equal_places(configuration, plan, observations).solution, None
     except (ObservabilityError, GeometryError):
+        if joins or arrivals is not None:
+            raise
         return curve_model(problem(configuration, plan, observations), None)
-    return curve_model(solution.problem, solution)
+    found = curve_model(solution.problem, solution, zeros)
+    if arrivals is None:
+        return found
+    arrivals = arrivals.take(solution.positions)
+    return mean_of_arrivals(found, arrivals, scatter_of(result_of(solution), arrivals))
 
 
 def _interrupted(observations: Sequence[Observation]) -> bool:

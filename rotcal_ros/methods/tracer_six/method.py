@@ -22,7 +22,13 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Header, Table
 from rotcal_ros.foundation.units import MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
+from rotcal_ros.methods.arrivals import (
+    Arrivals,
+    RepeatedTrials,
+    arrivals_of,
+    mean_of_arrivals,
+    mean_of_runs,
+)
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials
@@ -85,16 +91,15 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> CurveModel | None:
-    """Return what the accepted lengths tell of the curves, to be solved with other instruments.
-
-    None where the table comes to its angles from both sides.
-    """
+) -> CurveModel:
+    """Return what the accepted lengths tell of the curves, to be solved with other instruments."""
     from rotcal_ros.methods.tracer_six.solver.curve_model import curve_model
 
-    if configuration.plan.bidirectional:
-        return None
-    return curve_model(_at_equal_places(configuration, plan, observations).solution)
+    solution = _at_equal_places(configuration, plan, observations).solution
+    found = curve_model(solution)
+    if not configuration.plan.bidirectional:
+        return found
+    return mean_of_arrivals(found, _both_sides(plan, solution))
 
 
 def trials(

@@ -8,12 +8,13 @@ instruments may tell how they stand to each other.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.adjust.arrow import Design
-from rotcal_ros.adjust.model import CurveModel, Grouping, Model, Unit
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit, steps
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.solver import model
@@ -24,42 +25,69 @@ from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
 from rotcal_ros.methods.ball_plate.solver.screening import screen
 from rotcal_ros.methods.ball_plate.solver.solution import adjust
 
+UM: Final = Unit("um", MICROMETRE)
+LARGEST: Final = 1e-4
+"""Drift or move, m, that nobody would overlook."""
 
-def curve_model(problem: BallPlateProblem, angles: Floats) -> CurveModel:
+
+def curve_model(problem: BallPlateProblem, angles: Floats) -> tuple[CurveModel, Ints]:
     """Return the centres over the six deviations at the table positions in use.
 
-    ``angles``, rad, are those of all table positions. The centres that :func:`~.result.solve` does
-    without at once are left out. Noise in the plane and along the axis are two components. Raises
-    DataError as the screening does, and ObservabilityError where no noise is stated and the plate
-    alone cannot tell it.
+    ``angles``, rad, are those of all table positions; also returns which are in use. Centres that
+    :func:`~.result.solve` does without at once are left out. Noise in the plane and along the axis
+    are two components. Raises DataError as the screening does, and ObservabilityError where no
+    noise is stated and the plate alone cannot tell it.
     """
     whole = screen(closing_apart(problem)[0])[0]
     fields, drifts = model.blocks(whole), 3 * whole.drift
-    size, n = model.n_unknowns(whole), len(whole.centres)
+    size, n, first = model.n_unknowns(whole), len(whole.centres), _in_time(whole)
     blocks = {name.replace("_", " "): own.stop - own.start for name, own in fields.items()}
-    curves = {}
+    curves, when = {}, np.repeat(whole.rows, 3).astype(np.float64)
     for name in COMPONENTS:
         at, length = model.component_places(whole, name)
         curves[name] = np.eye(size + drifts)[at] / length
-    return CurveModel(
+    found = CurveModel(
         Model(
             blocks=blocks | ({"drift": drifts} if drifts else {}),
-            observed=whole.centres.ravel(),
-            std=_noise(whole).ravel(),
+            observed=whole.centres.ravel()[first],
+            std=_noise(whole).ravel()[first],
             equations=_equations(whole),
             outputs=np.zeros((0, size + drifts)),
             words=WORDS,
-            unit=Unit("um", MICROMETRE),
+            unit=UM,
             components=("the centres in the plane", "the centres along the axis"),
             component=np.tile([0, 0, 1], n),
             groupings=[
-                Grouping("table position", np.repeat(whole.position, 3)),
-                Grouping("ball step", np.repeat(whole.ball_step, 3), np.repeat(whole.rows, 3)),
+                Grouping("table position", np.repeat(whole.position, 3)[first]),
+                Grouping("ball step", np.repeat(whole.ball_step, 3)[first], when[first]),
             ],
-            row_names=[f"{axis} of {whole.row_name(r)}" for r in range(n) for axis in "xyz"],
+            effects=_effects(whole),
+            row_names=[f"{'xyz'[k % 3]} of {whole.row_name(k // 3)}" for k in first.tolist()],
         ),
         angles[whole.table_positions],
         curves,
+    )
+    return found, whole.table_positions
+
+
+def _in_time(problem: BallPlateProblem) -> Ints:
+    """Return the coordinates (3 n,) in the order of measurement."""
+    return np.argsort(np.repeat(problem.rows, 3), kind="stable")
+
+
+def _effects(problem: BallPlateProblem) -> tuple[Disturbing, ...]:
+    """Return what could spoil the centres: a drift of the origin of the CMM, a plate that moved.
+
+    Turns of the plate by what they move its balls.
+    """
+    n, first = problem.centres.size, _in_time(problem)
+    motion = model.plate_motion(problem).reshape(n, 6)[first]
+    once, when = np.zeros(n, dtype=np.int64), np.repeat(problem.run_time, 3)[first]
+    moved = steps(once, when, motion)
+    drift = drift_columns(problem.run_time, 1).reshape(n, 3)[first]
+    return (
+        Disturbing("drift", "the origin of the CMM drifts", drift, LARGEST, UM),
+        Disturbing("knock", "the plate moved on the table", moved, LARGEST, UM, family=True),
     )
 
 
@@ -77,11 +105,11 @@ def _equations(problem: BallPlateProblem) -> Callable[[Floats], tuple[Floats, De
     design = np.hstack([model.design_matrix(problem), drift])
     ball = np.searchsorted(problem.balls, problem.ball_step)
     cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
-    size = model.n_unknowns(problem)
+    size, first = model.n_unknowns(problem), _in_time(problem)
 
     def equations(x: Floats) -> tuple[Floats, Design]:
         found = model.unpack(problem, x[:size])
         centres = computed(problem, found, found.plate[ball], found.cmm[cmm])
-        return centres.ravel() + drift @ x[size:], design
+        return (centres.ravel() + drift @ x[size:])[first], design[first]
 
     return equations

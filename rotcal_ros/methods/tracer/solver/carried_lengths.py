@@ -19,7 +19,17 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust.arrow import Design
-from rotcal_ros.adjust.model import CurveModel, Grouping, Model, Unit, block_rows
+from rotcal_ros.adjust.model import (
+    CurveModel,
+    Disturbing,
+    Grouping,
+    Model,
+    Unit,
+    block_rows,
+    drifts,
+    knocks,
+    steps,
+)
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import MICROMETRE
@@ -27,6 +37,7 @@ from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotati
 from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.network import KNOWN
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.protections import LARGEST_MOVE, LARGEST_RATIO
 from rotcal_ros.methods.tracer.solver.screening import WORDS
 from rotcal_ros.methods.tracer.solver.solution import FREE_CIRCLE, TracerSolution
 from rotcal_ros.methods.tracer.solver.start import find_any_start
@@ -36,6 +47,9 @@ CIRCLE: Final = 5
 """Stations from which on their plane tells the direction of the axis."""
 SMALL: Final = 1e-3
 """Variance, as a share of that of the lengths, that is too small to matter."""
+
+UM: Final = Unit("um", MICROMETRE)
+PPM: Final = Unit("um/m", 1e-6)
 
 
 class KnownBeforehand(NamedTuple):
@@ -127,6 +141,34 @@ class CarriedLengths:
         design[each[:, 0], first["zero"] + self.zero] = -1.0
         return distance - (self.zeros + zero)[self.zero], design
 
+    @cached_property
+    def effects(self) -> tuple[Disturbing, ...]:
+        """What could spoil the lengths; of moves, what each length feels at the start values."""
+        design = self.computed(np.zeros(sum(self.blocks.values())))[1]
+
+        def felt(block: str) -> Floats:
+            """Return what each length (k, 3) feels of what all unknowns of a block do alike."""
+            own = design @ self.rows_of(block).T
+            return np.asarray(own.reshape(len(design), -1, 3).sum(axis=1))
+
+        once, when = np.zeros(len(design), dtype=np.int64), self.order.astype(np.float64)
+        gone, read = drifts(once, when), drifts(self.zero, when)
+        moves = np.einsum("kij,kj->ki", _about_axis(self.places)[self.place], felt("place"))
+        moved, shifted = steps(self.place, when, moves), knocks(self.zero, when)
+        distance = self.computed(np.zeros(design.shape[1]))[0] + self.zeros[self.zero]
+        return (
+            Disturbing("drift", "the machine drifts", gone * felt("target"), LARGEST_MOVE, UM),
+            Disturbing("drift", "all lengths drift", gone, LARGEST_MOVE, UM),
+            Disturbing("drift", "lengths drift", read, LARGEST_MOVE, UM, family=True),
+            Disturbing(
+                "knock", "the tracer moved on the table", moved, LARGEST_MOVE, UM, family=True
+            ),
+            Disturbing("slip", "lengths shifted", shifted, LARGEST_MOVE, UM, family=True),
+            Disturbing(
+                "scale", "the scale of the lengths is wrong", distance[:, None], LARGEST_RATIO, PPM
+            ),
+        )
+
     def model(self, curves: Mapping[str, Floats], stated: Sequence[KnownBeforehand]) -> CurveModel:
         """Return the lengths, with what is ``stated``, over the deviations ``curves``."""
         k, size = len(self.observed), sum(self.blocks.values())
@@ -139,6 +181,10 @@ class CarriedLengths:
 
         counts = [k, *(len(s.rows) for s in parts)]
         beyond = np.full(len(known), -1)
+
+        def below(columns: Floats) -> Floats:
+            return np.pad(columns, ((0, len(known)), (0, 0)))
+
         model = Model(
             blocks=self.blocks,
             observed=np.append(self.observed, np.zeros(len(known))),
@@ -146,7 +192,7 @@ class CarriedLengths:
             equations=equations,
             outputs=np.zeros((0, size)),
             words=WORDS,
-            unit=Unit("um", MICROMETRE),
+            unit=UM,
             components=["the lengths", *(s.what for s in parts)],
             component=np.repeat(np.arange(len(counts)), counts),
             judged=np.arange(k + len(known)) < k,
@@ -155,13 +201,31 @@ class CarriedLengths:
                 Grouping("position", np.append(self.position, beyond)),
                 Grouping("target", np.append(self.target, beyond)),
             ],
+            effects=[e.mapped(below, lambda computed: computed[:k]) for e in self.effects],
             row_names=[
                 *(f"length {row}" for row in self.row.tolist()),
                 *(f"value {i} of {s.what}" for s in parts for i in range(len(s.rows))),
             ],
         )
-        common = np.pad(self.common, ((0, len(known)), (0, 0)))
-        return CurveModel(model.sharing(common), self.angles, curves)
+        return CurveModel(model.sharing(below(self.common)), self.angles, curves)
+
+
+def taken(row: Ints, order: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return of which station and target each length (k,) is, and when, in the order of taking.
+
+    ``row`` (p, n): of the problem, -1 for none; ``order``: when each row was taken.
+    """
+    station, target = np.nonzero(row >= 0)
+    when = order[row[station, target]]
+    first = np.argsort(when, kind="stable")
+    return station[first], target[first], when[first]
+
+
+def _about_axis(places: Floats) -> Floats:
+    """Return unit vectors (p, 3, 3): rows from the axis out to each place, around it, and up."""
+    out = places * [1.0, 1.0, 0.0] / np.hypot(*places[:, :2].T)[:, None]
+    up = np.broadcast_to([0.0, 0.0, 1.0], out.shape)
+    return np.stack([out, np.cross(up, out), up], axis=1)
 
 
 def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> KnownBeforehand:
@@ -194,12 +258,15 @@ def step_of(slip: float, slips: Slips | None, lengths: int) -> float:
     return slip * float(np.sqrt(SLIPPED / lengths * (1.0 if slips is None else 1.0 - slips.found)))
 
 
-def curve_model(problem: TracerProblem, solution: TracerSolution | None) -> CurveModel:
+def curve_model(
+    problem: TracerProblem, solution: TracerSolution | None, joined: Floats | None = None
+) -> CurveModel:
     """Return the lengths of one place over ECC at its positions.
 
-    Shifts of the table in the plane are stated: the error motion, about a centre that is not
-    known. ``solution`` of the lengths alone, None where there is none: then ObservabilityError if
-    no error motion is stated.
+    Noise is what is stated, for all instruments to estimate. Shifts of the table in the plane are
+    stated, too: the error motion, about a centre that is not known. ``solution`` of the lengths
+    alone, None where there is none: then ObservabilityError if no error motion is stated.
+    ``joined`` (r, p, n), m: what errors in the zeros of joined runs do to the lengths.
     """
     if solution is None:
         grid = arrange(_on_a_circle(problem))[0]
@@ -211,6 +278,10 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None) -> Curv
         problem, grid, angles = solution.problem, solution.grid, solution.table_angles
         stations, distances = solution.fit.stations, solution.fit.distances
     lengths = _carried(problem, grid, angles, stations, distances, solution)
+    if joined is not None:
+        strip, target, _ = taken(grid.row, problem.measuring_order)
+        together = np.hstack([lengths.common, joined[:, strip, target].T])
+        lengths = replace(lengths, common=together)
     m = len(angles)
     plane = [3 * j + axis for j in range(m) for axis in (0, 1)]
     motion = lengths.rows_of("shift", plane) - np.tile(lengths.rows_of("frame"), (m, 1))
@@ -218,7 +289,7 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None) -> Curv
     return lengths.model(
         {"ECC": lengths.rows_of("turn")},
         [
-            of_targets(lengths, grid.target_std, grid.free),
+            of_targets(lengths, problem.target_std[grid.target_ids], grid.free),
             KnownBeforehand("the error motion", motion, std),
             *_wandering(lengths, grid),
         ],
@@ -231,11 +302,11 @@ def _on_a_circle(problem: TracerProblem) -> TracerProblem:
 
 
 def _error_motion(problem: TracerProblem, solution: TracerSolution | None) -> float:
-    """Return the standard deviation of the error motion, m: as used, else as stated."""
-    if solution is not None:
-        return solution.error_motion.used
+    """Return the standard deviation of the error motion, m: as stated, else as used."""
     stated = problem.error_motion_std
     stated = problem.circle_std if stated is None else stated
+    if stated is None and solution is not None:
+        return solution.error_motion.used
     if stated is None:
         raise ObservabilityError(
             "these lengths alone do not tell the error motion of the table, which they have to be "
@@ -262,10 +333,10 @@ def _carried(
     about = rotation_about_z(angles)[:, :2, :2]
     design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
     found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
-    strip, target = np.nonzero(grid.row >= 0)
+    strip, target, order = taken(grid.row, problem.measuring_order)
     zero = grid.station if grid.zero is None else grid.zero
-    row, std = grid.row[strip, target], grid.length_std[strip, target]
-    order = problem.measuring_order[row]
+    row = grid.row[strip, target]
+    std = problem.length_std[row]
     slipping = problem.slip if grid.segment_ids is not None and problem.segment is not None else 0
     step = step_of(slipping, None if solution is None else solution.slips, len(row))
     return CarriedLengths(

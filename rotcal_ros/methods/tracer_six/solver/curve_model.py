@@ -12,6 +12,7 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
     of_targets,
     slips_of,
     step_of,
+    taken,
 )
 from rotcal_ros.methods.tracer_six.solver.network import gauge_design
 from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
@@ -25,9 +26,10 @@ def curve_model(solution: SixSolution) -> CurveModel:
     """
     problem, layout, grid = solution.problem, solution.layout, solution.grid
     curves, state = solution.table.curves, solution.network.state
-    station, target = np.nonzero(grid.row >= 0)
-    row, std = grid.row[station, target], grid.length_std[station, target]
-    zero, order = layout.zero[station, target], problem.measuring_order[row]
+    station, target, order = taken(grid.row, problem.measuring_order)
+    row = grid.row[station, target]
+    std = problem.length_std[row]
+    zero = layout.zero[station, target]
     step = step_of(problem.slip, solution.slips, len(row))
     slips = slips_of(zero, order, step, float(std.min()))
     lengths = CarriedLengths(
@@ -54,7 +56,8 @@ def curve_model(solution: SixSolution) -> CurveModel:
         for k, axis in enumerate(axes)
     }
     return lengths.model(
-        named, [of_targets(lengths, grid.target_std, grid.free), _tilts(lengths, layout.tilt_std)]
+        named,
+        [of_targets(lengths, problem.target_std, grid.free), _tilts(lengths, layout.tilt_std)],
     )
 
 
