@@ -15,8 +15,9 @@ out.
 Where the table stands on an axis that tilts it, that is what p is with the tilt at 0, and c0 stays
 where it is: :mod:`.tilting`. The motions of the table are then its own at every tilt.
 
-Where the table turns on while it is read, what is read is late by a time tau: the ball has gone on
-by tau times its speed. The tip of the probe is off by a constant that joins p.
+Where the table turns on while it is read, the linear axes may be late by a time tau: the nest that
+follows a ball is behind by tau times the speed, and shows the ball so much farther on. The tip of
+the probe is off by a constant that joins p.
 
 A ball bar reads the length |p - s| + b from the ball to another one in the spindle, which the
 machine shows at s + S (s - c0); b is how much longer the bar is than it says.
@@ -30,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf, isfinite
 from typing import Final
 
 import numpy as np
@@ -102,7 +104,8 @@ class BallsOnTable:
     ``stated`` (6,): standard deviations of the motions, m and rad; ``sigma``: that of a coordinate
     of a centre or of a length, m. ``speed``: rad/s at which the table turns, of each run or,
     where something was read, at each reading (n,); none: it stands.
-    ``known``: blocks of what else is stated to be zero, with its standard deviation, SI.
+    ``known``: blocks of what else is stated to be zero, with its standard deviation, SI; infinite:
+    the readings alone tell it.
     """
 
     angles: Floats
@@ -147,7 +150,7 @@ class BallsOnTable:
         known = {
             "scale": solver.scale_std_um_per_m * MICROMETRE,
             "squareness": solver.squareness_std_um_per_m * MICROMETRE,
-            "lag": solver.lag_std_s * bool(len(turning)),
+            "lag": _lag_std(turning, solver),
             "tip": solver.tip_std_m,
             "bar": solver.bar_std_m * bool(len(bars)),
         }
@@ -289,8 +292,8 @@ class BallsOnTable:
         if self.tilting is not None:
             away, rows = self._on_tilting(self.tilting, own, away, rows)
         if "lag" in self.known:
-            gone = self.speed[:, None] * rows[:, :, OF_TABLE - 1]
-            away, rows = _moved(away, rows, own, gone[:, :, None])
+            ahead, by_lag = self._ahead_of_nest(float(x[self.first["lag"]]))
+            away, rows = away + ahead, np.concatenate([rows, by_lag[:, :, None]], axis=2)
         if "tip" in self.known:
             away, rows = _moved(away, rows, own, np.tile(np.eye(3), (len(own), 1, 1)))
         if not len(self.bars):
@@ -308,6 +311,15 @@ class BallsOnTable:
     def _spindle(self) -> Floats:
         """Where the machine shows the spindle's ball at each reading (n, 3), from c0."""
         return np.asarray(self.sent[self.tilt, self.position, self.target] - self.origin)
+
+    def _ahead_of_nest(self, lag: float) -> tuple[Floats, Floats]:
+        """Return how much farther (n, 3) balls are from a nest that is ``lag`` (s) late.
+
+        And its derivative by the lag.
+        """
+        turned = rotation_about_z(-self.speed * lag)
+        nest = np.einsum("nij,nj->ni", turned, self._spindle)
+        return self._spindle - nest, self.speed[:, None] * np.cross([0.0, 0.0, 1.0], nest)
 
     @cached_property
     def _felt(self) -> tuple[Ints, Ints]:
@@ -363,6 +375,17 @@ def _shown(rows: Floats, show: Floats, place: Floats) -> Floats:
     return np.concatenate([rows[:, :, :OF_TABLE], linear, rows[:, :, OF_TABLE:]], axis=2)
 
 
+def _lag_std(speeds: Floats, solver: BallsSolverSettings) -> float:
+    """Return what is stated of the lag of a table that turns at ``speeds`` (r,); 0: there is none.
+
+    Runs of several speeds tell it themselves; to tell it far better than it was stated would look
+    like a contradiction.
+    """
+    if not len(speeds):
+        return 0.0
+    return solver.lag_std_s if len(set(speeds.tolist())) == 1 else inf
+
+
 def _around(places: Floats) -> Floats:
     """Return the directions outward, along its way, and up (k, 3, 3) of balls at ``places``."""
     flat = places * [1.0, 1.0, 0.0]
@@ -413,7 +436,7 @@ def stated(balls: BallsOnTable, places: Floats) -> Floats:
     first, end = balls.first["EXC"], balls.first["scale"]
     return np.concatenate([
         np.pad(rows, ((0, 0), (first, sum(balls.blocks.values()) - end))),
-        *(block_rows(balls.blocks, name) / std for name, std in balls.known.items()),
+        *(block_rows(balls.blocks, name) / s for name, s in balls.known.items() if isfinite(s)),
     ])  # fmt: skip
 
 
