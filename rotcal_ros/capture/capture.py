@@ -246,11 +246,11 @@ class Capture:
     def _take_probe(self, sample: ProbeSample) -> Observations:
         """Start an attempt, or add a point to the newest one."""
         self._probe.received += 1
+        if self._goes_on(sample):
+            return self._take_reading(sample)
         self._answers.hear(sample)
         if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
             return ()
-        if self._goes_on(sample):
-            return self._take_reading(sample)
         self._admit()
         newest = self._pending[-1] if self._pending else None
         if not 0 <= sample.step < len(self._plan.steps):
@@ -268,7 +268,7 @@ class Capture:
 
     def _goes_on(self, sample: ProbeSample) -> bool:
         """Return whether a point is one of many while the table turns, and begins no attempt."""
-        if not 0 <= sample.step < len(self._plan.steps):
+        if sample.kind == PointKind.UNKNOWN or not 0 <= sample.step < len(self._plan.steps):
             return False
         begun = sample.attempt < self._next_attempt[sample.step]
         return begun and self._plan.steps[sample.step].turn is not None
