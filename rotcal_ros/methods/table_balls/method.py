@@ -266,7 +266,7 @@ def _passed(settings: BallsPlanSettings, targets: Sequence[int]) -> Iterator[tup
 def check_plan(configuration: Configuration, planned: Plan) -> None:
     """Raise PlanError for a plan whose balls tell neither the axis nor ECC, with the reason."""
     balls = balls_of(configuration)
-    _check_time(configuration, planned)
+    _check_turns(configuration, planned)
     radius = np.hypot(*balls.places.T[:2])
     if radius.max() < NEAR_AXIS_M:
         raise PlanError(
@@ -286,8 +286,13 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
         raise PlanError(f"with {len(planned.table_angles)} table angles {error}") from error
 
 
-def _check_time(configuration: Configuration, planned: Plan) -> None:
-    """Raise PlanError where a table turns so slowly that a step is given up before."""
+def _check_turns(configuration: Configuration, planned: Plan) -> None:
+    """Raise PlanError where a table cannot turn on, or so slowly that steps are given up."""
+    if configuration.plan.turning_deg_s and "table_adapter" in configuration.given:
+        raise PlanError(
+            "plan.turning_deg_s: table_adapter moves the table alone, from rest to rest, and no "
+            "nest follows: leave one of both out"
+        )
     limit_s, before = configuration.capture.step_timeout_s, planned.steps[0]
     for step in planned.steps:
         if step.turn is None:
