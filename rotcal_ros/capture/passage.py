@@ -64,10 +64,9 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """How a table passed an angle: ``ahead`` of it (n,), rad, positive behind it, at ``stamps``.
+    """How a table passed an angle: how far ``ahead`` of it (n,), rad, it was at ``stamps`` (n,).
 
-    The first is that of the last feedback before the readings that count, the last one follows
-    them.
+    From the last feedback before the readings that count, negative, to the first behind them.
     """
 
     stamps: Stamps
@@ -214,19 +213,23 @@ def _reduced(
     if not np.isfinite(values).all():
         return ReducedWindow(reason="a reading is not a finite number")
     lines = [Line.through(ahead, column) for column in values[:, 1:].T]
-    scatter = max(line.scatter for line in lines)
-    lost = _lost(stamps, values[:, 0])
-    if lost is None and scatter > settings.max_std_m:
-        lost = (
-            f"unstable: readings scatter by {scatter / MICROMETRE:.3g} um about their line, "
-            f"allowed {settings.max_std_m / MICROMETRE:g} um (capture.max_std_m)"
-        )
     return ReducedWindow(
         mean=tuple(line.value for line in lines),
         std=tuple(line.std for line in lines),
         scatter=tuple(line.scatter for line in lines),
         n_used=len(ahead),
-        reason=lost,
+        reason=_lost(stamps, values[:, 0]) or _unsteady(lines, settings),
+    )
+
+
+def _unsteady(lines: list[Line], settings: CaptureSettings) -> str | None:
+    """Return that readings scatter too much about their lines."""
+    scatter = max(line.scatter for line in lines)
+    if scatter <= settings.max_std_m:
+        return None
+    return (
+        f"unstable: readings scatter by {scatter / MICROMETRE:.3g} um about their line, allowed "
+        f"{settings.max_std_m / MICROMETRE:g} um (capture.max_std_m)"
     )
 
 
