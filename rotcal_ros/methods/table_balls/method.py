@@ -416,15 +416,16 @@ def _protections(
 
 def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     """Return what becomes of late readings: they turn the balls, in each run by its own speed."""
-    if len(set(configuration.plan.turning_deg_s)) == 1:
+    left = found.also["lag"][1][0]
+    if np.isclose(left, configuration.solver.lag_std_s, rtol=0.01):
         return Protection(
             "lag", "harmless", "at one speed a lag only moves the balls: nothing tells it"
         )
-    left = found.also["lag"][1][0] / MILLISECOND
     return Protection(
         "lag",
         "estimated",
-        f"runs of several speeds tell it to {left:.3g} ms: play of the table looks the same",
+        f"runs of several speeds tell it to {left / MILLISECOND:.3g} ms: play of the table looks "
+        "the same",
     )
 
 

@@ -141,9 +141,10 @@ class BallsOnTable:
         bars = np.array(triples(plan.bars_m * (plan.measure == BAR), "bars_m")).reshape(-1, 3)
         targets = len(balls) * max(1, len(bars))
         tilt, position, target = np.indices((tilts, len(angles), targets)).reshape(3, -1)
-        turning = sense * np.array(plan.turning_deg_s) * DEGREE
+        turning = runs = sense * np.array(plan.turning_deg_s) * DEGREE
         if read is not None:
             position, target = read.position, read.target
+            turning = runs[read.station] if len(runs) else runs
             tilt = np.zeros_like(position) if tilting is None else read.station
         shift, lean = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
         stated = np.array([shift, shift, shift, lean, lean, UNSTATED_RAD])
@@ -157,7 +158,7 @@ class BallsOnTable:
         return cls(
             angles, origin, balls - origin, bars, position, target,
             stated, solver.sigma_centre_m, sense, tilting, tilt,
-            turning if read is None or not len(turning) else turning[read.station],
+            turning,
             {name: std for name, std in known.items() if std},
         )  # fmt: skip
 

@@ -59,6 +59,9 @@ def test_the_lag_of_the_linear_axes_is_found_by_both_directions(lag_s):
     lag = result.details["also"]["lag"]
     assert lag["value"][0] == pytest.approx(lag_s, abs=3.5 * lag["std"][0])
     assert lag["std"][0] < 2e-6
+    one_way = calibration.solve(observed[:12])  # as of a calibration that was interrupted
+    assert one_way.details["also"]["lag"]["std"][0] == pytest.approx(1e-3, rel=0.01)
+    assert [p.treatment for p in one_way.protections if p.effect == "lag"] == ["harmless"]
     true = deviations(configuration.simulation.table, np.array(result.angles))["ECC"]
     away = result.deviations["ECC"] - (true - true.mean())
     assert np.abs(away / result.std["ECC"]).max() < 3.5
