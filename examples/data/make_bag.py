@@ -53,8 +53,9 @@ def messages(record):
         yield names.PROBE_POINT, "machine", {**plain(record), "kind": int(record.kind)}
     elif isinstance(record, Command):
         order = {"step": record.step, "attempt": record.attempt}
-        turn = {"angle": record.table_angle, "approach": int(record.approach)}
-        yield names.TABLE_ANGLE, "table_base", order | turn
+        table = {"angle": record.table_angle, "approach": int(record.approach)}
+        turn = {"turn_speed": 0.0, "turn_begin": 0.0, "turn_end": 0.0, "turn_anew": False}
+        yield names.TABLE_ANGLE, "table_base", order | table | turn
         where = {name: plain(record)[name] for name in ("target", "station", "position")}
         fields = order | where | {"kind": int(record.kind), "approach": np.zeros(3)}
         yield names.PROBE_TARGET, "machine", fields

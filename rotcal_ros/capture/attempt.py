@@ -43,6 +43,7 @@ class Wait:
 class AttemptStreams:
     """The streams that an attempt is judged by.
 
+    ``nest`` are the points that are read while the table turns: sequence, and three values (m).
     ``since_ns`` is the stamp of the first probe sample. Earlier readings of the air are not used,
     since their number depends on when the capture began to listen; nor are those from before a
     clock was set back. ``counted_from`` is the epoch and the stamp from which the segments of the
@@ -52,6 +53,7 @@ class AttemptStreams:
 
     tracer: TracerStream
     table: Stream
+    nest: Stream
     air: AirStreams
     since_ns: int | None = None
     counted_from: tuple[int, int] | None = None
@@ -69,7 +71,7 @@ class AttemptStreams:
 
         Samples of the other streams with older stamps arrive at ``settling_ns`` at the latest.
         """
-        set_back = [s for s in (self.tracer, self.table) if s.counts.set_back]
+        set_back = [s for s in self.fast if s.counts.set_back]
         newest = max(s.forgotten for s in set_back if s.forgotten is not None)
         self.since_ns = self.settled_ns = newest + settling_ns
         self._belated = tuple(belated_stamps(s, settling_ns) for s in set_back)
@@ -81,17 +83,21 @@ class AttemptStreams:
         """Return whether a sample that has just come was stamped before the clock was set back."""
         if not any(self.settled_ns <= a <= stamp_ns <= b for a, b in self._belated):
             return False
-        fast = (s.latest for s in (self.tracer, self.table) if s.set_back_at is not None)
+        fast = (s.latest for s in self.fast if s.set_back_at is not None)
         return all(latest is None or latest < self.settled_ns for latest in fast)
+
+    @property
+    def fast(self) -> tuple[Stream, ...]:
+        """The streams that send all the time."""
+        return self.tracer, self.table, self.nest
 
     def by_name(self) -> dict[str, Stream]:
         """Return the streams, fastest first."""
-        return {"tracer": self.tracer, "table": self.table, **self.air.by_name}
+        return dict(zip(("tracer", "table", "nest"), self.fast, strict=True)) | self.air.by_name
 
     def lag_ns(self, attempt: Attempt, wait: Wait) -> int:
         """Return how far the awaited stream is behind the newest of probe, tracer and table."""
-        fast = (self.tracer, self.table)
-        newest = max(attempt.begin_ns, *(self.reached(stream, attempt) for stream in fast))
+        newest = max(attempt.begin_ns, *(self.reached(stream, attempt) for stream in self.fast))
         return newest - self.reached(wait.stream, attempt)
 
     def reached(self, stream: Stream, attempt: Attempt) -> int:
@@ -119,8 +125,8 @@ class Attempt:
 
     ``samples`` are the probe samples so far. ``superseded_ns`` is the stamp of the first probe
     sample of the next attempt, once known: nothing later can belong to this one. From
-    ``search_ns`` on the table may be in position. ``rejected`` is set as soon as it is certain
-    that the attempt cannot succeed.
+    ``search_ns`` on the table may be in position, or pass it in the turn that began then.
+    ``rejected`` is set as soon as it is certain that the attempt cannot succeed.
     """
 
     step: Step

@@ -52,7 +52,9 @@ _PATIENCE_NS: Final = 3_000_000_000
 """A table that is not at rest this long after the probe is in position is reported."""
 _NEAR_M: Final = 1e-6
 """Points closer than this are the same place, however small their stated deviations are."""
-_WORDS: Final = {"tracer": "tracer readings", "table": "table feedbacks"}
+_WORDS: Final = {
+    "tracer": "tracer readings", "table": "table feedbacks", "nest": "readings beside the table"
+}  # fmt: skip
 """What messages call the samples of a stream; those of the air are called after it."""
 
 
@@ -95,6 +97,7 @@ class Capture:
                 single_shot=single_shot,
             ),
             table=Stream(2, tolerance),
+            nest=Stream(4, tolerance),
             air=AirStreams(tolerance),
         )
         self._tolerance_ns = tolerance
@@ -142,6 +145,7 @@ class Capture:
         """By stream: what it delivered and what was wrong with it, without zeros."""
         all_counts = {}
         unasked = {q.name for q in QUANTITIES.values() if not q.expected(self._settings)}
+        unasked.add("nest")
         for name, stream in self._streams.by_name().items():
             stream.flush()
             if stream.counts.received or name not in unasked:
@@ -182,6 +186,8 @@ class Capture:
         if not self._pending:
             return self._answers.complaint()
         attempt, table = self._pending[-1], self._streams.table
+        if attempt.step.turn is not None:
+            return None
         reached_ns = self._streams.reached(table, attempt)
         if reached_ns - attempt.begin_ns < _PATIENCE_NS or attempt.search_ns <= reached_ns:
             return None
@@ -193,7 +199,7 @@ class Capture:
 
     def hopeless(self) -> str | None:
         """Return why no attempt will ever be accepted, with what to change, if that is certain."""
-        if (newest := self._newest) is None:
+        if (newest := self._newest) is None or newest.step.turn is not None:
             return None
         table = self._streams.table
         self._had_velocity |= bool(np.isfinite(table.values[:, VELOCITY]).any())
@@ -228,7 +234,8 @@ class Capture:
             return ()
         self._answers.order(command)
         self._commands.unanswered = self._answers.unanswered
-        if command != (planned := self._plan.steps[command.step].command(command.attempt)):
+        step = self._plan.steps[command.step]
+        if command != (planned := step.command(command.attempt, anew=command.anew)):
             self._commands.off_plan += 1
             self._remarks.append(
                 f"the command for step {command.step} is not the plan's: found {command}, "
@@ -239,6 +246,8 @@ class Capture:
     def _take_probe(self, sample: ProbeSample) -> Observations:
         """Start an attempt, or add a point to the newest one."""
         self._probe.received += 1
+        if self._goes_on(sample):
+            return self._take_reading(sample)
         self._answers.hear(sample)
         if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
             return ()
@@ -257,14 +266,33 @@ class Capture:
             self._probe_stamp = sample.stamp_ns
         return self._decide()
 
+    def _goes_on(self, sample: ProbeSample) -> bool:
+        """Return whether a point is one of many while the table turns, and begins no attempt."""
+        if sample.kind == PointKind.UNKNOWN or not 0 <= sample.step < len(self._plan.steps):
+            return False
+        begun = sample.attempt < self._next_attempt[sample.step]
+        return begun and self._plan.steps[sample.step].turn is not None
+
+    def _take_reading(self, sample: ProbeSample) -> Observations:
+        """Take a point that is read while the table turns."""
+        if not self._streams.before_set_back(sample.stamp_ns):
+            self._probe_stamp = sample.stamp_ns
+        due = self._streams.nest.stage(sample.stamp_ns, _reading(sample))
+        return self._decide() if due else ()
+
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
         step = self._plan.steps[sample.step]
         self._streams.begin(sample.stamp_ns)
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        attempt = Attempt(step, sample.attempt, self._run, [sample], sample.stamp_ns)
+        before, begun_ns = self._newest, sample.stamp_ns
+        if before is not None and step.follows(before.step):
+            begun_ns = before.search_ns  # the turn goes on, and may have passed already
+        attempt = Attempt(step, sample.attempt, self._run, [sample], begun_ns)
         self._check_sample(attempt, sample)
+        if step.turn is not None:
+            self._streams.nest.stage(sample.stamp_ns, _reading(sample))
         self._pending.append(attempt)
         self._newest = attempt
 
@@ -301,7 +329,7 @@ class Capture:
             raise AttemptRejectedError(
                 f"probe stamps go backwards: {back:.3g} s before the previous sample"
             )
-        fast = (self._streams.tracer.latest, self._streams.table.latest)
+        fast = (stream.latest for stream in self._streams.fast)
         behind_ns = max((at for at in fast if at is not None), default=0) - sample.stamp_ns
         allowed_s = self._settings.clock_tolerance_s + self._settings.step_timeout_s
         if behind_ns > nanoseconds(allowed_s):
@@ -354,7 +382,7 @@ class Capture:
         for stream in self._streams.by_name().values():
             stream.flush()
             stream.wait(NEVER)
-        fast = (self._streams.tracer, self._streams.table)
+        fast = self._streams.fast
         count = sum(stream.counts.set_back for stream in fast)
         if count == self._set_backs:
             return
@@ -449,6 +477,11 @@ class Capture:
     def _not_in_plan(self, step: int) -> str:
         last = len(self._plan.steps) - 1
         return f"step {step}, which is not in the plan: it has the steps 0 to {last}"
+
+
+def _reading(sample: ProbeSample) -> tuple[float, ...]:
+    """Return a point as a row of the stream ``nest``."""
+    return (float(sample.sequence), *sample.position)
 
 
 def _elsewhere(earlier: ProbeSample, again: ProbeSample) -> bool:

@@ -24,6 +24,7 @@ from rotcal_ros.foundation.observations import (
     TableSample,
     TemperatureSample,
     TracerSample,
+    Turn,
 )
 from rotcal_ros.geometry.frames import StaticFrame
 
@@ -116,7 +117,16 @@ def command(table: Any, probe: Any) -> Command:
         target=probe.target,
         position=_point(probe.position),
         station=probe.station,
+        turn=_turn(table),
+        anew=bool(getattr(table, "turn_anew", False)),
     )
+
+
+def _turn(table: Any) -> Turn | None:
+    """Return the turn of a TableAngle; bags from before there were turns have no such fields."""
+    if not getattr(table, "turn_speed", 0.0):
+        return None
+    return Turn(float(table.turn_begin), float(table.turn_end), float(table.turn_speed))
 
 
 def observation(message: Any) -> Observation:

@@ -21,7 +21,8 @@ class CaptureSettings:
         20.0,
         minimum=0.01,
         maximum=36_000.0,
-        doc="arcsec, largest difference of the table feedback from the commanded angle",
+        doc="arcsec, largest difference of the table feedback from the commanded angle; of a "
+        "table that turns on, from even motion while it passes",
     )
     velocity_tolerance_deg_s: float = setting(
         0.02,
@@ -29,11 +30,23 @@ class CaptureSettings:
         maximum=10.0,
         doc="deg/s, largest speed at which the table counts as at rest",
     )
+    speed_tolerance: float = expert(
+        0.01,
+        minimum=1e-6,
+        maximum=1.0,
+        doc="largest share by which a table that turns on passes an angle too fast or too slowly",
+    )
+    passing_samples: int = expert(
+        3,
+        minimum=2,
+        maximum=MAX_WINDOW_SAMPLES,
+        doc="least number of readings on each side of an angle that the table passes",
+    )
     table_silence_s: float = expert(
         1.0,
         minimum=1e-3,
         maximum=3600.0,
-        doc="s, longest gap in the table feedback while the table is at rest",
+        doc="s, longest gap in the table feedback while the table is at rest, or passes an angle",
     )
     settle_time_s: float = setting(
         0.5,

@@ -118,10 +118,24 @@ class HumiditySample:
 
 
 @dataclass(frozen=True, slots=True)
+class Turn:
+    """The table turns from rest at ``begin`` to rest at ``end``, rad, and passes its angles.
+
+    It does so at ``speed``, rad/s, negative for decreasing angles.
+    """
+
+    begin: float
+    end: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """What the planner ordered for one step: a table angle and where the probe shall be.
 
-    ``station`` is the index of the tracker station, 0 if there is no tracker.
+    ``station`` is the index of the tracker station, 0 if there is no tracker. With a ``turn`` the
+    table passes the angle, and the probe follows; it begins to turn if ``anew``, else an earlier
+    order has begun it.
     """
 
     step: int
@@ -132,6 +146,8 @@ class Command:
     target: int
     position: tuple[float, float, float]
     station: int = 0
+    turn: Turn | None = None
+    anew: bool = False
 
     def answered(
         self,

@@ -49,8 +49,9 @@ class DryRun:
     def _first(self) -> CheckLine:
         step, plan = self._steps[0], self.calibration.plan
         x, y, z = step.position
+        there = f"{'past' if step.turn else 'to'} {step.table_angle / DEGREE:.6g}°"
         found = (
-            f"table to {step.table_angle / DEGREE:.6g}°{_SIDES.get(step.approach, '')}, probe to "
+            f"table {there}{_SIDES.get(step.approach, '')}, probe to "
             f"({x:.4g}, {y:.4g}, {z:.4g}) m ({step.kind.name}, target {step.target})"
         )
         pause = plan.pause_before(step.index)
@@ -76,7 +77,8 @@ class DryRun:
 
     def _travel(self) -> CheckLine:
         """Say whether the table comes to all angles, where the travel is known."""
-        angles = [step.table_angle / DEGREE for step in self._steps]
+        ends = [end for s in self._steps if s.turn for end in (s.turn.begin, s.turn.end)]
+        angles = [angle / DEGREE for angle in (*(s.table_angle for s in self._steps), *ends)]
         extent = f"{min(angles):.6g}° to {max(angles):.6g}°"
         configuration = self.calibration.configuration
         adapter = configuration.table_adapter

@@ -54,8 +54,8 @@ def simulated_run(
     cell = calibration.method.simulated_cell(configuration.simulation, start_ns)
     capture = calibration.capture()
 
-    def attempt(step: Step, number: int) -> Iterator[Event]:
-        command = step.command(number)
+    def attempt(step: Step, number: int, before: Step | None) -> Iterator[Event]:
+        command = step.command(number, anew=step.begins_turn(before))
         cell.order_table(command)
         cell.order_probe(command)
         yield Event(cell.now_ns, step.index, command)
@@ -73,9 +73,11 @@ def simulated_run(
             "alone: set simulation.table.external to false"
         )
 
+    before = None
     for step in calibration.plan.steps:
         for number in range(attempts):
-            events = list(attempt(step, number))
+            events = list(attempt(step, number, before))
+            before = step
             yield from events
             if any(o.accepted for event in events for o in event.observed):
                 break

@@ -12,6 +12,7 @@ from rotcal_ros.foundation.observations import (
     Command,
     Observation,
     PointKind,
+    Turn,
     place_in_words,
 )
 
@@ -30,7 +31,8 @@ class Step:
     ``table_angle`` (rad) is approached from the side ``approach``; ``position`` (m) is the
     nominal place of target number ``target``. ``n_points`` is the number of probe points that make
     the observation (1 for a carried reflector); ``ball_diameter`` (m) is that of the touched ball,
-    0 if there is none.
+    0 if there is none. With a ``turn`` the table passes the angle; the readings up to ``passing``
+    (rad) on both sides of it make the observation.
     """
 
     index: int
@@ -43,12 +45,25 @@ class Step:
     station: int = 0
     n_points: int = 1
     ball_diameter: float = 0.0
+    turn: Turn | None = None
+    passing: float = 0.0
 
     def in_words(self, attempt: int = 0) -> str:
         """Return the place of this step, for people."""
         return place_in_words(self.table_position, self.target, attempt)
 
-    def command(self, attempt: int) -> Command:
+    def follows(self, before: Step | None) -> bool:
+        """Return whether the turn in which the table passes ``before`` passes this one next."""
+        if self.turn is None or before is None or before.index != self.index - 1:
+            return False
+        ours, theirs = ((s.turn, s.station, s.target) for s in (self, before))
+        return ours == theirs
+
+    def begins_turn(self, ordered: Step | None) -> bool:
+        """Return whether a turn begins with this step, after that which was ``ordered`` last."""
+        return self.turn is not None and not self.follows(ordered)
+
+    def command(self, attempt: int, *, anew: bool = False) -> Command:
         """Return the order for one attempt at this step."""
         return Command(
             step=self.index,
@@ -59,6 +74,8 @@ class Step:
             target=self.target,
             position=self.position,
             station=self.station,
+            turn=self.turn,
+            anew=anew,
         )
 
     def observed(self, mean: tuple[float, ...], kind: PointKind | None = None) -> Observation:

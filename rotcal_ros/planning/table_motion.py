@@ -6,6 +6,7 @@ from collections import deque
 from math import isfinite, pi, remainder
 from typing import Final
 
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 
@@ -31,6 +32,15 @@ def approached(here: float, goal: float, approach: Approach, run_up: float) -> t
     if not towards or towards * (goal - here) >= run_up:
         return (goal,)
     return (goal - towards * run_up, goal)
+
+
+def require_rest(turn_speed: float) -> None:
+    """Raise DataError for an order to turn on at this speed (rad/s), where a table only stops."""
+    if turn_speed:
+        raise DataError(
+            f"ordered to turn on at {turn_speed / DEGREE:g} deg/s, while the linear axes follow: "
+            "this adapter moves the table alone, from rest to rest; leave plan.turning_deg_s out"
+        )
 
 
 def is_near(angle: float, commanded: float, tolerance: float) -> bool:

@@ -28,6 +28,7 @@ from rotcal_ros.foundation.observations import (
     TableSample,
     TemperatureSample,
     TracerSample,
+    Turn,
 )
 
 any_float = st.floats(width=64)
@@ -46,7 +47,11 @@ temperatures = st.builds(TemperatureSample, stamps, text, any_float)
 probe_samples = st.builds(
     ProbeSample, stamps, u32, u32, u32, kinds, u32, u32, u32, points, points, any_float
 )
-commands = st.builds(Command, u32, u32, any_float, st.sampled_from(Approach), kinds, u32, points)
+turns = st.none() | st.builds(Turn, any_float, any_float, any_float.filter(bool))
+commands = st.builds(
+    Command, u32, u32, any_float, st.sampled_from(Approach), kinds, u32, points, turn=turns,
+    anew=st.booleans(),
+)  # fmt: skip
 observations = st.builds(
     Observation,
     step=u32, attempt=u32, table_position=u32, table_angle=any_float, target=u32, station=u32,

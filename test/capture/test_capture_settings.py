@@ -9,7 +9,7 @@ from rotcal_ros.foundation.errors import ConfigurationError
 
 def test_every_setting_is_as_documented():
     assert CaptureSettings() == CaptureSettings(temperature_expected=True)  # they go together
-    assert assert_documented(CaptureSettings, "capture") == 23
+    assert assert_documented(CaptureSettings, "capture") == 25
 
 
 def test_settling_ends_before_the_timeout():

@@ -36,6 +36,13 @@ def test_what_is_not_stated_is_open_and_says_what_to_compare_with():
     assert "cell.volume_from_m" in lines["probe"].todo
 
 
+def test_a_table_that_turns_passes_its_angles_and_needs_more_travel():
+    turning = ("plan.measure=displacement", "plan.closing=false", "plan.turning_deg_s=[9.0, -9.0]")
+    lines = lines_of(*turning, path=CONFIG / "table_balls_demo.yaml")
+    assert lines["first order"].found.startswith("table past 0°")
+    assert lines["table"].found.startswith("-15° to 345°")
+
+
 def test_targets_outside_the_stated_volume_are_counted():
     inside = ("cell.volume_from_m=[-0.5, -0.5, 0.0]", "cell.volume_to_m=[0.5, 0.5, 0.8]")
     assert lines_of(*inside)["probe"].state == "good"

@@ -1,12 +1,12 @@
 """The records of a plan: what a step orders, what it observes, what a plan refuses."""
 
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
 
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.observations import Approach, PointKind, Turn
 from rotcal_ros.planning.plan import Pause, Plan, Step
 from rotcal_ros.planning.table_angles import TableAngleSettings, Visit, table_angles, visits
 
@@ -30,8 +30,27 @@ def test_a_step_orders_one_attempt_with_all_that_it_knows():
     assert command.attempt == 2
     assert command.step == STEP.index
     for field in fields(command):
-        if field.name not in ("step", "attempt"):
+        if field.name not in ("step", "attempt", "anew"):
             assert getattr(command, field.name) == getattr(STEP, field.name), field.name
+
+
+def test_a_turn_goes_on_from_one_of_its_angles_to_the_next():
+    turn = Turn(-0.2, 1.2, 0.3)
+    steps = [replace(PLAIN, index=k, table_angle=0.5 * k, turn=turn) for k in range(3)]
+    assert steps[1].follows(steps[0])
+    assert steps[1].command(0) == replace(steps[1].command(4), attempt=0)
+    assert steps[1].command(0, anew=True).anew
+    for before in (
+        None,
+        steps[1],  # another attempt
+        steps[2],
+        replace(steps[0], station=1),  # another run at the same speed
+        replace(steps[0], target=1),
+        replace(steps[0], turn=Turn(-0.2, 1.2, -0.3)),
+    ):
+        assert not steps[1].follows(before)
+        assert steps[1].begins_turn(before)
+    assert not PLAIN.begins_turn(None)
 
 
 def test_a_plain_step_needs_one_point_and_no_station():

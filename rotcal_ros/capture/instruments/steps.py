@@ -70,8 +70,9 @@ class StepFinder:
     ``ball_tolerance_m``. With a planner, the step is the one that it has ``ordered``; without one
     (a bag from elsewhere) it is the next one of the plan that fits, and steps that were left out
     are skipped. A carried reflector that still moves within the tolerance has not arrived; a
-    ``single_shot`` probe has, because it sends only then. Events are judged in the order of their
-    stamps, whichever stream arrives first.
+    ``single_shot`` probe has, because it sends only then. A reading (PointKind.READING) is no
+    place: it may have any value, and while the table turns all of them belong to the last order.
+    Events are judged in the order of their stamps, whichever stream arrives first.
     """
 
     def __init__(
@@ -142,6 +143,8 @@ class StepFinder:
         """Return why the last order has no answer, once table and probe stand still."""
         if not self._orders or self._orders[-1].points or self._position is None:
             return None
+        if self._orders[-1].step.turn is not None:
+            return None
         still_since_ns = max(self._orders[-1].since_ns, self._moved_ns)
         if self._newest_ns is None or self._newest_ns - still_since_ns < PATIENCE_NS:
             return None
@@ -193,6 +196,9 @@ class StepFinder:
         elif all(map(isfinite, event.position)):
             self._stands = self._single_shot or self._stays(event)
             self._position = event
+        waited = self._turning(stamp_ns)
+        if waited is not None:
+            return self._answer(waited, stamp_ns) if event is self._position else None
         if self._angle is None or self._position is None:
             return None
         self._stands |= stamp_ns - self._position.stamp_ns >= _SILENT_NS
@@ -242,6 +248,11 @@ class StepFinder:
                 return self._planned
         return None
 
+    def _turning(self, stamp_ns: int) -> _Awaited | None:
+        """Return the step that is awaited at this time, if the table passes it without a stop."""
+        waited = next((o for o in reversed(self._orders) if o.since_ns <= stamp_ns), None)
+        return None if waited is None or waited.step.turn is None else waited
+
     def _answer(self, waited: _Awaited, stamp_ns: int) -> ProbeSample:
         assert self._position is not None
         step, point = waited.step, waited.points
@@ -257,7 +268,9 @@ class StepFinder:
 
     def _is_reached(self, step: Step) -> bool:
         assert self._position is not None
-        near = dist(self._position.position, step.position) <= self._reach(step)
+        near = step.kind == PointKind.READING or (
+            dist(self._position.position, step.position) <= self._reach(step)
+        )
         arrived = self._stands or step.kind != PointKind.REFLECTOR
         return near and arrived and self._is_at(step)
 

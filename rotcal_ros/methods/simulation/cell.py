@@ -70,8 +70,11 @@ class SimulatedCell:
         return self.instrument.pending is not None or self.now_ns < rest + hold
 
     def order_table(self, command: Command) -> None:
-        """Turn the table to ``command.table_angle``."""
-        self.table.order(self.now_ns, command.table_angle, command.approach)
+        """Turn the table to ``command.table_angle``, or past it."""
+        if command.turn is None:
+            self.table.order(self.now_ns, command.table_angle, command.approach)
+        elif command.anew:
+            self.table.turn(self.now_ns, command.turn)
         self._table_order = (command.step, command.attempt)
 
     def follow_table(self, stamp_ns: int, angle: float) -> CellOutput:

@@ -58,16 +58,23 @@ class Motion:
     """Legs one after the other, from ``begin_ns``; before it at rest at the first place.
 
     When the last leg ends the coordinate lags behind by ``limits.lag``, which then decays
-    exponentially.
+    exponentially. ``last`` are the limits of the last leg, if it has its own.
     """
 
-    def __init__(self, begin_ns: int, places: Sequence[float], limits: MotionLimits) -> None:
+    def __init__(
+        self,
+        begin_ns: int,
+        places: Sequence[float],
+        limits: MotionLimits,
+        last: MotionLimits | None = None,
+    ) -> None:
         self._limits = limits
         self._legs: list[Leg] = []
         self.end_ns = begin_ns
         self.place = places[-1]
-        for start, stop in pairwise(places):
-            self._legs.append(_leg(self.end_ns, start, stop, limits))
+        for number, (start, stop) in enumerate(pairwise(places), 2):
+            own = last if last is not None and number == len(places) else limits
+            self._legs.append(_leg(self.end_ns, start, stop, own))
             self.end_ns = self._legs[-1].end_ns
 
     def state(self, stamps: Stamps) -> tuple[Floats, Floats]:

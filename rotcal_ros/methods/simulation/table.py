@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Final
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.observations import Approach, TableSample, Turn
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
@@ -129,7 +130,7 @@ class SimulatedTable:
         )
         self._motion = Motion(start_ns, [settings.initial_angle_deg * DEGREE], self._limits)
         self._approach = Approach.POSITIVE
-        self._arrivals = 0
+        self._arrivals, self._arrives = 0, True
         self._arrival_noise = IndexedNoise(seed, NoiseSource.ARRIVAL)
         self._motion_noise = IndexedNoise(seed, NoiseSource.ARRIVAL_MOTION)
         self._feedback_noise = IndexedNoise(seed, NoiseSource.FEEDBACK)
@@ -155,7 +156,20 @@ class SimulatedTable:
             places = [start, angle + overshoot, angle]
         self._motion = Motion(now_ns, places, self._limits)
         self._approach = Approach.POSITIVE if places[-1] >= places[-2] else Approach.NEGATIVE
-        self._arrivals += 1
+        self._arrivals, self._arrives = self._arrivals + 1, True
+        self.rest_ns = self._motion.end_ns
+
+    def turn(self, now_ns: int, turn: Turn) -> None:
+        """Go to where a turn begins, then turn on to its end at its speed.
+
+        No angle that it passes is an arrival: nothing scatters.
+        """
+        here = float(self._motion.state(np.array([now_ns]))[0][0])
+        places = [here, turn.begin, turn.end]
+        own = replace(self._limits, speed=min(abs(turn.speed), self._limits.speed))
+        self._motion = Motion(now_ns, places, self._limits, own)
+        self._approach = Approach.POSITIVE if turn.speed > 0.0 else Approach.NEGATIVE
+        self._arrives = False
         self.rest_ns = self._motion.end_ns
 
     def stop(self, now_ns: int) -> None:
@@ -172,7 +186,7 @@ class SimulatedTable:
     def poses(self, stamps: Stamps) -> tuple[Floats, Floats]:
         """Return the actual poses at ``stamps``; see :func:`table_poses`."""
         extra = self.settings.repeatability_arcsec * ARCSEC
-        extra *= float(self._arrival_noise.normal(self._arrivals, 1)[0])
+        extra *= self._arrives * float(self._arrival_noise.normal(self._arrivals, 1)[0])
         if self._approach == Approach.NEGATIVE:
             extra += self.settings.backlash_arcsec * ARCSEC
         angles = self.angles(stamps)
@@ -185,7 +199,7 @@ class SimulatedTable:
             self.settings.repeatability_um,
             self.settings.repeatability_tilt_arcsec,
         )
-        if not (shift_um or tilt_arcsec):
+        if not self._arrives or not (shift_um or tilt_arcsec):
             return rotation, shift
         drawn = self._motion_noise.normal(5 * self._arrivals, 5)
         tilt = tilt_arcsec * ARCSEC * drawn[3:, None]
@@ -242,6 +256,9 @@ class ExternalTable:
         self._angles.append(angle)
 
     def order(self, now_ns: int, angle: float, approach: Approach) -> None:
+        """Do nothing: the other program has heard the order too."""
+
+    def turn(self, now_ns: int, turn: Turn) -> None:
         """Do nothing: the other program has heard the order too."""
 
     def stop(self, now_ns: int) -> None:

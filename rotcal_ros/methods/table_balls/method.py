@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.polynomial.polynomial import polyfit
 
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.fit import require_determined
 from rotcal_ros.adjust.model import Model
-from rotcal_ros.capture.attempt import CaptureRules
+from rotcal_ros.capture.attempt import Attempt, AttemptStreams, CaptureRules, Wait
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
+from rotcal_ros.capture.passage import Line, decide_passage
+from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
@@ -23,7 +24,7 @@ from rotcal_ros.foundation.errors import (
     ObservabilityError,
     PlanError,
 )
-from rotcal_ros.foundation.observations import Approach, Observation, PointKind
+from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
 from rotcal_ros.foundation.protection import Effect, Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.tables import Table, hashes
@@ -108,7 +109,8 @@ def plan(configuration: Configuration) -> Plan:
     """Return the plan: every run goes through all angles, at each to all balls, there and back.
 
     A step's ``station`` is its run; with a tilting axis its tilt, to which a person brings it. A
-    ball bar is brought from set-up to set-up instead, which ``target`` counts, ball by ball.
+    ball bar is brought from set-up to set-up instead, which ``target`` counts, ball by ball. A
+    table that turns passes all angles once for each ball.
     Raises ConfigurationError for a ball without place and for tilts that do not fit the chain,
     PlanError for angles that do not ascend.
     """
@@ -122,20 +124,23 @@ def plan(configuration: Configuration) -> Plan:
         raise ConfigurationError(f"{configuration.source}: plan.bars_m: state at least one set-up")
     sent, kind = balls.sent, KINDS[settings.measure]
     steps: list[Step] = []
-    for number, target, (run, position, angle) in _order(settings, balls):
+    for number, target, (run, position, angle, turn) in _order(settings, balls):
         x, y, z = sent[number, position, target].tolist()
+        back = turn is not None and turn.speed < 0.0
         steps.append(
             Step(
                 index=len(steps),
                 table_position=position,
                 table_angle=angle,
-                approach=Approach.POSITIVE,
+                approach=Approach.NEGATIVE if back else Approach.POSITIVE,
                 kind=kind,
                 target=target,
                 position=(x, y, z),
                 station=run if balls.tilting is None else number,
                 n_points=settings.points_per_ball if kind == PointKind.SURFACE else 1,
                 ball_diameter=settings.ball_diameter_m,
+                turn=turn,
+                passing=0.0 if turn is None else settings.passing_deg * DEGREE,
             )
         )
     targets = tuple((x, y, z) for x, y, z in (balls.aims + balls.origin).tolist())
@@ -143,11 +148,21 @@ def plan(configuration: Configuration) -> Plan:
     return Plan(NAME, table_angles(settings), targets, tuple(steps), pauses)
 
 
-def _order(
-    settings: BallsPlanSettings, balls: BallsOnTable
-) -> Iterator[tuple[int, int, tuple[int, int, float]]]:
+class Stop(NamedTuple):
+    """Run, number and commanded angle (rad) of a table position, and the turn that passes it."""
+
+    run: int
+    position: int
+    angle: float
+    turn: Turn | None = None
+
+
+def _order(settings: BallsPlanSettings, balls: BallsOnTable) -> Iterator[tuple[int, int, Stop]]:
     """Yield number of the tilt, target and stop of every step."""
     stops, targets = list(_stops(settings)), range(len(balls.aims))
+    if settings.turning_deg_s:
+        yield from ((0, target, stop) for target, stop in _passed(settings, targets))
+        return
     for number in range(balls.tilts):
         if len(balls.bars):
             yield from ((number, target, stop) for target in targets for stop in stops)
@@ -187,6 +202,11 @@ def _check_turning(settings: BallsPlanSettings, source: str) -> None:
             f"{source}: plan.turning_deg_s: {len(speeds)} speeds, expected {settings.runs} other "
             "than 0, one for each of plan.runs"
         )
+    if settings.run_up_deg <= settings.passing_deg:
+        raise ConfigurationError(
+            f"{source}: plan.run_up_deg: {settings.run_up_deg:g} leaves the table no way to "
+            f"get up to its speed before plan.passing_deg, {settings.passing_deg:g}"
+        )
 
 
 def _check_chain(settings: BallsPlanSettings, source: str) -> None:
@@ -212,27 +232,42 @@ def _check_chain(settings: BallsPlanSettings, source: str) -> None:
         )
 
 
-def _stops(settings: BallsPlanSettings) -> Iterator[tuple[int, int, float]]:
-    """Yield run, table position and commanded angle (rad) of every stop of the table."""
+def _stops(settings: BallsPlanSettings) -> Iterator[Stop]:
+    """Yield every stop of the table."""
+    angles, on = np.array(table_angles(settings)), _turns_on(settings)
+    for run in range(settings.runs):
+        for position, angle in enumerate(angles.tolist()):
+            yield Stop(run, position, angle + run * on)
+    if settings.closing:
+        yield Stop(settings.runs - 1, 0, float(angles[0]) + settings.runs * on)
+
+
+def _turns_on(settings: BallsPlanSettings) -> float:
+    """Return by how much (rad) the angles of the next run are ahead, in its sense."""
     angles = np.array(table_angles(settings))
     step = float(np.diff(angles).max(initial=0.0))
     whole = angles[-1] + step - angles[0] > TURN * (1.0 - 1e-9)
-    on = TURN if whole and settings.turns_on else 0.0
-    for run in range(settings.runs):
-        for position, angle in enumerate(angles.tolist()):
-            yield run, position, angle + run * on
-    if settings.closing:
-        yield settings.runs - 1, 0, float(angles[0]) + settings.runs * on
+    return TURN if whole and settings.turns_on else 0.0
+
+
+def _passed(settings: BallsPlanSettings, targets: Sequence[int]) -> Iterator[tuple[int, Stop]]:
+    """Yield ball and stop of every angle that a table passes, in each run once for each ball."""
+    angles, run_up, on = table_angles(settings), settings.run_up_deg * DEGREE, _turns_on(settings)
+    whole, before = 0.0, 0.0
+    for run, speed in enumerate(np.array(settings.turning_deg_s) * DEGREE):
+        sense = float(np.sign(speed))
+        for target in targets:
+            whole += on * sense * (before == sense)
+            ends = [whole + angles[0] - run_up, whole + angles[-1] + run_up][:: int(sense)]
+            turn, before = Turn(ends[0], ends[1], float(speed)), sense
+            for position in range(len(angles))[:: int(sense)]:
+                yield target, Stop(run, position, angles[position] + whole, turn)
 
 
 def check_plan(configuration: Configuration, planned: Plan) -> None:
     """Raise PlanError for a plan whose balls tell neither the axis nor ECC, with the reason."""
     balls = balls_of(configuration)
-    if "lag" in balls.known:
-        raise PlanError(
-            "plan.turning_deg_s: a live calibration stops at every angle; displacements of a "
-            "table that turns come as a table of numbers"
-        )
+    _check_turns(configuration, planned)
     radius = np.hypot(*balls.places.T[:2])
     if radius.max() < NEAR_AXIS_M:
         raise PlanError(
@@ -250,6 +285,27 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
         require_determined(model(configuration, exact))
     except ObservabilityError as error:
         raise PlanError(f"with {len(planned.table_angles)} table angles {error}") from error
+
+
+def _check_turns(configuration: Configuration, planned: Plan) -> None:
+    """Raise PlanError where a table cannot turn on, or so slowly that steps are given up."""
+    if configuration.plan.turning_deg_s and "table_adapter" in configuration.given:
+        raise PlanError(
+            "plan.turning_deg_s: table_adapter moves the table alone, from rest to rest, and no "
+            "nest follows: leave one of both out"
+        )
+    limit_s, before = configuration.capture.step_timeout_s, planned.steps[0]
+    for step in planned.steps:
+        if step.turn is None:
+            return
+        begin = before.table_angle if step.follows(before) else step.turn.begin
+        before, way = step, abs(step.table_angle - begin) + step.passing
+        if (takes_s := way / abs(step.turn.speed)) > limit_s:
+            raise PlanError(
+                f"plan.turning_deg_s: the table takes {takes_s:.3g} s to {step.in_words()}, "
+                f"longer than capture.step_timeout_s = {limit_s:g}: turn faster, or raise that "
+                "and planner.step_timeout_s"
+            )
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
@@ -361,15 +417,16 @@ def _protections(
 
 def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     """Return what becomes of late readings: they turn the balls, in each run by its own speed."""
-    if len(set(configuration.plan.turning_deg_s)) == 1:
+    left = found.also["lag"][1][0]
+    if np.isclose(left, configuration.solver.lag_std_s, rtol=0.01):
         return Protection(
             "lag", "harmless", "at one speed a lag only moves the balls: nothing tells it"
         )
-    left = found.also["lag"][1][0] / MILLISECOND
     return Protection(
         "lag",
         "estimated",
-        f"runs of several speeds tell it to {left:.3g} ms: play of the table looks the same",
+        f"runs of several speeds tell it to {left / MILLISECOND:.3g} ms: play of the table looks "
+        "the same",
     )
 
 
@@ -548,7 +605,7 @@ def read_passing(configuration: Configuration, table: Table) -> PlannedMeasureme
                 f"sides of {step.table_angle / DEGREE:g} deg within plan.passing_deg, "
                 f"{configuration.plan.passing_deg:g} deg"
             )
-        x, y, z = polyfit(away[near], rows[near, 3:], 1)[0].tolist()
+        x, y, z = (Line.through(away[near], column).value for column in rows[near, 3:].T)
         observations.append(step.observed((x, y, z)))
     return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 
@@ -569,6 +626,15 @@ def read_rows(configuration: Configuration, table: Table, targets: Table | None)
     return READERS[measure, ("tilt",) * tilted].read(configuration, table, targets)
 
 
+def decide_displacement(
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings
+) -> Observation | Wait:
+    """Return the displacement at an angle where the table rests, or which it passes."""
+    decide = AT_REST if attempt.step.turn is None else decide_passage
+    return decide(attempt, streams, settings)
+
+
+AT_REST: Final = points(mean_point)
 BY_MODEL: Final = ByModel(
     NAME,
     model,
@@ -596,7 +662,7 @@ METHOD: Final = BY_MODEL.method(
         {
             PointKind.SURFACE: points(touched_centre),
             PointKind.CENTRE: points(reported_centre),
-            PointKind.READING: points(mean_point),
+            PointKind.READING: decide_displacement,
             PointKind.REFLECTOR: decide_length,
         }
     ),

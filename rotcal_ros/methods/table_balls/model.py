@@ -15,8 +15,9 @@ out.
 Where the table stands on an axis that tilts it, that is what p is with the tilt at 0, and c0 stays
 where it is: :mod:`.tilting`. The motions of the table are then its own at every tilt.
 
-Where the table turns on while it is read, what is read is late by a time tau: the ball has gone on
-by tau times its speed. The tip of the probe is off by a constant that joins p.
+Where the table turns on while it is read, the linear axes may be late by a time tau: the nest that
+follows a ball is behind by tau times the speed, and shows the ball so much farther on. The tip of
+the probe is off by a constant that joins p.
 
 A ball bar reads the length |p - s| + b from the ball to another one in the spindle, which the
 machine shows at s + S (s - c0); b is how much longer the bar is than it says.
@@ -30,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf, isfinite
 from typing import Final
 
 import numpy as np
@@ -100,7 +102,8 @@ class BallsOnTable:
     ``stated`` (6,): standard deviations of the motions, m and rad; ``sigma``: that of a coordinate
     of a centre or of a length, m. ``speed``: rad/s at which the table turns, of each run or,
     where something was read, at each reading (n,); none: it stands.
-    ``known``: blocks of what else is stated to be zero, with its standard deviation, SI.
+    ``known``: blocks of what else is stated to be zero, with its standard deviation, SI; infinite:
+    the readings alone tell it.
     """
 
     angles: Floats
@@ -136,23 +139,24 @@ class BallsOnTable:
         bars = np.array(triples(plan.bars_m * (plan.measure == BAR), "bars_m")).reshape(-1, 3)
         targets = len(balls) * max(1, len(bars))
         tilt, position, target = np.indices((tilts, len(angles), targets)).reshape(3, -1)
-        turning = sense * np.array(plan.turning_deg_s) * DEGREE
+        turning = runs = sense * np.array(plan.turning_deg_s) * DEGREE
         if read is not None:
             position, target = read.position, read.target
+            turning = runs[read.station] if len(runs) else runs
             tilt = np.zeros_like(position) if tilting is None else read.station
         shift, lean = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
         stated = np.array([shift, shift, shift, lean, lean, UNSTATED_RAD])
         known = {
             "scale": solver.scale_std_um_per_m * MICROMETRE,
             "squareness": solver.squareness_std_um_per_m * MICROMETRE,
-            "lag": solver.lag_std_s * bool(len(turning)),
+            "lag": _lag_std(turning, solver),
             "tip": solver.tip_std_m,
             "bar": solver.bar_std_m * bool(len(bars)),
         }
         return cls(
             angles, origin, balls - origin, bars, position, target,
             stated, solver.sigma_centre_m, sense, tilting, tilt,
-            turning if read is None or not len(turning) else turning[read.station],
+            turning,
             {name: std for name, std in known.items() if std},
         )  # fmt: skip
 
@@ -301,8 +305,9 @@ class BallsOnTable:
         if self.tilting is not None:
             away, rows = self._on_tilting(self.tilting, own, away, rows)
         if "lag" in self.known:
-            gone = self.speed[:, None, None] * rows[:, :, self._felt("ECC", 1)]
-            away = _moved(away, rows, own, self._felt("lag", 1), gone)
+            lag = self._felt("lag", 1).start
+            ahead, rows[:, :, lag] = self._ahead_of_nest(float(own[0, lag]))
+            away = away + ahead
         if "tip" in self.known:
             away = _moved(away, rows, own, self._felt("tip", 3), np.eye(3)[None])
         show[ENTRIES] += own[0, linear]
@@ -319,10 +324,23 @@ class BallsOnTable:
             read = length + own[:, -1]
         return read.ravel(), csr_array((rows.ravel(), *self._pattern), shape=(read.size, len(x)))
 
+    @cached_property
+    def _shown(self) -> Floats:
+        """Where the machine shows what is in the spindle at each reading (n, 3), from c0."""
+        return np.asarray(self.sent[self.tilt, self.position, self.target] - self.origin)
+
     def _spindle(self, show: Floats) -> Floats:
-        """Return where the spindle's ball is at each reading (n, 3), from c0."""
-        shown = self.sent[self.tilt, self.position, self.target] - self.origin
-        return np.asarray(np.linalg.solve(show, shown.T).T)
+        """Return where that is (n, 3), from c0, by a machine that shows ``show`` times a place."""
+        return np.asarray(np.linalg.solve(show, self._shown.T).T)
+
+    def _ahead_of_nest(self, lag: float) -> tuple[Floats, Floats]:
+        """Return how much farther (n, 3) balls are from a nest that is ``lag`` (s) late.
+
+        And its derivative by the lag.
+        """
+        turned = rotation_about_z(-self.speed * lag)
+        nest = np.einsum("nij,nj->ni", turned, self._shown)
+        return self._shown - nest, self.speed[:, None] * np.cross([0.0, 0.0, 1.0], nest)
 
     def _on_tilting(
         self, axis: Tilting, own: Floats, away: Floats, rows: Floats
@@ -364,6 +382,17 @@ def _moved(away: Floats, rows: Floats, own: Floats, at: slice, by: Floats) -> Fl
     """Return ``away`` (n, 3) moved ``by`` (n, 3, k) times unknowns; ``rows`` take that up."""
     rows[:, :, at] = by
     return np.asarray(away + np.einsum("nij,nj->ni", rows[:, :, at], own[:, at]))
+
+
+def _lag_std(speeds: Floats, solver: BallsSolverSettings) -> float:
+    """Return what is stated of the lag of a table that turns at ``speeds`` (r,); 0: there is none.
+
+    Runs of several speeds tell it themselves; to tell it far better than it was stated would look
+    like a contradiction.
+    """
+    if not len(speeds):
+        return 0.0
+    return solver.lag_std_s if len(set(speeds.tolist())) == 1 else inf
 
 
 def around(places: Floats) -> Floats:
@@ -411,7 +440,7 @@ def stated(balls: BallsOnTable, places: Floats) -> Floats:
     kept = left > SHARED
     rows = (ways[:, kept] / np.sqrt(left[kept])).T @ rows
     rows[:, at] /= np.repeat(balls.stated, balls.tilts * len(balls.angles))
-    known = (block_rows(balls.blocks, name) / std for name, std in balls.known.items())
+    known = (block_rows(balls.blocks, n) / std for n, std in balls.known.items() if isfinite(std))
     return np.concatenate([rows, *known])
 
 

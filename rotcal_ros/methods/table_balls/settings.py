@@ -91,7 +91,14 @@ class BallsPlanSettings(TableAngleSettings):
     turning_deg_s: tuple[float, ...] = expert(
         (),
         doc="deg/s, speed at which the table turns in each run while displacements are read, "
-        "negative for back; none: it stops at every angle. Such readings come as a table",
+        "negative for back; none: it stops at every angle",
+    )
+    run_up_deg: float = expert(
+        15.0,
+        doc="deg, of a table that turns: before the first angle and behind the last, where it "
+        "gets up to its speed and comes to rest",
+        minimum=1e-3,
+        maximum=360.0,
     )
     passing_deg: float = expert(
         1.0, doc="deg, readings up to so far from a table angle count for it", minimum=1e-3
@@ -161,8 +168,8 @@ class BallsSolverSettings:
     )
     lag_std_s: float = expert(
         1e-3,
-        doc="s, standard uncertainty (k = 1) of how late displacements are beside the angle of a "
-        "table that turns",
+        doc="s, standard uncertainty (k = 1) of how late the linear axes, and so the nest, are "
+        "behind a table that turns; runs of several speeds tell it without that",
         minimum=1e-9,
         maximum=1.0,
     )
@@ -198,6 +205,15 @@ class SimulatedBallsSettings:
     )
     bar_error_um: float = expert(3.0, doc="um, by which a ball bar is longer than it says")
     bar_rate_hz: float = expert(10.0, doc="lengths of a ball bar per second", minimum=1e-3)
+    nest_rate_hz: float = expert(
+        100.0, doc="readings per second of a nest that follows a ball", minimum=1e-3
+    )
+    nest_lag_s: float = expert(
+        0.0, doc="s, by which the linear axes, and so the nest, are late behind a table that turns"
+    )
+    axis_m: tuple[float, float, float] = expert(
+        (0.0, 0.0, 0.0), doc="m, about which the nest follows, as plan.axis_m"
+    )
 
 
 @dataclass(frozen=True)

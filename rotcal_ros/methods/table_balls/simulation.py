@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Stamps
@@ -12,8 +14,8 @@ from rotcal_ros.foundation.observations import (
     ProbeSample,
     TracerSample,
 )
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
-from rotcal_ros.geometry.rotations import rotation_from_vector
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, NANOSECOND
+from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.ball_plate.simulation import SimulatedTouchProbe
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
 from rotcal_ros.methods.simulation.instrument import Table, Ticks
@@ -39,12 +41,13 @@ def tilts(settings: SimulatedBallsSettings) -> Floats:
 
 
 class TouchedBalls(SimulatedTouchProbe):
-    """Touches balls on the table, or holds a ball bar to the one that is next to its order.
+    """Touches balls on the table, or holds a nest or a ball bar to the one next to its order.
 
     Where an axis tilts the table, it stands as the station of the last order says.
 
     The bar sends lengths all the time; the ball in the spindle is where the machine shows it but
-    for the machine's error.
+    for the machine's error. While the table turns the nest follows a ball, as the control knows
+    the axis and the angle, late by its lag; it reads all the time.
     """
 
     streams_lengths = True
@@ -63,6 +66,9 @@ class TouchedBalls(SimulatedTouchProbe):
         )  # fmt: skip
         self._bar_error_m = balls.bar_error_um * MICROMETRE
         self._ticks = Ticks(start_ns, balls.bar_rate_hz)
+        self._nest_ticks = Ticks(start_ns, balls.nest_rate_hz)
+        self._nest_lag_ns = round(balls.nest_lag_s / NANOSECOND)
+        self._axis = np.array(balls.axis_m)
         self._scatter = IndexedNoise(settings.noise_seed, NoiseSource.TRACER)
         self._order: Command | None = None
         self._tilts, self._tilt = tilts(balls), np.eye(3)
@@ -72,6 +78,8 @@ class TouchedBalls(SimulatedTouchProbe):
         """Go to the position of ``command``, with the bar at the ball that is next to it."""
         super().order(now_ns, command)
         self._order = command
+        if command.turn is not None:
+            self.pending = None  # what it reads answers the last order, whatever becomes of it
         self._tilt = self._tilts[command.station % len(self._tilts)]
 
     def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
@@ -79,6 +87,27 @@ class TouchedBalls(SimulatedTouchProbe):
         if order.kind != PointKind.REFLECTOR:
             return super().reading(stamp_ns, order, number)
         return self.point(stamp_ns, order, np.array(order.position), 0.0)
+
+    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
+        """Return the points until now; while the table turns, what the nest reads."""
+        _, stamps = self._nest_ticks.until(now_ns)
+        if self._order is None or self._order.turn is None:
+            return super().report(after_ns, now_ns, table_rest_ns)
+        return tuple(self._followed(self._order, stamps)) if len(stamps) else ()
+
+    def _followed(self, order: Command, stamps: Stamps) -> Iterator[ProbeSample]:
+        """Yield how far the ball of an order is off the nest that follows it, at ``stamps``."""
+        turned = self._table.angles(stamps - self._nest_lag_ns) - order.table_angle
+        nest = rotation_about_z(turned) @ (np.array(order.position) - self._axis) + self._axis
+        balls = self._standing(stamps)
+        nearest = np.linalg.norm(balls - nest[:, None], axis=2).argmin(axis=1)
+        ball = balls[np.arange(len(stamps)), nearest]
+        std = self.settings.noise_um * MICROMETRE
+        noise = std * self._noise.normal(3 * self._touches, ball.size).reshape(ball.shape)
+        self._touches += len(stamps)
+        off = ball + self._error(ball) + noise - nest
+        for stamp_ns, place in zip(stamps.tolist(), off, strict=True):
+            yield self.point(stamp_ns, order, place, std)
 
     def lengths(self, now_ns: int) -> tuple[TracerSample, ...]:
         """Return the lengths of the bar since the call before; none while balls are touched."""

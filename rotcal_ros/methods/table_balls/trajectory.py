@@ -65,7 +65,7 @@ def _readings(balls: BallsOnTable, found: Adjusted) -> tuple[Floats, Floats, Boo
     c, n = balls.coordinates, len(balls.target)
     read = found.model.observed[: n * c].reshape(n, c)
     std = found.fit.std[: n * c].reshape(n, c)
-    used = found.fit.used[: n * c].reshape(n, c).all(axis=1)
+    used = np.asarray(found.fit.used[: n * c].reshape(n, c).all(axis=1))
     if len(balls.bars):
         return read - np.linalg.norm(balls.arms, axis=1)[balls.target][:, None], std, used
     flat = read if balls.tilting is None else balls.tilting.back(read, balls.tilt)
@@ -126,7 +126,10 @@ def circles(angles: Floats, details: Mapping[str, Any], radius: Mapping[int, flo
         of_it = target[first] == number
         at = np.asarray(angles)[np.asarray(told["position"])[first][of_it]]
         out, along = off[of_it].T * by
-        x, y = (r + out) * np.cos(at) - along * np.sin(at), (r + out) * np.sin(at) + along * np.cos(at)
+        x, y = (
+            (r + out) * np.cos(at) - along * np.sin(at),
+            (r + out) * np.sin(at) + along * np.cos(at),
+        )
         ax.plot(x / MILLIMETRE, y / MILLIMETRE, "o-", label=f"ball {number}", markersize=3)
     ax.set_aspect("equal")
     ax.set_xlabel("x / mm")

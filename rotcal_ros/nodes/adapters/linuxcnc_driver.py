@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.compensation.linuxcnc_machine import agent_command
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
@@ -29,6 +30,7 @@ from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.settings import CellSettings, SafetySettings
+from rotcal_ros.planning.table_motion import require_rest
 
 END_TIMEOUT_S: Final = 15.0
 """Time for the agent to end by itself; shorter than the time that a node has to end."""
@@ -91,6 +93,12 @@ class LinuxCncDriver(CellNode):
 
     def _obey(self, message: TableAngle) -> None:
         if self._stop.refuses(message.step):
+            return
+        try:
+            require_rest(message.turn_speed)
+        except DataError as error:
+            self._complaints += 1
+            self.get_logger().error(str(error))
             return
         order = {
             "angle_deg": message.angle / DEGREE,

@@ -77,7 +77,7 @@ class SimulatedCellNode(CellNode):
                 msg.TableInForce, names.TABLE_IN_FORCE, LATCHED
             )
             self.every(ANNOUNCING_PERIOD_S, self._announce)
-        self._probe = self._instrument(msg.ProbePoint, names.PROBE_POINT, EVENT)
+        self._probe = self._instrument(msg.ProbePoint, names.PROBE_POINT, STREAM)
         self._temperature = self._instrument(Temperature, names.TEMPERATURE, EVENT)
         self._air = {
             kind: self._instrument(message, name, EVENT)

@@ -16,7 +16,7 @@ from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, Hal
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.beat_values import BLOCKED, WAITING_FOR
 from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
-from rotcal_ros.planning.plan import Move, Pause
+from rotcal_ros.planning.plan import Move, Pause, Step
 
 SETTLING_S: Final = 1.2
 """After a clock is set the capture accepts nothing for 1 s; this is a little longer."""
@@ -43,6 +43,7 @@ class GoalMeasurement:
         self._policy = calibration.policy(continuation)
         self._chosen = 0
         self._next_attempt: dict[int, int] = {}
+        self._ordered: Step | None = None  # the last one, unless the table was stopped since
         self._failed = FailedSteps(watch.settings.max_failed_steps)
         self.reasons: list[str] = []
 
@@ -130,6 +131,7 @@ class GoalMeasurement:
         try:
             return await self._attempt(index, choice)
         except HaltedError as halted:
+            self._ordered = None
             self.reasons.append(str(halted))
         self._watch.progress.rejected += 1
         await self.operator.have_done()
@@ -187,7 +189,8 @@ class GoalMeasurement:
         await self._watch.have_all_answer()
         self._watch.tell(Why.MEASURING, step.in_words(number))
         self._watch.heed_stop()
-        links.order(step.command(attempt))
+        links.order(step.command(attempt, anew=step.begins_turn(self._ordered)))
+        self._ordered = step
         limit_s = self._watch.settings.step_timeout_s
         arrived = await self._watch.wait_for_machine(lambda: key in links.observations, limit_s)
         return arrived and links.observations[key].accepted

@@ -1,13 +1,14 @@
 """Positions without steps: whichever stream arrives first, each becomes the step it stands at."""
 
 import math
+from dataclasses import replace
 from itertools import permutations
 
 import pytest
 
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.instruments.steps import Order, Position, StepFinder
-from rotcal_ros.foundation.observations import Approach, PointKind, ProbeSample, TableSample
+from rotcal_ros.foundation.observations import Approach, PointKind, ProbeSample, TableSample, Turn
 from rotcal_ros.planning.plan import Plan, Step
 
 MS = 1_000_000
@@ -32,6 +33,33 @@ def answers(finder, records):
 
 def table(begin_ms, end_ms, angle, speed=0.0):
     return [TableSample(t * MS, angle, speed) for t in range(begin_ms, end_ms, 10)]
+
+
+def turning_plan():
+    """Return a plan whose table passes all angles in one turn."""
+    plan, turn = plan_of(PointKind.READING), Turn(-1.0, 3.0, 0.5)
+    return replace(plan, steps=tuple(replace(s, turn=turn, passing=0.1) for s in plan.steps))
+
+
+def test_while_the_table_turns_every_reading_answers_the_last_order():
+    """A reading is no place; one that is no number answers nothing, and is missed."""
+    plan = turning_plan()
+    turns = [TableSample(t * MS, -1.0 + 0.0005 * t, 0.5) for t in range(0, 900, 10)]
+    nest = [Position(t * MS, (1e-6 * t, 0.0, 0.0)) for t in range(5, 400, 20)]
+    nest[3] = Position(65 * MS, (math.nan, 0.0, 0.0))
+    orders = [ordered(0, 0, 30, plan), ordered(1, 0, 200, plan)]
+    records = sorted([*orders, *nest, *turns], key=lambda record: record.stamp_ns)
+    found = answers(StepFinder(plan, SETTINGS, ordered=True), records)
+    times = [t for t in range(45, 400, 20) if t != 65]
+    assert [f[2] // MS for f in found] == times
+    assert [f[0] for f in found] == [int(t > 200) for t in times]
+    assert [f[3] for f in found] == [*range(7), *range(10)]
+
+
+def test_a_reading_at_rest_is_no_place():
+    plan = plan_of(PointKind.READING)
+    records = [ordered(1, 0, 15, plan), Position(40 * MS, (1e-5, 0.0, 0.0)), *table(0, 500, 1.0)]
+    assert answers(StepFinder(plan, SETTINGS), records) == [(1, 0, 40 * MS, 0)]
 
 
 def ordered(step, attempt, stamp_ms, plan):

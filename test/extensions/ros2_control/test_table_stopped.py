@@ -99,6 +99,14 @@ def test_a_joint_under_way_is_braked_and_what_waits_is_forgotten(adapter):
     assert adapter._report()[0].has(Why.NO_ORDER)
 
 
+def test_an_order_to_turn_on_is_refused_with_its_reason(adapter):
+    adapter.hear(0.0)
+    adapter._controller.heard = lambda: True
+    adapter._obey(TableAngle(step=7, angle=1.0, turn_speed=0.5))
+    assert adapter._controller.sent == []
+    assert "ordered to turn on at 28.6479 deg/s" in adapter._wrong()
+
+
 def test_a_hold_that_the_controller_refuses_is_told(adapter):
     adapter.order()
     adapter.hear(30.0, 10.0)

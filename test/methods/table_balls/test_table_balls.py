@@ -133,6 +133,16 @@ def test_derivatives_are_those_of_differences():
     assert model.equations(x)[1].dense() == pytest.approx(np.array(by_difference).T, abs=1e-9)
 
 
+def test_derivatives_of_a_nest_that_is_late_are_those_of_differences():
+    plan = turning(speeds=(20.0, -30.0))
+    balls = BallsOnTable.of(plan, BallsSolverSettings(), World(plan).readings())
+    x = 1e-3 * np.random.default_rng(3).standard_normal(sum(balls.blocks.values()))
+    x[balls.first["lag"]] = 5e-3
+    step = 1e-5 * np.eye(len(x))
+    by_difference = [(balls(x + h)[0] - balls(x - h)[0]) / 2e-5 for h in step]
+    assert balls(x)[1].toarray() == pytest.approx(np.array(by_difference).T, abs=1e-9)
+
+
 @pytest.mark.parametrize("chain", ["C", "AC"])
 def test_the_six_motions_of_an_angle_are_a_block_of_their_own(chain):
     """Each step is solved so, and says what one whole matrix says, to 1e-12 of the uncertainty."""
@@ -563,7 +573,7 @@ def turning(name="ONE", speeds=(20.0, -20.0), **more):
 
 
 def passing_table(path, world, lag, rate_hz=50.0):
-    """Write what a nest reads that is ``lag`` late beside the angle; curves between the angles."""
+    """Write what a nest reads that follows ``lag`` late; curves between the angles."""
     rng, lines = np.random.default_rng(4), ["run,ball,passing [deg],dx_m,dy_m,dz_m"]
     ideal = replace(world, axis=(0.0,) * 4, missed=0.0 * world.missed)
     for run, speed in enumerate(world.plan.turning_deg_s):
@@ -574,8 +584,8 @@ def passing_table(path, world, lag, rate_hz=50.0):
                         each, plan=replace(each.plan, table_angles_deg=(at,)), motions=moves
                     ).centre(0, ball)
                     for each, at, moves in (
-                        (world, angle + speed * lag, smooth(np.radians(angle))),
-                        (ideal, angle, np.zeros((6, 1))),
+                        (world, angle, smooth(np.radians(angle))),
+                        (ideal, angle - speed * lag, np.zeros((6, 1))),
                     )
                 )
                 off = seen - sent + 1e-6 * rng.standard_normal(3)
@@ -633,8 +643,14 @@ def test_tables_that_turn_are_refused_where_they_do_not_fit(tmp_path):
     with pytest.raises(ConfigurationError, match="takes plan"):
         prepare(changed(demo, ("plan.turning_deg_s=[5.0, -5.0]", "plan.closing=true")))
     turns = changed(demo, ("plan.turning_deg_s=[5.0, -5.0]",))
-    with pytest.raises(PlanError, match="stops at every angle"):
-        prepare_to_measure(turns)
+    with pytest.raises(ConfigurationError, match="run_up_deg: 1 leaves the table no way"):
+        prepare(changed(turns, ("plan.run_up_deg=1.0",)))
+    with pytest.raises(PlanError, match="takes 310 s to table position 1, target 0, longer than"):
+        prepare_to_measure(
+            changed(turns, ("plan.turning_deg_s=[0.1, -0.1]", "capture.step_timeout_s=200.0"))
+        )
+    with pytest.raises(PlanError, match="table_adapter moves the table alone"):
+        prepare_to_measure(changed(turns, ("table_adapter.speed_deg_s=10.0",)))
     path = tmp_path / "turning.csv"
     path.write_text("run,ball,passing_rad,dx_m,dy_m,dz_m\n0,0,0.01,0.0,0.0,0.0\n")
     with pytest.raises(DataError, match="run 0 has no readings of ball 0 on both sides of 0 deg"):

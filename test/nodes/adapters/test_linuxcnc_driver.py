@@ -59,3 +59,17 @@ def test_the_end_of_the_agent_is_waited_for_in_turns_and_brought_about_at_last(m
     now[0] += linuxcnc_driver.END_TIMEOUT_S + 0.1
     assert LinuxCncDriver.stopped(driver)
     assert agent.code == (0 if obeys else -15)
+
+
+def test_an_order_to_turn_on_is_refused():
+    """It moves the table alone: no nest would follow."""
+    logged, sent = [], []
+    driver = SimpleNamespace(
+        _stop=SimpleNamespace(refuses=lambda _step: False), _complaints=0,
+        _agent=SimpleNamespace(stdin=SimpleNamespace(write=sent.append)),
+        get_logger=lambda: SimpleNamespace(error=logged.append),
+    )  # fmt: skip
+    LinuxCncDriver._obey(driver, SimpleNamespace(step=3, turn_speed=-0.5))
+    assert not sent
+    assert driver._complaints == 1
+    assert "ordered to turn on at -28.6479 deg/s" in logged[0]

@@ -13,7 +13,7 @@ from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.nodes.planner.cell_links import CellLinks
-from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError
+from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, HaltedError
 from rotcal_ros.nodes.planner.measuring import GoalMeasurement
 from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.planning.settings import PlannerSettings
@@ -29,8 +29,9 @@ LIMIT = PlannerSettings().max_failed_steps
 class Cell(SimpleNamespace):
     """Links to a cell that answers at once and captures all steps but those of ``failing``."""
 
-    def __init__(self, failing):
+    def __init__(self, failing, calibration=CALIBRATION):
         super().__init__(failing=set(failing), observations={}, receipts={}, ordered=[])
+        self.plan = calibration.plan
         self.node = SimpleNamespace(now_ns=lambda: 0)
         self.health = SimpleNamespace(values=lambda _: {})
 
@@ -42,10 +43,8 @@ class Cell(SimpleNamespace):
 
     def order(self, command):
         key = (command.step, command.attempt)
-        self.ordered.append(command.step)
-        found = replace(
-            CALIBRATION.plan.steps[command.step].observed((0.1,)), attempt=command.attempt
-        )
+        self.ordered.append((command.step, command.anew))
+        found = replace(self.plan.steps[command.step].observed((0.1,)), attempt=command.attempt)
         if command.step in self.failing:
             found = replace(found, accepted=False, reason="the table is not at rest")
         self.observations[key], self.receipts[key] = found, 0
@@ -117,3 +116,49 @@ def test_a_goal_of_which_nothing_was_captured_is_given_up_with_the_reason():
     steps = range(LIMIT)
     with pytest.raises(GoalError, match="the table is not at rest"):
         measured(steps, steps)
+
+
+TURNING = prepare(
+    parse_configuration(
+        "method: table_balls\nballs_m: [[0.15, 0.0, 0.08]]\nmeasure: displacement\n"
+        "closing: false\ntable_step_deg: 90.0\ntable_positions: 4\nturning_deg_s: [5.0, -5.0]\n"
+    )
+)
+
+
+def turned(failing=(), stopped_before=None):
+    """Return the orders (step, anew) of two runs of a table that turns.
+
+    ``stopped_before``: the order before which there is an emergency stop, once.
+    """
+    cell, progress = Cell(failing, TURNING), GoalProgress(8)
+    watch = Watch(
+        settings=PlannerSettings(max_attempts=2), links=cell, progress=progress, owed=None
+    )
+    goal = GoalMeasurement(TURNING, TURNING.from_the_start(), watch)
+    stops = [stopped_before]
+
+    def heed_stop():
+        if len(cell.ordered) == stops[0]:
+            stops.clear()
+            stops.append(None)
+            raise HaltedError("emergency stop")
+
+    async def resumed(*_):
+        pass
+
+    watch.heed_stop, goal.operator.have_done = heed_stop, resumed
+    asyncio.run(goal.measure_all())
+    return cell.ordered
+
+
+def test_a_turn_begins_with_each_run_and_with_every_further_attempt():
+    later = [(5, False), (6, False), (7, False)]
+    assert turned() == [(0, True), (1, False), (2, False), (3, False), (4, True), *later]
+    assert turned(failing=[2]) == [
+        (0, True), (1, False), (2, False), (2, True), (3, False), (4, True), *later
+    ]  # fmt: skip
+
+
+def test_a_turn_begins_anew_after_a_stop():
+    assert turned(stopped_before=2)[:4] == [(0, True), (1, False), (2, True), (3, False)]

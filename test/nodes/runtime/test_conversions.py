@@ -29,6 +29,7 @@ from rotcal_ros.foundation.observations import (  # noqa: E402
     TableSample,
     TemperatureSample,
     TracerSample,
+    Turn,
 )
 from rotcal_ros.foundation.results import Directions, Result, Zeros  # noqa: E402
 from rotcal_ros.methods.ball_plate.solver import solve  # noqa: E402
@@ -51,9 +52,10 @@ probe_samples = st.builds(
     ProbeSample, stamps, counts, counts, counts, st.sampled_from(PointKind), counts, counts,
     counts, points, points, reals,
 )  # fmt: skip
+turns = st.none() | st.builds(Turn, reals, reals, reals.filter(bool))
 commands = st.builds(
     Command, counts, counts, reals, st.sampled_from(Approach), st.sampled_from(PointKind), counts,
-    points,
+    points, counts, turns, st.booleans(),
 )  # fmt: skip
 observations = st.builds(
     Observation, counts, counts, counts, reals, counts, counts, st.sampled_from(PointKind), lists,

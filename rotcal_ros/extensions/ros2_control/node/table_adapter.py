@@ -35,6 +35,7 @@ from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, InstrumentSubscription
 from rotcal_ros.planning.settings import CellSettings, SafetySettings, TableAdapterSettings
+from rotcal_ros.planning.table_motion import require_rest
 from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 LOOK_PERIOD_S: Final = 0.2
@@ -117,6 +118,7 @@ class TableAdapter(CellNode):
         self._state = NodeState.of(State.WORKING, Why.ORDERED, order.step, order.attempt)
         begin, _ = self._controller.setpoint() or (here, 0.0)
         try:
+            require_rest(order.turn_speed)
             way = way_to(order.angle, Approach(order.approach), begin, self._settings)
         except DataError as error:
             self._refused = str(error)

@@ -1,0 +1,245 @@
+"""A table that turns on passes its angle: readings on both sides of it become one observation.
+
+What counts for the angle is the straight line through the readings over the angle of the table,
+which is that of its feedback, interpolated to the stamp of each reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import fsum, sqrt
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.capture.attempt import (
+    Attempt,
+    AttemptRejectedError,
+    AttemptStreams,
+    Wait,
+    forgotten,
+    nanoseconds,
+    seconds,
+)
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.streams import Stream
+from rotcal_ros.capture.table import ANGLE, offset
+from rotcal_ros.capture.window import ReducedWindow, sequence_steps
+from rotcal_ros.foundation.arrays import Floats, Stamps
+from rotcal_ros.foundation.observations import Observation, Turn
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
+from rotcal_ros.planning.plan import Step
+
+LONG_PAUSE: Final = 3.0
+"""Readings this many times as far apart as they usually are: some between them were lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line through points: its ``value`` at 0, the ``std`` of that, and its ``slope``.
+
+    ``scatter`` is the standard deviation of one point, ``farthest`` how far one is off at most.
+    """
+
+    value: float
+    slope: float
+    std: float
+    scatter: float
+    farthest: float
+
+    @classmethod
+    def through(cls, x: Floats, y: Floats) -> Line:
+        """Return the line of least squares through ``x``, ``y`` (n,), not all at one ``x``."""
+        # fsum rounds once: the order of summing, which numpy chooses by machine, cannot matter.
+        n, mean, height = len(x), fsum(x) / len(x), fsum(y) / len(x)
+        away = x - mean
+        spread = fsum(away * away)
+        slope = fsum(away * (y - height)) / spread
+        left = y - height - slope * away
+        scatter = sqrt(fsum(left * left) / max(n - 2, 1))
+        std = scatter * sqrt(1.0 / n + mean * mean / spread)
+        return cls(height - slope * mean, slope, std, scatter, float(np.abs(left).max()))
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """How a table passed an angle: how far ``ahead`` of it (n,), rad, it was at ``stamps`` (n,).
+
+    From the last feedback before the readings that count, negative, to the first behind them.
+    """
+
+    stamps: Stamps
+    ahead: Floats
+
+    def at(self, stamps: Stamps) -> Floats:
+        """Return how far ahead the table was at ``stamps`` (k,) of the passage, rad."""
+        return np.asarray(
+            np.interp(stamps - self.stamps[0], self.stamps - self.stamps[0], self.ahead)
+        )
+
+    def fault(self, turn: Turn, settings: CaptureSettings) -> str | None:
+        """Return what keeps readings from being taken meanwhile."""
+        line = Line.through((self.stamps - self.stamps[0]) * NANOSECOND, self.ahead)
+        speed, ordered = line.slope / DEGREE, abs(turn.speed) / DEGREE
+        pause = seconds(int(np.diff(self.stamps).max()))
+        if pause > settings.table_silence_s:
+            return (
+                f"the feedback paused for {pause:.3g} s, allowed {settings.table_silence_s:g} s "
+                "(capture.table_silence_s)"
+            )
+        if abs(speed - ordered) > settings.speed_tolerance * ordered:
+            return (
+                f"it passed at {speed:.4g} deg/s, allowed are {settings.speed_tolerance:.2%} off "
+                "(capture.speed_tolerance): is plan.run_up_deg long enough to reach that speed?"
+            )
+        if line.farthest > settings.position_tolerance_arcsec * ARCSEC:
+            return (
+                f"it was up to {line.farthest / ARCSEC:.3g} arcsec off even motion, allowed "
+                f"{settings.position_tolerance_arcsec:g} (capture.position_tolerance_arcsec)"
+            )
+        return None
+
+
+def decide_passage(
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings
+) -> Observation | Wait:
+    """Return the observation of a step that the table passes, or what is needed to decide.
+
+    The passage is the first at the ordered, constant speed since the table was sent to turn; it
+    may be over when the step is ordered. Raises AttemptRejectedError if there is none before the
+    deadline of the attempt.
+    """
+    table, nest, since_ns = streams.table, streams.nest, attempt.search_ns
+    if forgotten(table, since_ns) or forgotten(nest, since_ns):
+        raise AttemptRejectedError(
+            "feedback or readings from the begin of the turn are no longer in memory"
+        )
+    deadline, faults = attempt.deadline_ns(settings), list[str]()
+    for passed in passages(table, since_ns, deadline, attempt.step):
+        fault = passed.fault(_turn(attempt.step), settings)
+        if fault is None:
+            end_ns = int(passed.stamps[-1])
+            waits = not nest.knows(end_ns)
+            return Wait(nest, end_ns) if waits else _observe(attempt, streams, settings, passed)
+        faults.append(fault)
+    if not table.knows(deadline):
+        return Wait(table, min(_soonest_ns(table, attempt.step, settings), deadline))
+    raise AttemptRejectedError(_not_passed(attempt, faults, settings))
+
+
+def passages(table: Stream, since_ns: int, until_ns: int, step: Step) -> Iterator[Passage]:
+    """Yield how the table passed the angle of a step, in the sense of its turn, one by one."""
+    rows = slice(table.index(since_ns), table.index(until_ns + 1))
+    stamps, ahead = table.stamps[rows], _ahead(table.values[rows, ANGLE], step)
+    before, behind = np.flatnonzero(ahead <= -step.passing), np.flatnonzero(ahead >= step.passing)
+    # where the angle wraps around, opposite the step, it goes down
+    for at in np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0)).tolist():
+        first, last = np.searchsorted(before, at, "right") - 1, np.searchsorted(behind, at)
+        if first >= 0 and last < len(behind):
+            passed = slice(before[first], behind[last] + 1)
+            yield Passage(stamps[passed], ahead[passed])
+
+
+def _ahead(angles: Floats, step: Step) -> Floats:
+    """Return how far ``angles`` (n,) are past that of a step in the sense of its turn, rad."""
+    return np.asarray(np.sign(_turn(step).speed) * offset(angles, step.table_angle))
+
+
+def _turn(step: Step) -> Turn:
+    assert step.turn is not None
+    return step.turn
+
+
+def _soonest_ns(table: Stream, step: Step, settings: CaptureSettings) -> int:
+    """Return a stamp before which no passage that is not known yet can be over."""
+    if table.latest is None:
+        return 0
+    (ahead,) = _ahead(table.values[-1:, ANGLE], step).tolist()
+    left = step.passing - ahead if abs(ahead) < step.passing else 2.0 * step.passing
+    fastest = abs(_turn(step).speed) * (1.0 + settings.speed_tolerance)
+    return table.latest + 1 + nanoseconds(0.9 * left / fastest)
+
+
+def _not_passed(attempt: Attempt, faults: list[str], settings: CaptureSettings) -> str:
+    step = attempt.step
+    found = faults[-1] if faults else "it did not get there (capture.step_timeout_s)"
+    return (
+        f"the table did not pass {step.table_angle / DEGREE:.4f} deg at "
+        f"{_turn(step).speed / DEGREE:g} deg/s within {settings.step_timeout_s:g} s: {found}"
+    )
+
+
+def _observe(
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, passed: Passage
+) -> Observation:
+    """Reduce the readings of a passage."""
+    nest, step = streams.nest, attempt.step
+    rows = slice(nest.index(int(passed.stamps[0])), nest.index(int(passed.stamps[-1]) + 1))
+    stamps, values = nest.stamps[rows], nest.values[rows]
+    ahead = passed.at(stamps)
+    near = np.abs(ahead) < step.passing
+    stamps, values, ahead = stamps[near], values[near], ahead[near]
+    if few := _few(ahead, step, settings):
+        raise AttemptRejectedError(few)
+    reduced = _reduced(ahead, stamps, values, settings)
+    sense = float(np.sign(_turn(step).speed))
+    return attempt.observation(
+        reduced,
+        n_samples=len(stamps),
+        window_ns=(int(stamps[0]), int(stamps[-1])),
+        table_angle_measured=step.table_angle + sense * fsum(ahead) / len(ahead),
+        air=streams.air_at(attempt, settings),
+    )
+
+
+def _few(ahead: Floats, step: Step, settings: CaptureSettings) -> str | None:
+    """Return that one side of the angle has not enough readings."""
+    sides = int(np.count_nonzero(ahead < 0.0)), int(np.count_nonzero(ahead > 0.0))
+    if min(sides) >= settings.passing_samples:
+        return None
+    return (
+        f"{sides[0]} readings before {step.table_angle / DEGREE:.4f} deg and {sides[1]} behind "
+        f"it, expected {settings.passing_samples} on each side within "
+        f"{step.passing / DEGREE:g} deg (capture.passing_samples): turn slower, read faster, or "
+        "raise plan.passing_deg"
+    )
+
+
+def _reduced(
+    ahead: Floats, stamps: Stamps, values: Floats, settings: CaptureSettings
+) -> ReducedWindow:
+    """Return the lines through readings, ``values`` (n, 4), at the angle, or what is wrong."""
+    if not np.isfinite(values).all():
+        return ReducedWindow(reason="a reading is not a finite number")
+    lines = [Line.through(ahead, column) for column in values[:, 1:].T]
+    return ReducedWindow(
+        mean=tuple(line.value for line in lines),
+        std=tuple(line.std for line in lines),
+        scatter=tuple(line.scatter for line in lines),
+        n_used=len(ahead),
+        reason=_lost(stamps, values[:, 0]) or _unsteady(lines, settings),
+    )
+
+
+def _unsteady(lines: list[Line], settings: CaptureSettings) -> str | None:
+    """Return that readings scatter too much about their lines."""
+    scatter = max(line.scatter for line in lines)
+    if scatter <= settings.max_std_m:
+        return None
+    return (
+        f"unstable: readings scatter by {scatter / MICROMETRE:.3g} um about their line, allowed "
+        f"{settings.max_std_m / MICROMETRE:g} um (capture.max_std_m)"
+    )
+
+
+def _lost(stamps: Stamps, sequence: Floats) -> str | None:
+    """Return which readings are missing, by their numbers or, without numbers, by a pause."""
+    missed = int((sequence_steps(sequence[1:], sequence[0]) - 1).sum())
+    if missed:
+        return f"{missed} readings lost while the table passed ({sequence[0]:.0f} and following)"
+    pauses = np.diff(stamps)
+    if pauses.max() > LONG_PAUSE * np.median(pauses):
+        longest, usual = seconds(int(pauses.max())), seconds(int(np.median(pauses)))
+        return f"readings lost: a pause of {longest:.3g} s, usually they are {usual:.3g} s apart"
+    return None
