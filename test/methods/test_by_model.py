@@ -2,7 +2,7 @@
 
 import csv
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +17,7 @@ from rotcal_ros.adjust.model import (
     instrument_effects,
     linear,
 )
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import DataError, PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.tables import read_table
@@ -113,6 +113,14 @@ def test_a_method_that_is_silent_about_an_effect_is_told_so():
     silent = ByModel("silent", model, lambda *_: Statement())
     with pytest.raises(DataError, match="silent says nothing of error motion, gauge, refraction"):
         silent.solve(None, PLAN, observed(exact()))
+
+
+def test_a_plan_that_its_readings_could_not_solve_is_refused():
+    METHOD.check_plan(None, PLAN)
+    met = (s for s in STEPS if (s.table_position < 3) == (s.station == 0))
+    parted = tuple(replace(step, index=index) for index, step in enumerate(met))
+    with pytest.raises(PlanError, match=r"with 6 table angles the observations cannot tell place"):
+        METHOD.check_plan(None, replace(PLAN, steps=parted))
 
 
 def test_trials_travel_and_have_the_stated_scatter():

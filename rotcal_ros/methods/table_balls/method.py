@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyfit
 
 from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.model import Model, require_determined
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
 from rotcal_ros.foundation.arrays import Floats
@@ -19,7 +19,6 @@ from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import (
     ConfigurationError,
     DataError,
-    ObservabilityError,
     PlanError,
 )
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
@@ -243,12 +242,7 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
             "no set-up of the ball bar tells ECC: add a tangential one to plan.bars_m, such as "
             "[0.0, 0.1, 0.0]"
         )
-    see = nominal(configuration, planned)
-    exact = Readings.of([step.observed(see(step)) for step in planned.steps])
-    try:
-        require_determined(model(configuration, exact))
-    except ObservabilityError as error:
-        raise PlanError(f"with {len(planned.table_angles)} table angles {error}") from error
+    BY_MODEL.check_plan(configuration, planned)
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
