@@ -36,8 +36,7 @@ from rotcal_ros.methods.method import (
     Method,
     TableReader,
     Trials,
-    find_method,
-    method_names,
+    usable_methods,
 )
 from rotcal_ros.planning.plan import Plan, Step
 
@@ -157,7 +156,7 @@ def _require_own_method(source: Path | Table, configuration: Configuration) -> N
     method = configuration.method
     others = [
         other.name
-        for other in map(find_method, method_names())
+        for other in usable_methods()
         if other.table is not None and own_table(source, other.table.headers)
     ]
     if others and method.name not in others:
