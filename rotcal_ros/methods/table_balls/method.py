@@ -13,6 +13,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
+from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
@@ -28,7 +29,6 @@ from rotcal_ros.foundation.tables import Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
-from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.by_model import ByModel, Statement
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
