@@ -49,7 +49,8 @@ larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of 
 
 * *Size* is where the verdict turns. If it never does, the largest size that was tried follows
   "not up to". "Allowed" is the allowance that the configuration states and the uncertainty
-  contains.
+  contains. A knock beside the first or the last reading of a run is one reading that is off, and
+  left out: where these are more than 5 % of all moments, no size turns the verdict.
 * *Error* is what the effect does to the deviations unnoticed up to that size, in standard
   uncertainties: the root mean square over the measurements whose verdict stayed `ok`, at the worst
   component and angle. Effects that scatter count over all angles.

@@ -13,6 +13,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -27,6 +28,7 @@ from rotcal_ros.evaluation.budget import WHOLE
 from rotcal_ros.extensions.history.database import EVENT, RESULT, WITHDRAWAL
 from rotcal_ros.extensions.history.settings import DOCUMENTS, EVENTS
 from rotcal_ros.extensions.page.web import asked_settings
+from rotcal_ros.foundation.identity import Instruments
 from rotcal_ros.foundation.language import FOLDER, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
@@ -49,8 +51,9 @@ UNIT = re.compile("_(deg|mm|um|arcsec)$")
 """At the end of a head of a table, of which the page says the rest."""
 DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
-    "tracker", "tracer", "laser", "mirror", "plate", "cmm", "rotary table", "machine",
-    "ball plate", "thermometer", "barometer", "hygrometer", *effect_texts(INSTRUMENT, MOVED),
+    "laser", "plate", "cmm", "rotary table",
+    *(field.name.replace("_", " ") for field in fields(Instruments)),
+    *effect_texts(INSTRUMENT, MOVED),
     WORDS.elements, WORDS.contradicts, RESULT, EVENT, WITHDRAWAL, *DOCUMENTS, *EVENTS,
 )  # fmt: skip
 """Words that come as data."""

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array, diags_array
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.arrow import dense
-from rotcal_ros.adjust.distributions import normal_isf, t_isf
+from rotcal_ros.adjust.distributions import normal_isf, sidak, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.fit import Fit, Whole, fitted
 from rotcal_ros.adjust.gathering import Gathering, judged
@@ -91,16 +91,11 @@ class Limits:
 
     def of_each_observation(self, model: Model) -> float:
         """Return the significance of the test of each single observation."""
-        return _sidak(self.rejection, int(model.may_go.sum()))
+        return sidak(self.rejection, int(model.may_go.sum()))
 
     def of_each_effect(self, model: Model) -> float:
         """Return the significance of the test of each declared effect."""
-        return _sidak(self.significance, len(model.effects))
-
-
-def _sidak(significance: float, tests: int) -> float:
-    """Return the significance of each of several tests that have one together."""
-    return float(-np.expm1(np.log1p(-significance) / max(tests, 1)))
+        return sidak(self.significance, len(model.effects))
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,6 +67,11 @@ def detected(limit: float, power: float, dof: float = np.inf) -> float:
     return float(np.sqrt(f_noncentrality(rare**2, 1.0, dof, power)))
 
 
+def sidak(significance: float, tests: int) -> float:
+    """Return the significance of each of several tests that have one together (Sidak 1967)."""
+    return float(-np.expm1(np.log1p(-significance) / max(tests, 1)))
+
+
 def noise_growth(significance: float, power: float, dof: float) -> float:
     """Return how many times its stated variance noise is when chi-squared finds it.
 

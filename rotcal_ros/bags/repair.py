@@ -31,7 +31,8 @@ from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, WriterSettin
 from rotcal_ros.bags.storage_scan import FileVerdict, Scan, session_losses
 from rotcal_ros.bags.writer import LIBRARY, Attached, BagWriter
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.files import FolderLock, sync_folder, write_atomically
+from rotcal_ros.foundation.files import sync_folder, write_atomically
+from rotcal_ros.foundation.folder_lock import FolderLock
 
 _MESSAGE_BYTES: Final = 31
 """Bytes that a message takes in a file besides its payload."""

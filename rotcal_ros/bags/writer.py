@@ -23,6 +23,7 @@ from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE, FileInfo, bag_inform
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.foundation import disk, files
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.folder_lock import FolderLock
 
 T = TypeVar("T")
 
@@ -70,7 +71,7 @@ class BagWriter:
         self._unsynced = 0
         self._last_sync_ns: int | None = None
         self._watched = WatchedFiles(self.folder)
-        self._lock: files.FolderLock | None = None
+        self._lock: FolderLock | None = None
         self._open_files: list[McapFile] = []
         self._guarded(lambda: self._begin(resume=earlier is not None))
 
@@ -217,7 +218,7 @@ class BagWriter:
                 f"cannot continue {self.folder}: there is no such folder; name that of the "
                 "interrupted recording"
             )
-        self._lock = files.FolderLock(self.folder)
+        self._lock = FolderLock(self.folder)
         self.watch_earlier_files()
         self._begin_file()
 

@@ -12,7 +12,7 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.foundation.arrays import Bools, Floats, steps_from
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY, in_degrees
+from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY, in_degrees
 
 ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""

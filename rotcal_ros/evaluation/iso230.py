@@ -464,6 +464,7 @@ def require_runs(result: Result, source: str) -> BidirectionalRuns:
     if runs is None:
         raise DataError(
             f"{source}: the result holds no repeated runs in both directions; measure with the "
-            "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
+            "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional', by a "
+            "method that has both: tracer_multistation has"
         )
     return runs

@@ -47,6 +47,11 @@ class Instruments:
     machine: InstrumentIdentity = group(InstrumentIdentity)
     ball_plate: InstrumentIdentity = group(InstrumentIdentity)
     mirror: InstrumentIdentity = group(InstrumentIdentity)
+    ball_bar: InstrumentIdentity = group(InstrumentIdentity)
+    angle_standard: InstrumentIdentity = group(InstrumentIdentity)  # polygon, indexer, encoder
+    autocollimator: InstrumentIdentity = group(InstrumentIdentity)
+    interferometer: InstrumentIdentity = group(InstrumentIdentity)
+    electronic_level: InstrumentIdentity = group(InstrumentIdentity)
     thermometer: InstrumentIdentity = group(InstrumentIdentity)
     barometer: InstrumentIdentity = group(InstrumentIdentity)
     hygrometer: InstrumentIdentity = group(InstrumentIdentity)

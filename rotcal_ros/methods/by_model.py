@@ -15,12 +15,13 @@ import numpy as np
 
 from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.engine import Trials as DrawnTrials
+from rotcal_ros.adjust.fit import require_determined
 from rotcal_ros.adjust.model import CurveModel, Model, block_rows
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Effect, Protection
 from rotcal_ros.foundation.results import Result
@@ -143,6 +144,19 @@ class ByModel:
         )
         return found if arrivals is None else mean_of_arrivals(found, arrivals)
 
+    def check_plan(self, configuration: Configuration, plan: Plan) -> None:
+        """Raise PlanError, with the unknowns, for a plan whose readings could not be solved."""
+        read = Readings.of(self._nothing_wrong(configuration, plan))
+        try:
+            require_determined(self.model(configuration, read))
+        except ObservabilityError as error:
+            raise PlanError(f"with {len(plan.table_angles)} table angles {error}") from error
+
+    def _nothing_wrong(self, configuration: Configuration, plan: Plan) -> list[Observation]:
+        """Return what is read at every step of a plan where nothing is wrong."""
+        see = self.nominal(configuration, plan)
+        return [step.observed(see(step)) for step in plan.steps]
+
     def _parts(self, configuration: Configuration, model: Model) -> tuple[dict[str, slice], int]:
         """Return which outputs are the deviations of which component, and how many each has."""
         components = self.components(configuration)
@@ -170,9 +184,8 @@ class ByModel:
 
         The table deviates at random; all else is as near to perfect as the outputs allow.
         """
-        see, count = self.nominal(configuration, plan), self.coordinates(configuration)
-        sign = self.sign(configuration)
-        nothing = [step.observed(see(step)) for step in plan.steps]
+        count, sign = self.coordinates(configuration), self.sign(configuration)
+        nothing = self._nothing_wrong(configuration, plan)
         model = self.model(configuration, Readings.of(nothing))
         random = np.random.default_rng([seed, 2])
         true = TRUE_SIZE * model.unit.si * random.standard_normal(len(model.outputs))
@@ -196,11 +209,12 @@ class ByModel:
         """Return the method; ``more`` are fields of a :class:`~.method.Method`.
 
         Unless they say otherwise its instrument sends points of the kind READING, and reads zero
-        where nothing is wrong.
+        where nothing is wrong; a plan that the model could not be solved from is refused.
         """
         usual: dict[str, Any] = {
             "capture": CaptureRules({PointKind.READING: points(mean_point)}),
             "nominal": self.nominal,
+            "check_plan": self.check_plan,
             "tables": tables_of_also,
         }
         return Method(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -15,7 +16,7 @@ from rotcal_ros.bags.names import JOINT_STATES, PROBE_POINT, TRACER_LENGTH
 from rotcal_ros.capture import Capture
 from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
-from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import Protection
@@ -93,12 +94,17 @@ class Calibration:
 
         ``announced`` are the tables in force that the cell announced meanwhile, ``frames`` the
         static transforms that it has: where they contradict the result, that has a warning.
+        Raises ObservabilityError, with what was rejected, where the rest tells too little.
         """
-        used = self._that_count(observations)
-        with threadpool_limits(1, "blas"):  # else the last bits depend on the number of cores
-            result = self.refraction.solve(
-                used, partial(self.method.solve, self.configuration, self.plan)
-            )
+        seen = tuple(observations)
+        used = self._that_count(seen)
+        try:
+            with threadpool_limits(1, "blas"):  # else the last bits depend on the number of cores
+                result = self.refraction.solve(
+                    used, partial(self.method.solve, self.configuration, self.plan)
+                )
+        except ObservabilityError as error:
+            raise ObservabilityError(f"{error}{self._lacking(seen, used)}") from error
         result = with_clock_errors(result, self.arrival_std())
         measured_on = agreed(self.in_force(announced))
         if measured_on != UNKNOWN:
@@ -110,6 +116,14 @@ class Calibration:
         return replace(
             result, warnings=warnings, circumstances=self._circumstances(used), raw_data=raw
         )
+
+    def _lacking(self, seen: Sequence[Observation], used: Sequence[Observation]) -> str:
+        """Return in words how many steps gave nothing, and the usual reason; empty if all did."""
+        without = len(self.plan.steps) - len({o.step for o in used})
+        reasons = Counter(o.reason for o in seen if not o.accepted).most_common(1)
+        usual = "".join(f", most often because {reason}" for reason, _ in reasons)
+        share = f"; {without} of {len(self.plan.steps)} steps have no accepted observation"
+        return f"{share}{usual}" if without else ""
 
     def _circumstances(self, used: Sequence[Observation]) -> Circumstances:
         """Return under which circumstances the observations ``used`` were made."""

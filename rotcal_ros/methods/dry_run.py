@@ -13,10 +13,10 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.check_lines import CheckLine, State
+from rotcal_ros.planning.approach import way_to
 from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.planning.sequence_time import stated_time
-from rotcal_ros.planning.table_ways import way_to
 
 PART = "plan"
 _SIDES = {Approach.POSITIVE: " from below", Approach.NEGATIVE: " from above"}

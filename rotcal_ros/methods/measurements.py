@@ -36,8 +36,7 @@ from rotcal_ros.methods.method import (
     Method,
     TableReader,
     Trials,
-    find_method,
-    method_names,
+    usable_methods,
 )
 from rotcal_ros.planning.plan import Plan, Step
 
@@ -157,7 +156,7 @@ def _require_own_method(source: Path | Table, configuration: Configuration) -> N
     method = configuration.method
     others = [
         other.name
-        for other in map(find_method, method_names())
+        for other in usable_methods()
         if other.table is not None and own_table(source, other.table.headers)
     ]
     if others and method.name not in others:
@@ -212,15 +211,20 @@ def _known_of_plan(configuration: Configuration, columns: Mapping[str, str]) -> 
     }
 
 
-def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> TableReader:
+def planned_table(
+    columns: Mapping[str, str],
+    values: Mapping[str, float],
+    further: Mapping[str, float] | None = None,
+) -> TableReader:
     """Return what reads tables with a row for each step of a plan, and what was read there.
 
     ``columns`` of numbers from 0, each with the field of a :class:`~.planning.plan.Step` that it
     tells; columns of up to three ``values``, in metres or radians as their names say (``_m``,
-    ``_rad``), with the largest that can be. A last column ``time_s`` may tell when each row was
-    read; without it that was in the order of the plan.
+    ``_rad``), else plain numbers, with the largest that can be. ``further`` values may be left
+    out: they are 0 then. A last column ``time_s`` may tell when each row was read; without it
+    that was in the order of the plan.
     """
-    header = (*columns, *values)
+    header, largest = (*columns, *values), {**values, **(further or {})}
 
     def read(
         configuration: Configuration, table: Table, _targets: Table | None
@@ -228,12 +232,17 @@ def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> Ta
         calibration = prepare(configuration)
         find, observations = RowStepFinder(calibration.plan, columns), list[Observation]()
         for row in table.rows():
-            seen = [_value(row, name, largest) for name, largest in values.items()]
+            seen = [
+                _value(row, name, most) if name in row.cells else 0.0
+                for name, most in largest.items()
+            ]
             step, missing = find(row), (0.0,) * (3 - len(seen))
             observations.append(read_at(row, step.observed((*seen, *missing))))
         return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 
-    return TableReader((header, (*header, TIME)), read, columns)
+    more = ((), tuple(further)) if further else ((),)
+    headers = ((*header, *names, *time) for names in more for time in ((), (TIME,)))
+    return TableReader(tuple(headers), read, columns)
 
 
 def read_at(row: Row, observation: Observation) -> Observation:
@@ -247,7 +256,13 @@ def read_at(row: Row, observation: Observation) -> Observation:
 
 
 def _value(row: Row, name: str, largest: float) -> float:
-    return row.radians(name, largest) if name.endswith("_rad") else row.metres(name, largest)
+    if name.endswith("_rad"):
+        return row.radians(name, largest)
+    if name.endswith("_m"):
+        return row.metres(name, largest)
+    if abs(value := row.number(name)) > largest:
+        raise DataError(f"{row.place}: {name} is {value:g}, expected {largest:g} at most")
+    return value
 
 
 class RowStepFinder:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -233,6 +235,16 @@ def find_method(name: str) -> Method:
     """Return the method ``name``; ConfigurationError, with the nearest name, if there is none."""
     method: Method = plugins.load(plugins.METHODS, name, "method")
     return method
+
+
+def usable_methods() -> Iterator[Method]:
+    """Yield all methods that are installed, but for those of other packages that do not load.
+
+    Who asks for one of these by its name is told why.
+    """
+    for name in method_names():
+        with suppress(ConfigurationError):
+            yield find_method(name)
 
 
 def own_settings(name: str) -> Mapping[str, type[Any]]:

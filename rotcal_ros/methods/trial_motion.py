@@ -21,7 +21,7 @@ from rotcal_ros.geometry.rotations import carried
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.check_lines import CellReport, CheckLine
 from rotcal_ros.planning.plan import Point
-from rotcal_ros.planning.table_motion import in_degrees, is_near
+from rotcal_ros.planning.table_feedback import in_degrees, is_near
 
 PART: Final = "motion"
 TRIAL_DEG: Final = 5.0

@@ -23,7 +23,8 @@ from types import TracebackType
 from typing import Any, Final, NoReturn
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, RotcalError
-from rotcal_ros.foundation.files import FolderLock, write_atomically
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_state import PAUSES
 from rotcal_ros.foundation.session_folder import MEETING_POINT, SessionFolder, resume_command

@@ -16,7 +16,8 @@ from typing import Any, Final, NoReturn
 from rotcal_ros.bags.repair import finish_interrupted
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.files import FolderLock, write_atomically
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_names import NODES, PAGE, VIEWERS, further_nodes
 from rotcal_ros.foundation.plugins import node_module

@@ -19,7 +19,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.files import FolderLock, make_folder, write_atomically
+from rotcal_ros.foundation.files import make_folder, write_atomically
+from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command
 from rotcal_ros.foundation.settings import declarations

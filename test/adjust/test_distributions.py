@@ -13,6 +13,7 @@ from rotcal_ros.adjust.distributions import (
     f_sf,
     normal_isf,
     normal_sf,
+    sidak,
 )
 
 PROBABILITIES = (1e-12, 1e-4, 0.01, 0.3, 0.5, 0.99)
@@ -60,3 +61,11 @@ def test_the_size_that_a_test_finds():
     both = stats.nct.sf(rare, 9.0, size) + stats.nct.cdf(-rare, 9.0, size)
     assert both == pytest.approx(power, abs=1e-5)
     assert detected(limit, power, 1e7) == pytest.approx(detected(limit, power), rel=1e-5)
+
+
+@pytest.mark.parametrize("tests", [1, 7, 5000])
+@pytest.mark.parametrize("together", [1e-6, 0.01, 0.3])
+def test_several_tests_alarm_together_as_often_as_one(tests, together):
+    one = sidak(together, tests)
+    assert stats.binom.sf(0, tests, one) == pytest.approx(together, rel=1e-12)
+    assert sidak(together, 0) == pytest.approx(together)  # of none: nothing is divided

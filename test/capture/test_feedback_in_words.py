@@ -7,7 +7,7 @@ import pytest
 from capture_scenes import RULES, SECOND, SETTINGS, make_plan, make_scene, replay
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.planning.table_motion import in_degrees
+from rotcal_ros.planning.table_feedback import in_degrees
 
 PLAN = make_plan()
 ANGLE = 0.5  # of step 1, rad

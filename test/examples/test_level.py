@@ -1,6 +1,10 @@
 """Levels on the table against rotations and gravity: signs, truth, uncertainty, refusals."""
 
+import re
 from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from types import SimpleNamespace
 
 import chances
@@ -24,6 +28,16 @@ SOLVER = LevelSolverSettings(sigma_arcsec=0.1, azimuth_std_deg=0.5)
 PLAN = LevelPlanSettings()
 UNEVEN = (0, 20, 50, 90, 140, 200, 270, 330)
 RUNS = 400 if chances.LONG else 60
+
+
+def test_the_page_says_where_the_names_are():
+    page = (Path(__file__).parents[2] / "examples" / "own_method" / "README.md").read_text()
+    rows = re.findall(r"^\| (`.*`.*) \| `([a-z_.]+)` \|$", page, re.M)
+    assert len(rows) > 15
+    for names, module in rows:
+        found = import_module(f"rotcal_ros.{module}")
+        for name in re.findall("`([A-Za-z_]+)`", names):
+            assert hasattr(found, name) or find_spec(f"rotcal_ros.{module}.{name}"), (module, name)
 
 
 def configured(settings):

@@ -128,3 +128,13 @@ def test_the_core_knows_the_names_that_its_extensions_bring(group):
     points = entry_points(group=group)
     brought = [p.name for p in points if p.module.startswith("rotcal_ros.extensions.")]
     assert sorted(brought) == sorted(plugins.OF_EXTENSIONS[group])
+
+
+def test_the_groups_that_other_packages_name_stay():
+    """They stand in the pyproject.toml of others: a room that is renamed must not rename them."""
+    assert (plugins.METHODS, plugins.METHOD_SETTINGS, plugins.CONTROLLERS) == (
+        "rotcal_ros.methods", "rotcal_ros.method_settings", "rotcal_ros.controllers",
+    )  # fmt: skip
+    assert (plugins.INSTRUMENTS, plugins.VERBS, plugins.SETTINGS) == (
+        "rotcal_ros.instruments", "rotcal_ros.verbs", "rotcal_ros.settings",
+    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import csv
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +17,7 @@ from rotcal_ros.adjust.model import (
     instrument_effects,
     linear,
 )
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import DataError, PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.tables import read_table
@@ -115,6 +115,14 @@ def test_a_method_that_is_silent_about_an_effect_is_told_so():
         silent.solve(None, PLAN, observed(exact()))
 
 
+def test_a_plan_that_its_readings_could_not_solve_is_refused():
+    METHOD.check_plan(None, PLAN)
+    met = (s for s in STEPS if (s.table_position < 3) == (s.station == 0))
+    parted = tuple(replace(step, index=index) for index, step in enumerate(met))
+    with pytest.raises(PlanError, match=r"with 6 table angles the observations cannot tell place"):
+        METHOD.check_plan(None, replace(PLAN, steps=parted))
+
+
 def test_trials_travel_and_have_the_stated_scatter():
     trials = METHOD.trials(None, PLAN, observed(exact()))
     drawn = pickle.loads(pickle.dumps(trials))(np.random.default_rng(1), 20000)
@@ -135,13 +143,13 @@ def test_a_measurement_is_spoiled_on_purpose_and_its_truth_is_told(effect):
     assert again.truth["ECC"].tolist() == found.truth["ECC"].tolist()
 
 
-def read(tmp_path, monkeypatch, header, rows):
+def read(tmp_path, monkeypatch, header, rows, reader=METHOD.table):
     path = tmp_path / "readings.csv"
     with path.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *rows])
     setup = SimpleNamespace(source="here")
     monkeypatch.setattr(measurements, "prepare", lambda setup: Calibration(setup, PLAN))
-    return METHOD.table.read(setup, read_table(path), None).observations
+    return reader.read(setup, read_table(path), None).observations
 
 
 def test_rows_of_a_table_are_steps_in_any_order(tmp_path, monkeypatch):
@@ -180,6 +188,25 @@ def test_a_time_that_cannot_be_is_named(tmp_path, monkeypatch):
     header = ("place", "run", "reading_rad", "time_s")
     with pytest.raises(DataError, match="row 2: time_s is 1e\\+12 s; are these milliseconds"):
         read(tmp_path, monkeypatch, header, [(1, 0, 0.0, 1e12)])
+
+
+COUNTING = planned_table(
+    {"place": "table_position", "run": "station"}, {"reading_rad": 0.01}, {"lost": 100.0}
+)
+
+
+def test_a_further_value_may_be_left_out_and_is_a_plain_number(tmp_path, monkeypatch):
+    header = ("place", "run", "reading_rad", "lost")
+    (told,) = read(tmp_path, monkeypatch, header, [(1, 0, 0.001, 7)], COUNTING)
+    assert told.mean == (0.001, 7.0, 0.0)
+    (silent,) = read(tmp_path, monkeypatch, header[:3], [(1, 0, 0.001)], COUNTING)
+    assert silent.mean == (0.001, 0.0, 0.0)
+    assert [h[2:] for h in COUNTING.headers] == [
+        ("reading_rad",), ("reading_rad", "time_s"),
+        ("reading_rad", "lost"), ("reading_rad", "lost", "time_s"),
+    ]  # fmt: skip
+    with pytest.raises(DataError, match="row 2: lost is 101, expected 100 at most"):
+        read(tmp_path, monkeypatch, header, [(1, 0, 0.001, 101)], COUNTING)
 
 
 def test_a_person_works_before_each_station():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from itertools import product
 from math import dist
 from pathlib import Path
@@ -13,7 +14,8 @@ import pytest
 from mirror_cell import measure, paper_cell
 from mirror_points import points_table
 
-from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.configuration import (
@@ -23,6 +25,7 @@ from rotcal_ros.methods.configuration import (
     read_configuration,
 )
 from rotcal_ros.methods.measurements import read_measurements
+from rotcal_ros.methods.method import find_method, method_names, usable_methods
 from rotcal_ros.methods.tracer.table import read_targets
 
 EXAMPLES = Path(__file__).parents[2] / "examples/data"
@@ -256,3 +259,23 @@ def test_a_table_of_lengths_with_the_sign_turned_round_says_so(table, setup, tmp
     turned.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n")
     with pytest.raises(DataError, match="opposite sign they fit: turn their sign round"):
         read_measurements(turned, read_configuration(EXAMPLES / setup)).solve()
+
+
+def test_a_method_of_another_package_that_does_not_load_troubles_no_other(
+    configuration, tmp_path, monkeypatch
+):
+    table = write_tracer(tmp_path, tracer_rows(), TARGETS)
+    broken = EntryPoint("broken", "no_such_package:METHOD", plugins.METHODS)
+    found = plugins._found
+    monkeypatch.setattr(
+        plugins,
+        "_found",
+        lambda group: (
+            {**found(group), "broken": broken} if group == plugins.METHODS else found(group)
+        ),
+    )
+    assert "broken" in method_names()
+    assert "broken" not in {method.name for method in usable_methods()}
+    assert len(read_measurements(table, configuration).observations) == 24
+    with pytest.raises(ConfigurationError, match=r"'broken' .* cannot be loaded"):
+        find_method("broken")

@@ -1,10 +1,11 @@
 """A plan whose data could never be solved is refused before anything moves."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
 from rotcal_ros.methods import changed, prepare_to_measure, read_configuration
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -71,3 +72,18 @@ def test_it_is_refused_with_its_place(name, changes, words):
 )
 def test_the_least_that_can_be_solved_is_taken(name, changes):
     assert made(name, *changes).plan.steps
+
+
+def test_where_too_little_of_a_plan_was_accepted_the_error_says_why():
+    calibration = made("angle_comparison_demo")
+    whole = calibration.nominal_observations()
+    assert len(whole) == 3 * 13
+    dark = [replace(o, accepted=False, reason="no light") for o in whole[:38]]
+    late = [replace(o, accepted=False, reason="too late") for o in whole[:3]]
+    with pytest.raises(
+        ObservabilityError,
+        match=r"; 38 of 39 steps have no accepted observation, most often because no light$",
+    ):
+        calibration.solve([*late, *dark, whole[38]])
+    with pytest.raises(ObservabilityError, match=r"38 of 39 steps have no accepted observation$"):
+        calibration.solve(whole[38:])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.touched_ball import fitted_centre
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate.method import METHOD
@@ -16,7 +17,6 @@ from rotcal_ros.methods.ball_plate.settings import (
     TouchProbeSettings,
 )
 from rotcal_ros.methods.ball_plate.simulation import MachineError, plate_balls, upper_half
-from rotcal_ros.methods.ball_plate.touched_ball import fitted_centre
 from rotcal_ros.methods.simulation.settings import LinearHarmonics, TableSettings
 from rotcal_ros.planning.plan import Step
 

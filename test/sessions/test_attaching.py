@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.files import FolderLock
+from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.files import FolderLock
+from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration

@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
 import bag_samples
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.files import FolderLock
+from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.sessions.running import calibrate, running
 from rotcal_ros.sessions.session import resume_session
 

@@ -28,7 +28,7 @@ from rotcal_ros.foundation.observations import (
     TemperatureSample,
     TracerSample,
 )
-from rotcal_ros.planning.table_motion import TableSpeed
+from rotcal_ros.planning.table_feedback import TableSpeed
 
 Sent = tuple[Any, int]
 """A message, and when it was sent (ns)."""

@@ -19,7 +19,7 @@ from rotcal_ros.capture.table import off_in_words
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample, TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.table_motion import is_near
+from rotcal_ros.planning.table_feedback import is_near
 
 DELAY_NS: Final = 200_000_000
 """Events are judged this long after their stamps: by then all streams have arrived."""

@@ -37,7 +37,7 @@ from rotcal_ros.foundation.observations import (
 from rotcal_ros.foundation.plugins import INSTRUMENTS, load
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
-from rotcal_ros.planning.table_motion import is_near
+from rotcal_ros.planning.table_feedback import is_near
 
 READ_TIMEOUT_S: Final = 0.1
 PATIENCE_S: Final = 10.0

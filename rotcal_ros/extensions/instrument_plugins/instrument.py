@@ -1,6 +1,6 @@
 """What a tracer or tracker of another package has to do, whatever protocol it speaks.
 
-An entry point of the group ``rotcal_ros.capture.instruments`` names a function that makes one.
+An entry point of the group ``rotcal_ros.instruments`` names a function that makes one.
 """
 
 from __future__ import annotations

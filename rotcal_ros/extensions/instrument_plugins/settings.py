@@ -12,7 +12,7 @@ from rotcal_ros.foundation.settings import expert, setting
 class InstrumentSettings:
     """Which plug-in drives the instrument, where it is, and how long its driver waits."""
 
-    plugin: str = setting("", doc="name of an installed plug-in of rotcal_ros.capture.instruments")
+    plugin: str = setting("", doc="name of an installed plug-in of rotcal_ros.instruments")
     address: str = setting(
         "", doc="address of the instrument, in the form of its plug-in, such as 192.168.0.1:700"
     )

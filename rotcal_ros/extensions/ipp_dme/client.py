@@ -46,8 +46,9 @@ from rotcal_ros.extensions.ipp_dme.protocol import (
 from rotcal_ros.extensions.ipp_dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
+from rotcal_ros.planning.approach import approached
 from rotcal_ros.planning.plan import Point
-from rotcal_ros.planning.table_motion import TableSpeed, approached
+from rotcal_ros.planning.table_feedback import TableSpeed
 
 NOT_STARTED: Final = "no session was started"
 FIRST_DISTANCE_MM: Final = 1000.0

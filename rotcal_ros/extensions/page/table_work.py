@@ -39,7 +39,7 @@ from rotcal_ros.methods.configuration import (
     read_configuration,
 )
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.method import Measurements, find_method, method_names
+from rotcal_ros.methods.method import Measurements, usable_methods
 from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.page import write_measured
@@ -52,8 +52,8 @@ RESULT, OWN_SETUP, REPORT, PDF, DCC = (
     "result.json", "setup.yaml", "report.html", "report.pdf", "certificate.xml",
 )  # fmt: skip
 SHOWN_ROWS: Final = 6
-TITLES: Final = {name: phrase(find_method(name).title) for name in method_names()}
-"""Of all methods, which are loaded here: the processes are copies of one that has done so."""
+TITLES: Final = {method.name: phrase(method.title) for method in usable_methods()}
+"""Of the methods, which are loaded here: the processes are copies of one that has done so."""
 Reply = dict[str, Any]
 """What the page is told: all that JSON can hold."""
 

@@ -7,9 +7,9 @@ from math import isfinite, isnan, nan
 
 from rotcal_ros.foundation.observations import TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
+from rotcal_ros.planning.approach import Way
 from rotcal_ros.planning.settings import TableAdapterSettings
-from rotcal_ros.planning.table_motion import TableSpeed, in_degrees
-from rotcal_ros.planning.table_ways import Way
+from rotcal_ros.planning.table_feedback import TableSpeed, in_degrees
 
 _LATE = 1.5
 """A way that takes this multiple of its duration is called late."""

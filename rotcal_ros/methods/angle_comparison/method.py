@@ -8,10 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.fit import require_determined
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
+from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
@@ -22,7 +21,6 @@ from rotcal_ros.methods.angle_comparison.model import (
     known_reference,
     lost_orders,
     model_of,
-    readings_of,
 )
 from rotcal_ros.methods.angle_comparison.settings import (
     SIGNS,
@@ -56,7 +54,7 @@ def plan(configuration: Configuration) -> Plan:
     """Return the plan: ``station`` is the setting of the reference, ``target`` its mark.
 
     Raises ConfigurationError for settings that contradict each other, PlanError for angles that
-    do not ascend. Whether the shifts separate the two circles :func:`check_plan` tells.
+    do not ascend. Whether the shifts separate the two circles :func:`model` tells.
     """
     settings: ComparisonPlanSettings = configuration.plan
     circles = Circles.of(settings)
@@ -90,16 +88,6 @@ def _check(configuration: Configuration, circles: Circles) -> None:
             f"{source}: solver.reference_errors_arcsec: {len(stated)} values, but with these "
             f"table angles and shifts the reference shows {marks} angles: state one for each"
         )
-
-
-def check_plan(configuration: Configuration, _planned: Plan) -> None:
-    """Raise PlanError for shifts that leave an order of the table open, which is named."""
-    settings: ComparisonPlanSettings = configuration.plan
-    try:
-        require_determined(model(configuration, readings_of(settings)))
-    except ObservabilityError as error:
-        shifts = list(settings.shifts_deg)
-        raise PlanError(f"with plan.shifts_deg {shifts} {error}") from error
 
 
 def model(configuration: Configuration, read: Readings) -> Model:
@@ -217,7 +205,6 @@ METHOD: Final = ByModel(
     simulation_settings=ComparisonSimulationSettings,
     simulated_instrument=SimulatedComparison,
     plan=plan,
-    check_plan=check_plan,
     check=check,
     table=planned_table(
         {"position": "table_position", "setting": "station"}, {"reading_rad": FARTHEST_RAD}

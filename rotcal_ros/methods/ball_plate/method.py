@@ -15,6 +15,7 @@ import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import points
+from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
@@ -48,7 +49,6 @@ from rotcal_ros.methods.ball_plate.simulation import (
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
-from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder

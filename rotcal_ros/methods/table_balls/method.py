@@ -9,19 +9,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.fit import require_determined
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import Attempt, AttemptStreams, CaptureRules, Wait
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
 from rotcal_ros.capture.passage import Line, decide_passage
 from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import (
     ConfigurationError,
     DataError,
-    ObservabilityError,
     PlanError,
 )
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
@@ -31,7 +30,6 @@ from rotcal_ros.foundation.tables import Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
-from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.by_model import ByModel, Statement
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
@@ -279,12 +277,7 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
             "no set-up of the ball bar tells ECC: add a tangential one to plan.bars_m, such as "
             "[0.0, 0.1, 0.0]"
         )
-    see = nominal(configuration, planned)
-    exact = Readings.of([step.observed(see(step)) for step in planned.steps])
-    try:
-        require_determined(model(configuration, exact))
-    except ObservabilityError as error:
-        raise PlanError(f"with {len(planned.table_angles)} table angles {error}") from error
+    BY_MODEL.check_plan(configuration, planned)
 
 
 def _check_turns(configuration: Configuration, planned: Plan) -> None:

@@ -29,8 +29,8 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.planning.approach import require_rest
 from rotcal_ros.planning.settings import CellSettings, SafetySettings
-from rotcal_ros.planning.table_motion import require_rest
 
 END_TIMEOUT_S: Final = 15.0
 """Time for the agent to end by itself; shorter than the time that a node has to end."""

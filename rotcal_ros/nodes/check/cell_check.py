@@ -68,7 +68,7 @@ from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, run_and_exit
 from rotcal_ros.nodes.runtime.static_frames import StaticFrames
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import steady_timer
-from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
+from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY
 from rotcal_ros.sessions.domains import domains_in_use
 
 NAME: Final = "cell_check"

@@ -30,7 +30,7 @@ from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.settings import SafetySettings
-from rotcal_ros.planning.table_motion import is_near
+from rotcal_ros.planning.table_feedback import is_near
 
 START_S: Final = 15.0
 BEFORE_S: Final = 1.0

@@ -33,7 +33,7 @@ from rotcal_ros.nodes.runtime.beat_values import (
     name_in,
 )
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
+from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY
 
 _AIR: Final = {
     "temperature": names.TEMPERATURE,

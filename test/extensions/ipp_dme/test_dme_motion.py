@@ -10,7 +10,7 @@ from rotcal_ros.extensions.ipp_dme.driver import Go, Touch, around_ball
 from rotcal_ros.extensions.ipp_dme.protocol import DmeError, ProtocolError
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.planning.table_motion import TableSpeed
+from rotcal_ros.planning.table_feedback import TableSpeed
 
 
 def axis(turn_by="goto_r", **settings):

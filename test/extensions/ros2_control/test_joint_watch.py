@@ -7,8 +7,8 @@ import pytest
 
 from rotcal_ros.extensions.ros2_control.joint_watch import JointWatch
 from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.planning.approach import way_to
 from rotcal_ros.planning.settings import TableAdapterSettings
-from rotcal_ros.planning.table_ways import way_to
 
 DEG = pi / 180
 SETTINGS = TableAdapterSettings(

@@ -24,8 +24,8 @@ from rotcal_ros.extensions.ros2_control.node.table_adapter import TableAdapter
 from rotcal_ros.foundation.machine_load import AwakeClock
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.planning.approach import way_to, way_to_rest
 from rotcal_ros.planning.settings import TableAdapterSettings
-from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 DEG = np.pi / 180.0
 SETTINGS = TableAdapterSettings(

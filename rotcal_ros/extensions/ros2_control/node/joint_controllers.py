@@ -16,8 +16,8 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.planning.approach import Way
 from rotcal_ros.planning.settings import TableAdapterSettings
-from rotcal_ros.planning.table_ways import Way
 
 SETPOINT_PERIOD_S: Final = 0.02
 LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S

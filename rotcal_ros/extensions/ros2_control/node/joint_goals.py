@@ -17,7 +17,7 @@ from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.planning.table_ways import Way
+from rotcal_ros.planning.approach import Way
 
 ERRORS: Final = {
     -1: "invalid goal",

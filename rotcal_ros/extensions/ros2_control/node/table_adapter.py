@@ -34,9 +34,8 @@ from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, InstrumentSubscription
+from rotcal_ros.planning.approach import require_rest, way_to, way_to_rest
 from rotcal_ros.planning.settings import CellSettings, SafetySettings, TableAdapterSettings
-from rotcal_ros.planning.table_motion import require_rest
-from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 LOOK_PERIOD_S: Final = 0.2
 FRESH_S: Final = 1.0

@@ -1,27 +1,10 @@
-"""The side of approach, and a speed out of angles."""
+"""The feedback of a table: its unit, and a speed out of angles."""
 
 from math import pi
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.planning.table_motion import TableSpeed, approached, in_degrees
-
-angles = st.floats(-20.0, 20.0)
-
-
-@given(here=angles, goal=angles, side=st.sampled_from([Approach.POSITIVE, Approach.NEGATIVE]))
-def test_the_last_run_up_is_on_the_ordered_side(here, goal, side):
-    sign = 1.0 if side is Approach.POSITIVE else -1.0
-    *before, last = (here, *approached(here, goal, side, 0.1))
-    assert last == goal
-    assert sign * (goal - before[-1]) >= 0.1 - 1e-12
-    mirrored = Approach.NEGATIVE if side is Approach.POSITIVE else Approach.POSITIVE
-    assert approached(-here, -goal, mirrored, 0.1) == pytest.approx(
-        [-angle for angle in approached(here, goal, side, 0.1)]
-    )
+from rotcal_ros.planning.table_feedback import TableSpeed, in_degrees
 
 
 @pytest.mark.parametrize(
@@ -41,10 +24,6 @@ def test_the_last_run_up_is_on_the_ordered_side(here, goal, side):
 )
 def test_a_feedback_in_degrees_is_known_by_its_size(angle, commanded, told):
     assert in_degrees(angle, commanded) is told
-
-
-def test_without_a_side_it_goes_straight():
-    assert approached(3.0, 1.0, Approach.UNKNOWN, 0.1) == (1.0,)
 
 
 def test_a_speed_is_that_of_the_span():

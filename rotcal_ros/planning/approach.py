@@ -1,4 +1,4 @@
-"""The way of a joint to a table angle: turns, side of approach, ends of the travel, time.
+"""The approach to a table angle from the ordered side: way of the joint, turns, travel, time.
 
 All angles are in rad, with the joint's sign; those of a way include the turns that the controller
 counts, so that the joint makes no extra turn.
@@ -11,15 +11,26 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from math import ceil, floor, inf, isfinite, sqrt
+from typing import Final
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE, TURN
 from rotcal_ros.planning.settings import TableAdapterSettings
-from rotcal_ros.planning.table_motion import TOWARDS, approached
 
+TOWARDS: Final = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
+"""Sign of the last motion, if a side is ordered."""
 SHORTEST_S = 0.1
 """Even a step to the joint's present position takes this long: controllers refuse less."""
+
+
+def require_rest(turn_speed: float) -> None:
+    """Raise DataError for an order to turn on at this speed (rad/s), where a table only stops."""
+    if turn_speed:
+        raise DataError(
+            f"ordered to turn on at {turn_speed / DEGREE:g} deg/s, while the linear axes follow: "
+            "this adapter moves the table alone, from rest to rest; leave plan.turning_deg_s out"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +65,18 @@ class Way:
         angle = way * part * part * (3 - 2 * part) + begun * lasting_s * part * (1 - part) ** 2
         speed = 6 * way / lasting_s * part * (1 - part) + begun * (1 - part) * (1 - 3 * part)
         return stops[leg] + angle, speed
+
+
+def approached(here: float, goal: float, approach: Approach, run_up: float) -> tuple[float, ...]:
+    """Return the angles to stop at on the way from ``here`` to ``goal`` (all rad).
+
+    An ordered side is kept on at least the last ``run_up``: a table that is nearer, or beyond,
+    goes back so far first.
+    """
+    towards = TOWARDS.get(approach, 0.0)
+    if not towards or towards * (goal - here) >= run_up:
+        return (goal,)
+    return (goal - towards * run_up, goal)
 
 
 def way_to(angle: float, approach: Approach, start: float, settings: TableAdapterSettings) -> Way:

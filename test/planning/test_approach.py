@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.planning.approach import approached, way_to, way_to_rest
 from rotcal_ros.planning.settings import TableAdapterSettings
-from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 DEG = pi / 180
 ENDLESS = TableAdapterSettings(speed_deg_s=12.0, acceleration_deg_s2=30.0, overshoot_deg=2.0)
@@ -90,3 +90,19 @@ def test_a_joint_that_is_stopped_brakes_evenly_on_half_the_way_it_would_have_gon
 
 def test_a_joint_of_which_no_velocity_is_known_is_stopped_where_it_is():
     assert way_to_rest(1.5, nan, ENDLESS).goal == 1.5
+
+
+@given(here=angles, goal=angles, side=st.sampled_from([Approach.POSITIVE, Approach.NEGATIVE]))
+def test_the_last_run_up_is_on_the_ordered_side(here, goal, side):
+    sign = 1.0 if side is Approach.POSITIVE else -1.0
+    *before, last = (here, *approached(here, goal, side, 0.1))
+    assert last == goal
+    assert sign * (goal - before[-1]) >= 0.1 - 1e-12
+    mirrored = Approach.NEGATIVE if side is Approach.POSITIVE else Approach.POSITIVE
+    assert approached(-here, -goal, mirrored, 0.1) == pytest.approx(
+        [-angle for angle in approached(here, goal, side, 0.1)]
+    )
+
+
+def test_without_a_side_it_goes_straight():
+    assert approached(3.0, 1.0, Approach.UNKNOWN, 0.1) == (1.0,)

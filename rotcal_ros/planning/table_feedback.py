@@ -1,4 +1,4 @@
-"""How a table reaches its angle from the ordered side; its speed and unit from its feedback."""
+"""What the feedback of a table says: whether it is there, how fast it turns, in which unit."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections import deque
 from math import isfinite, pi, remainder
 from typing import Final
 
-from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.observations import TableSample
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 
-TOWARDS: Final = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
-"""Sign of the last motion, if a side is ordered."""
 PUBLISH_VELOCITY: Final = (
     "publish it beside the position, in rad/s (in deg/s with topics.angle_unit: deg)"
 )
@@ -20,27 +17,6 @@ _HISTORY: Final = 10_000
 _SAME_DEG: Final = 0.05
 """Feedback this close to the commanded angle in degrees counts as degrees."""
 _FULL_TURN_DEG: Final = 360.0
-
-
-def approached(here: float, goal: float, approach: Approach, run_up: float) -> tuple[float, ...]:
-    """Return the angles to stop at on the way from ``here`` to ``goal`` (all rad).
-
-    An ordered side is kept on at least the last ``run_up``: a table that is nearer, or beyond,
-    goes back so far first.
-    """
-    towards = TOWARDS.get(approach, 0.0)
-    if not towards or towards * (goal - here) >= run_up:
-        return (goal,)
-    return (goal - towards * run_up, goal)
-
-
-def require_rest(turn_speed: float) -> None:
-    """Raise DataError for an order to turn on at this speed (rad/s), where a table only stops."""
-    if turn_speed:
-        raise DataError(
-            f"ordered to turn on at {turn_speed / DEGREE:g} deg/s, while the linear axes follow: "
-            "this adapter moves the table alone, from rest to rest; leave plan.turning_deg_s out"
-        )
 
 
 def is_near(angle: float, commanded: float, tolerance: float) -> bool:
