@@ -89,7 +89,7 @@ class ByModel:
 
     name: str
     model: Callable[[Configuration, Readings], Model]
-    states: Callable[[Configuration, Adjusted], Statement]
+    states: Callable[[Configuration, Readings, Adjusted], Statement]
     components: Callable[[Configuration], tuple[str, ...]] = lambda _configuration: ("ECC",)
     arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
     nominal: Callable[[Configuration, Plan], See] = lambda _configuration, _plan: (
@@ -107,7 +107,7 @@ class ByModel:
     ) -> Result:
         """Return the result of accepted observations."""
         found, read = self._adjusted(configuration, observations), Readings.of(observations)
-        statement = self.states(configuration, found)
+        statement = self.states(configuration, read, found)
         parts, count = self._parts(configuration, found.model)
         result = found.result(
             self.name,

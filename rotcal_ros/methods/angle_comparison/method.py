@@ -104,7 +104,7 @@ def model(configuration: Configuration, read: Readings) -> Model:
     return model_of(settings, solver, read)
 
 
-def states(configuration: Configuration, found: Adjusted) -> Statement:
+def states(configuration: Configuration, _read: Readings, found: Adjusted) -> Statement:
     """Return what is doubted, and what is done about effects that no reading can tell of."""
     gauge, doubts = Protection("gauge", "estimated", "the shifts separate the two circles"), []
     if REFERENCE not in found.also:

@@ -65,6 +65,7 @@ from rotcal_ros.methods.table_balls.settings import (
     below_the_table,
 )
 from rotcal_ros.methods.table_balls.simulation import TouchedBalls
+from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
@@ -354,10 +355,11 @@ def _check_lengths(balls: BallsOnTable, read: Readings) -> None:
         )
 
 
-def states(configuration: Configuration, found: Adjusted) -> Statement:
+def states(configuration: Configuration, read: Readings, found: Adjusted) -> Statement:
     """Return what is done about effects that the engine does not know, and the axis."""
-    balls = balls_of(configuration)
-    return Statement((), tuple(_protections(configuration, balls, found)), _details(balls, found))
+    balls, ways = balls_of(configuration), trajectories(balls_of(configuration, read), found)
+    details = _details(balls, found) | {"trajectories": ways}
+    return Statement((), tuple(_protections(configuration, balls, found)), details)
 
 
 def _protections(
@@ -451,6 +453,7 @@ def tables(result: Result) -> list[ResultTable]:
     """Return the axes, motions that are no deviations, and what is found of the linear axes."""
     details = result.details
     found = [_line_table(name, details[name]) for name in AXES if name in details]
+    found.append(table_of_ranges(details))
     for name, rows in details["also"].items():
         si, suffix = MICROMETRE, "um" if "motion" in name else "um_per_m"
         if name == "lag":
@@ -498,6 +501,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
             for name in AXES
             if name in result.details
         ),
+        *way_figures(result.details["trajectories"]),
         Figure(
             "Polar plots",
             "Motions over the table angle, from a circle of arbitrary radius; the band is U "

@@ -13,13 +13,14 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.figures import style
+from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.methods.table_balls.model import BallsOnTable, around
 
@@ -33,9 +34,11 @@ SHARE: Final = 0.2
 def trajectories(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:
     """Return the means of all runs at each angle, and the ranges; metres, for details of a result.
 
-    ``balls`` are those of what was read. ``position``, ``target``, ``tilt`` (m,): of which angle,
-    ball or bar and tilt the ``value`` (m, c) is, c directions; ``std`` (m, c) as from the noise of
-    the readings alone. ``ranges``: largest less smallest value of each target in each direction.
+    ``balls`` are those of what was read. ``tilt``, ``target``, ``angle`` (m,): at which tilt, of
+    which ball or bar, at which angle (rad, counter-clockwise) the ``value`` (m, c) is, along c
+    ``directions``; ``std`` (m, c): what the noise of the readings makes of it. ``ranges``: largest
+    less smallest value of each target at each tilt. ``places`` (k, 3): nominal ones of the balls
+    from the nominal axis, at angle 0.
     """
     away, std, used = _readings(balls, found)
     keys = np.column_stack([balls.tilt, balls.target, balls.position])[used]
@@ -52,11 +55,12 @@ def trajectories(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:
     return {
         "tilt": tilt,
         "target": target,
-        "position": position,
+        "angle": balls.angles[position],
         "directions": list(OF_LENGTHS if len(balls.bars) else OF_CENTRES),
         "value": value,
         "std": noise,
         "ranges": _ranges(each, value, noise),
+        "places": balls.places,
     }
 
 
@@ -89,50 +93,52 @@ def _ranges(each: Ints, value: Floats, std: Floats) -> dict[str, Any]:
 
 def table_of_ranges(details: Mapping[str, Any]) -> ResultTable:
     """Return the ranges as a table, with U (k = 2)."""
-    told = details["trajectories"]
-    ranges, columns = told["ranges"], {}
-    for k, name in enumerate(told["directions"]):
-        for head, values in (("", ranges["value"]), ("U_", ranges["std"])):
-            factor = COVERAGE_FACTOR if head else 1.0
-            columns[f"{head}{name}_um"] = factor * np.asarray(values)[:, k] / MICROMETRE
-    tilts = np.asarray(details.get("tilts", [0.0])) / DEGREE
-    if len(tilts) > 1:
-        columns = {"tilt_deg": tilts[np.asarray(ranges["tilt"])], **columns}
+    directions, ranges = (details["trajectories"][name] for name in ("directions", "ranges"))
+    columns: dict[str, Floats] = {}
+    if "tilts" in details:
+        columns["tilt_deg"] = np.asarray(details["tilts"])[np.asarray(ranges["tilt"])] / DEGREE
+    for k, name in enumerate(directions):
+        columns[f"{name}_um"] = np.asarray(ranges["value"])[:, k] / MICROMETRE
+        expanded = COVERAGE_FACTOR * np.asarray(ranges["std"])[:, k]
+        columns[f"U_{name}_um"] = expanded / MICROMETRE
     return ResultTable.of(
         "trajectories",
-        "Range of the readings at each ball or bar, less the nominal way (ISO 10791-6)",
+        "Ranges of what was read beside the nominal way of each ball or bar (ISO 10791-6)",
         target=ranges["target"],
         **columns,
     )
 
 
-@style.styled
-def circles(angles: Floats, details: Mapping[str, Any], radius: Mapping[int, float]) -> str:
-    """Draw where centres were read at ``angles`` (n,), rad, enlarged, beside their circles.
+def way_figures(ways: Mapping[str, Any]) -> list[Figure]:
+    """Return the figure of :func:`trajectories`; none of lengths, which have no places."""
+    if tuple(ways["directions"]) != OF_CENTRES:
+        return []
+    what = "Where the centres were read, deviations from their nominal circles enlarged"
+    return [Figure("Circles of centres", f"{what}; at the first tilt.", _circles(ways))]
 
-    ``radius``: that of each ball, m. At the first tilt. Empty for lengths.
-    """
-    told = details["trajectories"]
-    if tuple(told["directions"]) != OF_CENTRES:
-        return ""
-    first, target = np.asarray(told["tilt"]) == 0, np.asarray(told["target"])
-    off = np.asarray(told["value"])[first, :2]
-    off = off - [off[target[first] == t].mean(axis=0) for t in target[first]]
-    by = SHARE * max(radius.values()) / np.abs(off).max()
+
+@style.styled
+def _circles(ways: Mapping[str, Any]) -> str:
+    first, target = np.asarray(ways["tilt"]) == 0, np.asarray(ways["target"])
+    angle, off = np.asarray(ways["angle"]), np.asarray(ways["value"]) @ [1.0, 1.0j, 0.0]
+    mean = {ball: off[first & (target == ball)].mean() for ball in np.unique(target[first])}
+    away = {ball: off[first & (target == ball)] - mean[ball] for ball in mean}
+    places = np.asarray(ways["places"]) @ [1.0, 1.0j, 0.0]
+    by = SHARE * np.abs(places).max() / max(np.abs(each).max() for each in away.values())
+    by = float(f"{by:.1g}")
     (ax,) = style.grid(height=5.0)
-    turn = np.linspace(0.0, 2.0 * np.pi)
-    for number, r in radius.items():
-        ax.plot(r * np.cos(turn) / MILLIMETRE, r * np.sin(turn) / MILLIMETRE, color=style.GREY)
-        of_it = target[first] == number
-        at = np.asarray(angles)[np.asarray(told["position"])[first][of_it]]
-        out, along = off[of_it].T * by
-        x, y = (
-            (r + out) * np.cos(at) - along * np.sin(at),
-            (r + out) * np.sin(at) + along * np.cos(at),
-        )
-        ax.plot(x / MILLIMETRE, y / MILLIMETRE, "o-", label=f"ball {number}", markersize=3)
+    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 181))
+    for ball, each in away.items():
+        _draw(ax, np.abs(places[ball]) * turn, color=style.GREY, linewidth=0.8)
+        way = places[ball] * np.exp(1j * angle[first & (target == ball)])
+        there = way + by * each * way / np.abs(way)
+        _draw(ax, np.append(there, there[0]), marker="o", markersize=3, label=f"ball {ball}")
     ax.set_aspect("equal")
     ax.set_xlabel("x / mm")
     ax.set_ylabel("y / mm")
-    ax.set_title(f"deviations {by:.0f} times")
+    ax.set_title(f"deviations {by:,.0f} times")
     return style.svg(ax)
+
+
+def _draw(ax: style.Axes, points: NDArray[np.complex128], **look: Any) -> None:
+    ax.plot(points.real / MILLIMETRE, points.imag / MILLIMETRE, **look)
