@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,64 +21,26 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.compensation.controller import Controller
 
 KIND: Final = "rotcal_axis_location"
-TABLE_AXIS: Final = "axis"
-TILTING_AXIS: Final = "tilting_axis"
-"""Details of a result, each with names, value, covariance, origin and what it is parallel to."""
-ALONG: Final = {"A": 0, "B": 1, "C": 2}
-"""The direction that an axis is nominally parallel to."""
 DECIMALS: Final = 6
 """Of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
 
 
-@dataclass(frozen=True, eq=False)
-class AxisLine:
-    """The axis average line of the axis ``letter``, in the machine's coordinates.
-
-    ``point`` (3,), m, is on it; ``direction`` (3,) points along it at a length of about 1; both
-    with the other rotary axes at zero. ``found``: the values (4,) by name, with their standard
-    uncertainties, m and rad, from the nominal line through ``origin`` (3,), m; ``covariance``
-    (4, 4) is that of the values.
-    """
-
-    letter: str
-    origin: Floats
-    point: Floats
-    direction: Floats
-    found: Mapping[str, tuple[float, float]]
-    covariance: Floats
-
-    @classmethod
-    def of(cls, found: Mapping[str, Any]) -> AxisLine:
-        """Return the line that details of a result tell; two places, then two small turns."""
-        names, value = list(found["names"]), np.asarray(found["value"], dtype=np.float64)
-        letter = names[0][-1]
-        origin = np.array(found["origin"], dtype=np.float64)
-        point, turn = origin.copy(), np.zeros(3)
-        for name, number in zip(names[:2], value[:2], strict=True):
-            point["XYZ".index(name[0])] += number
-        for name, number in zip(names[2:], value[2:], strict=True):
-            turn["ABC".index(name[0])] = number
-        along = np.eye(3)[ALONG[letter]]
-        values = dict(zip(names, zip(value.tolist(), found["std"], strict=True), strict=True))
-        direction, covariance = along + np.cross(turn, along), np.asarray(found["covariance"])
-        return cls(letter, origin, point, direction, values, covariance)
-
-    def in_words(self) -> str:
-        """Return place and lean with U (k = 2); files of controllers hold no other signs."""
-        x, y, z = self.point / MILLIMETRE
-        parts = []
-        for name, (value, std) in self.found.items():
-            unit, word = (MICROMETRE, "um") if name[0] in "XYZ" else (ARCSEC, "arcsec")
-            u = COVERAGE_FACTOR * std / unit
-            parts.append(f"{name} {value / unit:.4g} {word} (U {u:.2g})")
-        return f"{self.letter} at ({x:.4f}, {y:.4f}, {z:.4f}) mm: {', '.join(parts)}"
+def in_words(line: AxisLine) -> str:
+    """Return place and lean with U (k = 2); files of controllers hold no other signs."""
+    x, y, z = line.point / MILLIMETRE
+    parts = []
+    for name, value, std in zip(line.names, line.value, line.std, strict=True):
+        unit, word = (MICROMETRE, "um") if name[0] in "XYZ" else (ARCSEC, "arcsec")
+        u = COVERAGE_FACTOR * std / unit
+        parts.append(f"{name} {value / unit:.4g} {word} (U {u:.2g})")
+    return f"{line.letter} at ({x:.4f}, {y:.4f}, {z:.4f}) mm: {', '.join(parts)}"
 
 
 @dataclass(frozen=True)
@@ -94,15 +56,6 @@ class Located:
     source: str
     notes: tuple[str, ...] = ()
     unverified: tuple[str, ...] = ()
-
-
-def axis_lines(result: Result) -> tuple[AxisLine, ...]:
-    """Return the table's axis, and the one that tilts it where it was measured.
-
-    Empty for a method that does not measure where they stand.
-    """
-    details = [result.details[n] for n in (TABLE_AXIS, TILTING_AXIS) if n in result.details]
-    return tuple(AxisLine.of(found) for found in details if "origin" in found)
 
 
 def prepare_location(
@@ -124,8 +77,7 @@ def prepare_location(
     meaning nobody has verified unless ``accept_unverified``. Writes nothing.
     """
     check_verdict(result)
-    lines = axis_lines(result)
-    if not lines:
+    if not result.axes:
         raise DataError(
             f"the {result.method} result does not say where the axis stands: measure with "
             "table_balls, or leave out --what axis"
@@ -133,10 +85,10 @@ def prepare_location(
     usual = f"{check_axis(axis)}_{controller_name}_axis"
     name = stem_of(stem, usual, simulated=result.simulated)
     head = [
-        *(line.in_words() for line in lines),
+        *(in_words(line) for line in result.axes),
         *([NOTHING_MEASURED] if result.simulated else []),
     ]
-    located = controller.locate(lines, name, head)
+    located = controller.locate(result.axes, name, head)
     if not accept_unverified:
         require_verified(controller.facts.title, located.unverified)
     notes = (*located.notes, *(f"not verified: {text}" for text in located.unverified))
@@ -157,9 +109,12 @@ def prepare_location(
             line.letter: {
                 "point_m": line.point.tolist(),
                 "direction": line.direction.tolist(),
-                "found": {n: {"value": v, "std": s} for n, (v, s) in line.found.items()},
+                "found": {
+                    name: {"value": float(value), "std": float(std)}
+                    for name, value, std in zip(line.names, line.value, line.std, strict=True)
+                },
             }
-            for line in lines
+            for line in result.axes
         },
         "values": dict(located.values),
         "notes": list(notes),

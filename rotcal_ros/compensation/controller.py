@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Protocol
 
-from rotcal_ros.compensation.axis_location import AxisLine, Located
+from rotcal_ros.compensation.axis_location import Located
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import TURN
 

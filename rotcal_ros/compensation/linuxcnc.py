@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.compensation.axis_location import AxisLine, Located
+from rotcal_ros.compensation.axis_location import Located
 from rotcal_ros.compensation.controller import EveryTurnController, Facts, Lag, Rule
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
@@ -46,6 +46,7 @@ from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE, NANOSECOND, TURN
 from rotcal_ros.foundation.untrusted import read_bytes

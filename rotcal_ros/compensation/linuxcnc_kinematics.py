@@ -15,11 +15,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from rotcal_ros.compensation.axis_location import DECIMALS, AxisLine, Located, millimetres
+from rotcal_ros.compensation.axis_location import DECIMALS, Located, millimetres
 from rotcal_ros.compensation.controller_files import fixed
 from rotcal_ros.compensation.linuxcnc_machine import Ini
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 
 KINEMATICS: Final = ("xyzac-trt-kins", "xyzbc-trt-kins")
@@ -85,7 +86,7 @@ def _left(table: AxisLine, tilting: Sequence[AxisLine], letter: str, across: str
             f"it by as much the other way, so that {letter} stays where it is"
         )
     for line in (table, *tilting):
-        for name, (angle, std) in line.found.items():
+        for name, angle, std in zip(line.names, line.value, line.std, strict=True):
             if name[0] not in "ABC" or abs(angle) < COVERAGE_FACTOR * std:
                 continue
             if line is table and name[0] == letter:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.axis_location import AxisLine, Located, millimetres
+from rotcal_ros.compensation.axis_location import Located, millimetres
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
@@ -26,6 +26,7 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 HEADER: Final = "angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec"

@@ -27,7 +27,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN, TRANSLAT
 from rotcal_ros.foundation.gum_numbers import minus, uncertainty, value_with_uncertainty
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.language import listed, noted, phrase
-from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.results import AxisLine, Directions, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 
 Decision = Literal["within", "beyond", "undecided"]
@@ -232,24 +232,17 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
 
 def beside_the_curves(result: Result, *, valid: bool) -> list[str]:
     """Return what is told beside the deviations, in a sentence each; with U where ``valid``."""
-    return [*_axis_line(result.details, valid=valid), *reversals(result, valid=valid)]
+    return [*(_line(axis, valid=valid) for axis in result.axes), *reversals(result, valid=valid)]
 
 
-def _axis_line(details: Mapping[str, Any], *, valid: bool) -> list[str]:
-    """Return where the axis average line is (ISO 230-1: XOC and so on), if the method finds it."""
-    lines = [details.get(which) for which in ("axis", "tilting_axis")]
-    return [
-        _line(axis, valid=valid) for axis in lines if isinstance(axis, Mapping) and "names" in axis
-    ]
-
-
-def _line(axis: Mapping[str, Any], *, valid: bool) -> str:
+def _line(axis: AxisLine, *, valid: bool) -> str:
+    """Return where an axis average line is (ISO 230-1: XOC and so on)."""
     found = []
-    for name, number, std in zip(axis["names"], axis["value"], axis["std"], strict=True):
+    for name, number, std in zip(axis.names, axis.value, axis.std, strict=True):
         unit, label = SHOWN_IN["rad" if name[0] in "ABC" else "m"]
         text = minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
         found.append(f"{name} {text if valid else text.split(' ')[0]} {label}")
-    place = ", ".join(f"{x / MILLIMETRE:g}" for x in axis["origin"])
+    place = ", ".join(f"{x / MILLIMETRE:g}" for x in axis.origin)
     return phrase("Axis at ({0}) mm, from its nominal place: {1}.", place, ", ".join(found))
 
 

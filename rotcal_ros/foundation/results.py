@@ -12,6 +12,7 @@ error that names the wrong entry.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from html import escape
@@ -156,6 +157,59 @@ class Placement:
         return float(np.linalg.norm(np.cross(place - self.point, self.direction)))
 
 
+ALONG: Final = {"A": 0, "B": 1, "C": 2}
+"""The direction that a rotary axis is nominally parallel to."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AxisLine:
+    """The average line of a rotary axis (ISO 230-7), less its nominal one; machine's coordinates.
+
+    ``names`` (4,) after ISO 230-1: two places (m), then two small turns (rad), as XOC, YOC, AOC,
+    BOC; ``value`` and ``std`` (4,) in their order, ``covariance`` (4, 4). ``origin`` (3,), m, is a
+    nominal point: the places hold at its plane. All with the other rotary axes at zero.
+    """
+
+    names: tuple[str, ...]
+    value: Floats
+    std: Floats
+    covariance: Floats
+    origin: Floats
+
+    def __post_init__(self) -> None:
+        """Raise DataError for names that are no places and turns, and shapes that do not fit."""
+        if not re.fullmatch(r"[XYZ]O([ABC]) [XYZ]O\1 [ABC]O\1 [ABC]O\1", " ".join(self.names)):
+            raise DataError(
+                f"axes: the names {', '.join(self.names)}: expected two places and two turns of "
+                "an axis, as XOC, YOC, AOC, BOC"
+            )
+        shapes = {"value": (4,), "std": (4,), "covariance": (4, 4), "origin": (3,)}
+        for name, wanted in shapes.items():
+            found = np.shape(getattr(self, name))
+            if found != wanted:
+                raise DataError(f"axes: {name} has shape {found}, expected {wanted}")
+
+    @property
+    def letter(self) -> str:
+        """Which axis it is: A, B or C."""
+        return self.names[0][-1]
+
+    @property
+    def point(self) -> Floats:
+        """A point (3,) of the measured line, m."""
+        found: Floats = self.origin.copy()
+        found[["XYZ".index(name[0]) for name in self.names[:2]]] += self.value[:2]
+        return found
+
+    @property
+    def direction(self) -> Floats:
+        """The measured direction (3,), at a length of about 1."""
+        turn = np.zeros(3)
+        turn[["ABC".index(name[0]) for name in self.names[2:]]] = self.value[2:]
+        along = np.eye(3)[ALONG[self.letter]]
+        return np.asarray(along + np.cross(turn, along))
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Directions:
     """A deviation for approaches from either side, at the ``angles`` (k,) rad that have both.
@@ -270,7 +324,8 @@ class Result:
     say what the deviations count from, and which offsets are open. ``raw_data``: the observations
     that it rests on, so that they are not counted twice. ``budget`` splits the uncertainty of ECC:
     standard uncertainties (n,) by source, which add in squares; empty if only the whole is known.
-    ``placement`` and ``error_motion`` are None for a method that does not find them.
+    ``placement`` and ``error_motion`` are None for a method that does not find them. ``axes``:
+    where the table's axis stands and the one that tilts it, of a method that measures this.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -303,6 +358,7 @@ class Result:
     budget: Mapping[str, Floats] = field(default_factory=dict)
     placement: Placement | None = None
     error_motion: ErrorMotion | None = None
+    axes: tuple[AxisLine, ...] = ()
 
     @property
     def simulated(self) -> bool:
@@ -399,8 +455,7 @@ class Result:
                 name: {FILE_NAMES.get(key, key): v for key, v in plain_fields(both).items()}
                 for name, both in self.directions.items()
             }
-        if self.placement is not None:
-            data["placement"] = plain_fields(self.placement)
+        data |= self._places()
         if self.zeros.counts_from != UNKNOWN:
             data["zeros"] = plain_fields(self.zeros) | {
                 "free": [plain_fields(direction) for direction in self.zeros.free]
@@ -428,6 +483,15 @@ class Result:
                 del columns["unit"]
             data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
         return {name: plain(value) for name, value in data.items()}
+
+    def _places(self) -> dict[str, Any]:
+        """Return where axes and instrument stand, as far as that was measured."""
+        data: dict[str, Any] = {}
+        if self.placement is not None:
+            data["placement"] = plain_fields(self.placement)
+        if self.axes:
+            data["axes"] = [plain_fields(axis) for axis in self.axes]
+        return data
 
     def to_json(self) -> str:
         """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
@@ -639,6 +703,7 @@ def _result(data: Mapping[str, Any]) -> Result:
         budget=budget,
         placement=None if data.get("placement") is None else _placement(data["placement"]),
         error_motion=error_motion,
+        axes=tuple(map(_axis, data.get("axes", ()))),
         directions=_directions(data.get("directions", {})),
         measured_on=check_in_force(plain.measured_on),
         circumstances=Circumstances.from_dict(data["circumstances"]),
@@ -698,6 +763,14 @@ def _placement(data: Mapping[str, Any]) -> Placement:
         positions.astype(np.int64),
         stations if stations.size else np.zeros((0, 3)),
     )
+
+
+def _axis(data: Mapping[str, Any]) -> AxisLine:
+    covariance = _floats(data["covariance"], "axes.covariance")
+    if not np.all(np.isfinite(covariance)):
+        raise ValueError("axes.covariance: expected finite numbers")
+    value, std, origin = (finite_column(data[n], f"axes.{n}") for n in ("value", "std", "origin"))
+    return AxisLine(tuple(map(str, data["names"])), value, std, covariance, origin)
 
 
 def _side(values: Any, targets: int, name: str) -> Floats | None:

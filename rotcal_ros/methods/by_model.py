@@ -24,7 +24,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Effect, Protection
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, mean_of_arrivals, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
@@ -64,11 +64,15 @@ def tables_of_also(result: Result) -> list[ResultTable]:
 
 @dataclass(frozen=True)
 class Statement:
-    """What a method says itself of a result; its word on an effect takes that of the engine."""
+    """What a method says itself of a result; its word on an effect takes that of the engine.
+
+    ``axes``: where rotary axes stand, of a method that measures this.
+    """
 
     doubts: Sequence[str] = ()
     protections: Sequence[Protection] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
+    axes: tuple[AxisLine, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,7 @@ class ByModel:
             protections=statement.protections,
             details=statement.details,
         )
+        result = replace(result, axes=statement.axes)
         if silent := set(EFFECTS) - {p.effect for p in result.protections}:
             raise DataError(
                 f"the method {self.name} says nothing of {', '.join(sorted(silent))}: declare an "

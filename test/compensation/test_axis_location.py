@@ -16,7 +16,7 @@ from rotcal_ros.compensation.axis_location import prepare_location
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import AxisLine, Result
 
 NOW = datetime(2026, 1, 2, tzinfo=timezone.utc)
 C = ((0.30012, -0.20007, 0.08), (2e-5, -3e-5))
@@ -25,28 +25,23 @@ B = ((0.34, -0.2, -0.04), (0.0, 0.0))
 
 
 def found(names, nominal, value):
-    return {
-        "names": names, "value": value, "std": [1e-6, 1e-6, 1e-6, 1e-6],
-        "origin": nominal, "covariance": np.eye(4).tolist(),
-    }  # fmt: skip
+    return AxisLine(names, np.array(value), np.full(4, 1e-6), 1e-12 * np.eye(4), np.array(nominal))
 
 
 def measured(tilting=None, verdict="ok", **more):
     """Return a result that tells C and, with its letter, what tilts it."""
     (x, y, z), lean = C
-    details = {
-        "axis": found(["XOC", "YOC", "AOC", "BOC"], [0.3, -0.2, z], [x - 0.3, y + 0.2, *lean])
-    }
+    axes = [found(("XOC", "YOC", "AOC", "BOC"), [0.3, -0.2, z], [x - 0.3, y + 0.2, *lean])]
     if tilting == "A":
         (x, y, z), lean = A
         value = [y + 0.15, z + 0.04, *lean]
-        details["tilting_axis"] = found(["YOA", "ZOA", "BOA", "COA"], [x, -0.15, -0.04], value)
+        axes.append(found(("YOA", "ZOA", "BOA", "COA"), [x, -0.15, -0.04], value))
     if tilting == "B":
-        details["tilting_axis"] = found(["XOB", "ZOB", "AOB", "COB"], list(B[0]), [0.0] * 4)
+        axes.append(found(("XOB", "ZOB", "AOB", "COB"), B[0], [0.0] * 4))
     return Result(
         method="table_balls", angles=np.zeros(1), deviations={"ECC": np.zeros(1)},
         std={"ECC": np.ones(1)}, covariance={}, sigma0=1.0, dof=1, n_observations=2,
-        verdict=verdict, details=details if more.pop("told", True) else {}, **more,
+        verdict=verdict, axes=tuple(axes) if more.pop("told", True) else (), **more,
     )  # fmt: skip
 
 

@@ -107,14 +107,13 @@ def test_displaced_axes_are_measured_set_and_measured_again(
     monkeypatch.chdir(work)
     solve, export, again = page_commands()
     run(solve)
-    details = json.loads(Path("result.json").read_text())["details"]
-    axis = details["axis"]
+    axis, *tilting = json.loads(Path("result.json").read_text())["axes"]
     true = [C_MM[0] * 1e-3, C_MM[1] * 1e-3, *(LEAN if tilts == 1 else (0.0, 0.0))]
     assert np.abs((np.array(axis["value"]) - true) / axis["std"]).max() < 3.0
     assert axis["value"][:2] == pytest.approx(true[:2], abs=1e-6)
     across = "yx"["AB".index(letter)]
     if tilts > 1:
-        line, there = details["tilting_axis"]["value"], np.array(TILTING_MM[letter]) * 1e-3
+        line, there = tilting[0]["value"], np.array(TILTING_MM[letter]) * 1e-3
         wanted = [there["xy".index(across)], there[2], 0.0, 0.0]
         assert line == pytest.approx(wanted, abs=2e-6)
     run(export)
@@ -136,8 +135,6 @@ def test_displaced_axes_are_measured_set_and_measured_again(
     Path("after.yaml").write_text(text)
     shutil.copy(machine.folder / "followed.csv", work)
     run(again)
-    details = json.loads(Path("after.json").read_text())["details"]
-    left = details["axis"]["value"][:2]
-    if tilts > 1:
-        left += details["tilting_axis"]["value"][:2]
+    axes = json.loads(Path("after.json").read_text())["axes"]
+    left = [place for axis in axes for place in axis["value"][:2]]
     assert max(map(abs, left)) * 1e3 < math.hypot(*C_MM[:2]) / SMALLER

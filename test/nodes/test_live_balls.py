@@ -52,15 +52,15 @@ def test_both_axes_are_found_live_and_the_bag_repeats_them_bit_for_bit(tmp_path,
     assert asked == [f"turn A to {tilt:g} deg" for tilt in tilts]
     result = Result.from_dict(json.loads(text))
     assert result.verdict == "ok", result.warnings
-    axis, table = result.details["axis"], configuration.simulation.table
+    axis, table = result.axes[0], configuration.simulation.table
     (x, y, _), (a, b) = table.axis_offset_m, np.array(table.axis_tilt_arcsec) * ARCSEC
     height = configuration.plan.axis_m[2]
-    away = np.array(axis["value"]) - [x + height * b, y - height * a, a, b]
-    assert np.abs(away / axis["std"]).max() < 5.5
-    tilting, true = result.details["tilting_axis"], configuration.simulation.balls
+    away = axis.value - [x + height * b, y - height * a, a, b]
+    assert np.abs(away / axis.std).max() < 5.5
+    tilting, true = result.axes[1], configuration.simulation.balls
     lean = np.array(true.tilting_lean_arcsec[1:]) * ARCSEC
-    away = np.array(tilting["value"]) - [*true.tilting_axis_m[1:], *lean]
-    assert np.abs(away / tilting["std"]).max() < 5.5
+    away = tilting.value - [*true.tilting_axis_m[1:], *lean]
+    assert np.abs(away / tilting.std).max() < 5.5
     (location,) = published(live.bag, "/cell/axis_location")
     assert (location.header.frame_id, location.verdict, location.simulated) == ("machine", "ok", 1)
     turning, tilted = location.axes

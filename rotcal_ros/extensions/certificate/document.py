@@ -24,7 +24,6 @@ from signxml.signer import XMLSigner
 from signxml.verifier import XMLVerifier
 
 from rotcal_ros import __version__
-from rotcal_ros.compensation.axis_location import AxisLine, axis_lines
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances, Range
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS
@@ -33,7 +32,7 @@ from rotcal_ros.foundation.escapes import printable, printable_lines
 from rotcal_ros.foundation.identity import Identity, InstrumentIdentity
 from rotcal_ros.foundation.in_force import in_words
 from rotcal_ros.foundation.language import ENGLISH, Phrase, codes, language, phrase
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import AxisLine, Result
 
 DCC_NAMESPACE: Final = "https://ptb.de/dcc"
 SI_NAMESPACE: Final = "https://ptb.de/si"
@@ -162,7 +161,7 @@ def measurement_results(result: Result, method_title: str) -> Any:
                 _instruments(circumstances),
                 _conditions(circumstances),
                 DCC.results(
-                    *(_axis(line) for line in axis_lines(result)),
+                    *(_axis(line) for line in result.axes),
                     *(_curve(result, name) for name in result.components),
                 ),
             )
@@ -248,7 +247,6 @@ def _axis(line: AxisLine) -> Any:
 
     What joins a place and a turn is in the result that is attached.
     """
-    value, std = np.array([*line.found.values()]).T
     origin = SI.realListXMLList(SI.valueXMLList(numbers(line.origin)), SI.unitXMLList(_METRE))
     point = DCC.quantity(
         text("name", phrase("Nominal point of the axis, x y z")),
@@ -257,8 +255,8 @@ def _axis(line: AxisLine) -> Any:
     )
     pairs = (
         DCC.quantity(
-            text("name", " ".join([*line.found][at])),
-            _measured(value[at], std[at], line.covariance[at, at], unit),
+            text("name", " ".join(line.names[at])),
+            _measured(line.value[at], line.std[at], line.covariance[at, at], unit),
             refType="basic_measurementError",
         )
         for at, unit in ((slice(2), _METRE), (slice(2, 4), _RADIAN))

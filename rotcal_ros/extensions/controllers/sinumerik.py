@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.axis_location import AxisLine, Located, millimetres
+from rotcal_ros.compensation.axis_location import Located, millimetres
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
@@ -35,6 +35,7 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
 

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.errors import (
 )
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
 from rotcal_ros.foundation.protection import Effect, Protection
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.tables import Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
 from rotcal_ros.geometry.rotations import wrap_angle
@@ -93,7 +93,7 @@ MILLISECOND: Final = 1e-3
 OF_AXES: Final[Mapping[str, Effect]] = {"scale": "scale", "squareness": "gauge"}
 """Blocks of what may be wrong with the linear axes, and the effect that it is."""
 AXES: Final = ("axis", "tilting_axis")
-"""Details of a result that tell a line."""
+"""Tables of where they stand."""
 ARRIVALS: Final = 1.0
 """What arrivals that scatter do before they are found, per what noise does: by simulation, as
 scripts/power_table.py does."""
@@ -358,8 +358,11 @@ def _check_lengths(balls: BallsOnTable, read: Readings) -> None:
 def states(configuration: Configuration, read: Readings, found: Adjusted) -> Statement:
     """Return what is done about effects that the engine does not know, and the axis."""
     balls, ways = balls_of(configuration), trajectories(balls_of(configuration, read), found)
-    details = _details(balls, found) | {"trajectories": ways}
-    return Statement((), tuple(_protections(configuration, balls, found)), details)
+    details: dict[str, Any] = {"untold": [name for name in COMPONENTS if name not in balls.shown]}
+    if balls.tilting is not None:
+        details["tilts"] = np.array(balls.tilting.degrees) * DEGREE
+    protections = tuple(_protections(configuration, balls, found))
+    return Statement((), protections, details | {"trajectories": ways}, _axes(balls, found))
 
 
 def _protections(
@@ -425,34 +428,24 @@ def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     )
 
 
-def _details(balls: BallsOnTable, found: Adjusted) -> dict[str, Any]:
-    """Return the axes with their covariances, SI; and which motions the balls do not tell."""
-    tilting, four = balls.tilting, len(AXIS)
-    end = len(found.value) - (0 if tilting is None else four)
-    details = {
-        "axis": _line(found, slice(end - four, end), AXIS, balls.origin),
-        "untold": [name for name in COMPONENTS if name not in balls.shown],
-    }
-    if tilting is not None:
-        line = _line(found, slice(end, end + four), tilting.line, tilting.point)
-        details |= {"tilting_axis": line, "tilts": np.array(tilting.degrees) * DEGREE}
-    return details
-
-
-def _line(found: Adjusted, at: slice, names: Sequence[str], origin: Floats) -> dict[str, Any]:
-    return {
-        "names": list(names),
-        "value": found.value[at],
-        "std": found.std[at],
-        "covariance": found.covariance[at, at],
-        "origin": origin,
-    }
+def _axes(balls: BallsOnTable, found: Adjusted) -> tuple[AxisLine, ...]:
+    """Return where the table's axis stands, and the one that tilts it: the last of the outputs."""
+    lines: list[tuple[tuple[str, ...], Floats]] = [(AXIS, balls.origin)]
+    if balls.tilting is not None:
+        lines.append((balls.tilting.line, balls.tilting.point))
+    first, axes = len(found.value) - len(AXIS) * len(lines), []
+    for names, origin in lines:
+        at = slice(first, first + len(names))
+        covariance = found.covariance[at, at]
+        axes.append(AxisLine(names, found.value[at], found.std[at], covariance, origin))
+        first = at.stop
+    return tuple(axes)
 
 
 def tables(result: Result) -> list[ResultTable]:
     """Return the axes, motions that are no deviations, and what is found of the linear axes."""
     details = result.details
-    found = [_line_table(name, details[name]) for name in AXES if name in details]
+    found = [_line_table(*each) for each in zip(AXES, result.axes, strict=False)]
     found.append(table_of_ranges(details))
     for name, rows in details["also"].items():
         si, suffix = MICROMETRE, "um" if "motion" in name else "um_per_m"
@@ -471,8 +464,8 @@ def tables(result: Result) -> list[ResultTable]:
     return found
 
 
-def _line_table(name: str, axis: Mapping[str, Any]) -> ResultTable:
-    x, y, z = np.asarray(axis["origin"]) / MILLIMETRE
+def _line_table(name: str, axis: AxisLine) -> ResultTable:
+    x, y, z = axis.origin / MILLIMETRE
     titles = (
         f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
         f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
@@ -481,10 +474,10 @@ def _line_table(name: str, axis: Mapping[str, Any]) -> ResultTable:
     return ResultTable.of(
         name,
         titles[AXES.index(name)],
-        quantity=axis["names"],
+        quantity=axis.names,
         unit=[unit for _, unit in AXIS_SHOWN],
-        value=np.asarray(axis["value"]) / factor,
-        U_value=COVERAGE_FACTOR * np.asarray(axis["std"]) / factor,
+        value=axis.value / factor,
+        U_value=COVERAGE_FACTOR * axis.std / factor,
     )
 
 
@@ -495,11 +488,10 @@ def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
             Figure(
                 "Axis average line",
                 "Where the axis stands and which way it leans, from its nominal place; U (k = 2).",
-                _axis(result.details[name]),
+                _axis(axis),
                 "set-up",
             )
-            for name in AXES
-            if name in result.details
+            for axis in result.axes
         ),
         *way_figures(result.details["trajectories"]),
         Figure(
@@ -513,15 +505,14 @@ def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
 
 
 @style.styled
-def _axis(axis: Mapping[str, Any]) -> str:
+def _axis(axis: AxisLine) -> str:
     panels = style.grid(1, 2)
-    value, std = np.asarray(axis["value"]), np.asarray(axis["std"])
     for number, (ax, (si, unit)) in enumerate(zip(panels, AXIS_SHOWN[::2], strict=True)):
         pair = slice(2 * number, 2 * number + 2)
-        (x, y), (u, v) = value[pair] / si, COVERAGE_FACTOR * std[pair] / si
+        (x, y), (u, v) = axis.value[pair] / si, COVERAGE_FACTOR * axis.std[pair] / si
         ax.errorbar([x], [y], xerr=[u], yerr=[v], fmt="o", color=style.BLUE, capsize=3)
         ax.plot([0.0], [0.0], "+", color=style.GREY)
-        first, second = axis["names"][pair]
+        first, second = axis.names[pair]
         ax.set_xlabel(f"{first} / {unit}")
         ax.set_ylabel(f"{second} / {unit}")
     return style.svg(panels[0])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +13,6 @@ from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Tempera
 from std_msgs.msg import Header
 
 from rotcal_ros.capture import messages
-from rotcal_ros.compensation.axis_location import AxisLine
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
@@ -30,8 +28,8 @@ from rotcal_ros.foundation.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.results import FreeDirection as OpenZero
-from rotcal_ros.foundation.results import Result
 from rotcal_ros.planning.choices import Choice
 from rotcal_ros.planning.plan import MACHINE_FRAME
 
@@ -178,25 +176,22 @@ def correction_message(
     return _filled(msg.VolumetricCorrection, result, now_ns, **others)
 
 
-def location_message(
-    result: Result, lines: Sequence[AxisLine], plan_id: str, now_ns: int
-) -> msg.AxisLocation:
+def location_message(result: Result, plan_id: str, now_ns: int) -> msg.AxisLocation:
     """Return the message of where the axes of a result stand."""
     others = {
         "plan_id": plan_id,
-        "axes": [_line(line) for line in lines],
+        "axes": [_line(line) for line in result.axes],
         "item": result.circumstances.identity.title,
     }
     return _filled(msg.AxisLocation, result, now_ns, MACHINE, **others)
 
 
 def _line(line: AxisLine) -> msg.AxisLine:
-    values, std = zip(*line.found.values(), strict=True)
     return msg.AxisLine(
         axis=line.letter,
-        names=[*line.found],
-        values=values,
-        std=std,
+        names=line.names,
+        values=line.value,
+        std=line.std,
         covariance=line.covariance.ravel(),
         origin=line.origin,
         point=line.point,

@@ -14,7 +14,6 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.compensation.axis_location import axis_lines
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.in_force import of_axis
@@ -211,9 +210,8 @@ class SolverNode(CellNode):
         self._values = conversions.result_values(result)
         axis = configuration.cell.axis
         self._corrections.publish(conversions.correction_message(result, axis, plan_id, now_ns))
-        if lines := axis_lines(result):
-            location = conversions.location_message(result, lines, plan_id, now_ns)
-            self._locations.publish(location)
+        if result.axes:
+            self._locations.publish(conversions.location_message(result, plan_id, now_ns))
         try:
             table = table_from_result(result, axis=axis)
         except RotcalError as error:

@@ -8,6 +8,7 @@ import numpy as np
 import rotcal_ros as rc
 from rotcal_ros.foundation.circumstances import Circumstances, Range
 from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import AxisLine
 
 DATA = Path(__file__).parents[3] / "examples" / "data"
 IDENTITY = {
@@ -23,13 +24,13 @@ IDENTITY = {
     },
 }  # fmt: skip
 DAY_NS = 86_400 * 10**9
-AXIS = {
-    "names": ["XOC", "YOC", "AOC", "BOC"],
-    "value": np.array([1.1e-4, -7e-5, 2e-5, -3e-5]),
-    "std": np.array([1e-6, 2e-6, 3e-6, 4e-6]),
-    "covariance": np.diag([1e-12, 4e-12, 9e-12, 1.6e-11]) + 1e-13,
-    "origin": np.array([0.0, 0.0, 0.08]),
-}
+AXIS = AxisLine(
+    ("XOC", "YOC", "AOC", "BOC"),
+    np.array([1.1e-4, -7e-5, 2e-5, -3e-5]),
+    np.array([1e-6, 2e-6, 3e-6, 4e-6]),
+    np.diag([1e-12, 4e-12, 9e-12, 1.6e-11]) + 1e-13,
+    np.array([0.0, 0.0, 0.08]),
+)
 
 
 def certified(name="ball_plate", identity=IDENTITY, **changes):
@@ -50,5 +51,4 @@ def certified(name="ball_plate", identity=IDENTITY, **changes):
 
 def certified_axis():
     """Return such a result that says where the axis stands, too."""
-    result = certified()
-    return replace(result, details={**result.details, "axis": AXIS})
+    return replace(certified(), axes=(AXIS,))

@@ -62,15 +62,15 @@ def test_where_the_axis_stands_comes_back_to_the_last_bit():
     names = [text_of(q, "dcc:name/dcc:content") for q in quantities]
     assert names == ["Nominal point of the axis, x y z", "XOC YOC", "AOC BOC"]
     origin, place, turns = (q.find("si:realListXMLList", NAMES) for q in quantities)
-    assert floats(origin, "si:valueXMLList").tolist() == AXIS["origin"].tolist()
+    assert floats(origin, "si:valueXMLList").tolist() == AXIS.origin.tolist()
     for found, at, unit in ((place, slice(2), r"\metre"), (turns, slice(2, 4), r"\radian")):
         assert text_of(found, "si:unitXMLList") == unit
-        assert floats(found, "si:valueXMLList").tolist() == AXIS["value"][at].tolist()
+        assert floats(found, "si:valueXMLList").tolist() == AXIS.value[at].tolist()
         expanded = floats(found, ".//si:valueExpandedMUXMLList")
-        assert (expanded / 2.0).tolist() == AXIS["std"][at].tolist()
+        assert (expanded / 2.0).tolist() == AXIS.std[at].tolist()
         columns = found.findall(".//si:covarianceXMLList", NAMES)
         matrix = [floats(column, "si:valueXMLList").tolist() for column in columns]
-        assert matrix == AXIS["covariance"][at, at].tolist()
+        assert matrix == AXIS.covariance[at, at].tolist()
 
 
 def test_it_says_who_what_when_and_how_warm():

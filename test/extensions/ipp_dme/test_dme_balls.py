@@ -31,9 +31,9 @@ def test_touches_through_tcp_find_the_axis_and_the_deviations():
     configuration = calibration.configuration
     table, height = configuration.simulation.table, configuration.plan.axis_m[2]
     (x, y, _), (a, b) = table.axis_offset_m, np.array(table.axis_tilt_arcsec) * ARCSEC
-    axis = result.details["axis"]
-    away = np.array(axis["value"]) - [x + height * b, y - height * a, a, b]
-    assert np.abs(away / axis["std"]).max() < 4.5
+    axis = result.axes[0]
+    away = axis.value - [x + height * b, y - height * a, a, b]
+    assert np.abs(away / axis.std).max() < 4.5
 
 
 @pytest.mark.parametrize("given", [(), ("--port", "{port}")])

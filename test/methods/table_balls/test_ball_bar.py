@@ -165,8 +165,8 @@ def test_a_table_of_lengths_gives_the_axis_and_says_what_it_does_not_tell(tmp_pa
     path = table_of(tmp_path / "bar.csv", "position,bar,length_m", rows)
     result = read_measurements(path, setup("plan.measure=centre")).solve()
     assert result.verdict == "ok", result.warnings
-    axis = result.details["axis"]
-    assert np.abs((axis["value"] - world.truth()[1]) / axis["std"]).max() < 3.5
+    axis = result.axes[0]
+    assert np.abs((axis.value - world.truth()[1]) / axis.std).max() < 3.5
     assert result.details["untold"] == ["EXC", "EYC", "EZC", "EAC", "EBC"]
     assert result.n_observations == 75
     assert result.residuals.coordinates == 1
@@ -219,9 +219,9 @@ def test_a_simulated_bar_finds_the_axis():
     assert len(seen) == 75
     result = calibration.solve(seen)
     assert result.verdict == "ok", result.warnings
-    axis = result.details["axis"]
+    axis = result.axes[0]
     line = [4.2e-5 - 0.08 * 6.0 * ARCSEC, -2.8e-5 - 0.08 * 9.0 * ARCSEC, 9 * ARCSEC, -6 * ARCSEC]
-    assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
+    assert np.abs((axis.value - line) / axis.std).max() < 3.5
 
 
 def test_a_measurement_that_is_spoiled_on_purpose_is_one_of_lengths():

@@ -465,12 +465,12 @@ def test_the_simulated_cell_is_solved_to_its_truth(changes):
     )
     for name in result.components:
         assert np.abs((result.deviations[name] - true[name]) / result.std[name]).max() < 4.0, name
-    axis = result.details["axis"]
+    axis = result.axes[0]
     x, y, _ = configuration.simulation.table.axis_offset_m
     a, b = np.array(configuration.simulation.table.axis_tilt_arcsec) * ARCSEC
     height = configuration.plan.axis_m[2]
     line = [x + height * b, y - height * a, a, b]
-    assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
+    assert np.abs((axis.value - line) / axis.std).max() < 3.5
     assert [p.effect for p in result.protections if p.effect in EFFECTS] == list(EFFECTS)
     assert len(calibration.method.figures(result, None)) == 4
     drawn = calibration.trials(seen)(np.random.default_rng(1), 4000)
@@ -537,7 +537,7 @@ def test_displacements_from_a_nest_that_follows_the_ball_tell_the_same(tmp_path)
     found = adjust(modelled(world, read))
     assert np.abs(off).max() < 2e-3
     assert result.deviations["ECC"] == pytest.approx(found.value[:12], abs=1e-12)
-    assert result.details["axis"]["value"] == pytest.approx(found.value[12:], abs=1e-12)
+    assert result.axes[0].value == pytest.approx(found.value[12:], abs=1e-12)
 
 
 def test_displacements_that_are_spoiled_on_purpose_are_displacements():
@@ -560,9 +560,9 @@ def test_a_simulated_nest_finds_the_axis():
     seen = [o for event in simulated_run(calibration) for o in event.observed if o.accepted]
     assert len(seen) == 25
     assert np.abs([o.mean for o in seen]).max() < 2e-3
-    axis = calibration.solve(seen).details["axis"]
+    axis = calibration.solve(seen).axes[0]
     line = [4.2e-5 - 0.08 * 6.0 * ARCSEC, -2.8e-5 - 0.08 * 9.0 * ARCSEC, 9 * ARCSEC, -6 * ARCSEC]
-    assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
+    assert np.abs((axis.value - line) / axis.std).max() < 3.5
 
 
 def turning(name="ONE", speeds=(20.0, -20.0), **more):
@@ -623,8 +623,8 @@ def test_a_nest_that_is_late_while_the_table_turns_is_found_out(tmp_path, speeds
     true = np.array([smooth(angle)[5, 0] for angle in angles])
     away = result.deviations["ECC"] - true + true.mean()
     assert np.abs(away / result.std["ECC"]).max() < 3.5
-    axis = result.details["axis"]
-    assert np.abs((np.array(axis["value"]) - world.axis) / axis["std"]).max() < 3.5
+    axis = result.axes[0]
+    assert np.abs((axis.value - world.axis) / axis.std).max() < 3.5
     lag = result.details["also"]["lag"]
     if treatment == "estimated":
         assert lag["std"][0] < 1e-4

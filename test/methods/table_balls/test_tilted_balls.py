@@ -9,7 +9,6 @@ from chances import LONG
 from scipy.stats import binom
 
 from rotcal_ros.adjust.fit import fitted
-from rotcal_ros.compensation.axis_location import axis_lines
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
@@ -145,11 +144,10 @@ def test_a_table_with_tilts_gives_both_axes_for_people_and_controls(tmp_path):
     path = table_of(tmp_path / "tilted.csv", "position,ball,tilt,x_m,y_m,z_m", rows)
     result = read_measurements(path, setup()).solve()
     assert result.verdict == "ok", result.warnings
-    for name, true in (("axis", world.axis), ("tilting_axis", world.line)):
-        found = result.details[name]
-        assert np.abs((found["value"] - np.array(true)) / found["std"]).max() < 3.5
-    assert result.details["tilting_axis"]["names"] == list(LINES["AC"])
-    tilting = axis_lines(result)[1]
+    for found, true in zip(result.axes, (world.axis, world.line), strict=True):
+        assert np.abs((found.value - true) / found.std).max() < 3.5
+    assert result.axes[1].names == LINES["AC"]
+    tilting = result.axes[1]
     assert tilting.letter == "A"
     assert tilting.point[1:] == pytest.approx(np.array(POINT[1:]) + world.line[:2], abs=5e-6)
     figures = setup().method.figures(result, None)
@@ -175,12 +173,12 @@ def test_the_simulated_axis_is_found_where_it_stands():
     result = calibration.solve(seen)
     assert result.verdict == "ok", result.warnings
     lean = np.array(configuration.simulation.balls.tilting_lean_arcsec[1:]) * ARCSEC
-    found = result.details["tilting_axis"]
-    away = np.array(found["value"]) - [6e-5, -4e-5, *lean]
-    assert np.abs(away / found["std"]).max() < 3.5
-    axis = result.details["axis"]
+    found = result.axes[1]
+    away = found.value - [6e-5, -4e-5, *lean]
+    assert np.abs(away / found.std).max() < 3.5
+    axis = result.axes[0]
     line = [4.2e-5 - 0.08 * 6.0 * ARCSEC, -2.8e-5 - 0.08 * 9.0 * ARCSEC, 9 * ARCSEC, -6 * ARCSEC]
-    assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
+    assert np.abs((axis.value - line) / axis.std).max() < 3.5
 
 
 def test_displacements_count_from_where_a_perfect_machine_has_the_ball(tmp_path):
@@ -190,8 +188,8 @@ def test_displacements_count_from_where_a_perfect_machine_has_the_ball(tmp_path)
     rows = zip(read.position, read.target, read.station, *off.T, strict=True)
     path = table_of(tmp_path / "tilted.csv", "position,ball,tilt,dx_m,dy_m,dz_m", rows)
     result = read_measurements(path, setup()).solve()
-    assert result.details["axis"]["value"] == pytest.approx(world.axis, abs=1e-9)
-    assert result.details["tilting_axis"]["value"] == pytest.approx(world.line, abs=1e-9)
+    assert result.axes[0].value == pytest.approx(world.axis, abs=1e-9)
+    assert result.axes[1].value == pytest.approx(world.line, abs=1e-9)
 
 
 def test_a_person_brings_the_axis_to_each_tilt():

@@ -69,9 +69,9 @@ def test_the_lag_of_the_linear_axes_is_found_by_both_directions(lag_s):
         configuration.simulation.table.axis_offset_m,
         np.array(configuration.simulation.table.axis_tilt_arcsec) * ARCSEC,
     )
-    height, axis = configuration.plan.axis_m[2], result.details["axis"]
+    height, axis = configuration.plan.axis_m[2], result.axes[0]
     line = [x + height * lean[1], y - height * lean[0], *lean]
-    assert np.abs((np.array(axis["value"]) - line) / axis["std"]).max() < 3.5
+    assert np.abs((axis.value - line) / axis.std).max() < 3.5
 
 
 def test_a_run_up_that_is_too_short_is_told_and_the_run_turned_again():
