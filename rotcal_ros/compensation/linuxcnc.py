@@ -122,7 +122,7 @@ class LinuxCnc(EveryTurnController):
     home_deg: float = setting(0.0, doc="deg, HOME of the joint, where the trim begins with 0")
     kinematics: str = setting(
         KINEMATICS[0],
-        doc="that get the place of the axes, in mm; machine_ini tells both",
+        doc="that get the place of the axes, in mm; machine_ini states both",
         choices=KINEMATICS,
     )
 
