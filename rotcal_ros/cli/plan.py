@@ -234,7 +234,7 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
     model = alone.of_curves(observations)
     if model is None:
         return JointInput(name, alone.solve(observations))
-    return JointInput(name, alone.untold(observations, model), model)
+    return JointInput(name, alone.unsolved(observations, model), model)
 
 
 def _present(path: Path, seed: int) -> JointInput:

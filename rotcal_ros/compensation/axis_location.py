@@ -1,6 +1,6 @@
 """Where rotary axes stand, as the parameters of a controller's kinematics.
 
-A result of :mod:`~rotcal_ros.methods.table_balls` tells the axis average line of the table, and
+A result of :mod:`~rotcal_ros.methods.table_balls` gives the axis average line of the table, and
 of the axis that tilts it, in the machine's coordinates. A controller that moves the tool with the
 table has numbers for this; each kind writes its own (:meth:`.controller.Controller.locate`).
 """
@@ -53,7 +53,7 @@ class AxisLine:
 
     @classmethod
     def of(cls, found: Mapping[str, Any]) -> AxisLine:
-        """Return the line that details of a result tell; two places, then two small turns."""
+        """Return the line that details of a result give; two places, then two small turns."""
         names, value = list(found["names"]), np.asarray(found["value"], dtype=np.float64)
         letter = names[0][-1]
         point, turn = np.array(found["origin"], dtype=np.float64), np.zeros(3)
@@ -94,7 +94,7 @@ class Located:
 def axis_lines(result: Result) -> tuple[AxisLine, ...]:
     """Return the table's axis, and the one that tilts it where it was measured.
 
-    Raises DataError for a result that tells no place of an axis.
+    Raises DataError for a result that gives no place of an axis.
     """
     details = [result.details[n] for n in (TABLE_AXIS, TILTING_AXIS) if n in result.details]
     if not details or "origin" not in details[0]:
@@ -116,7 +116,7 @@ def prepare_location(
     accept_unverified: bool = False,
     sources: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the files that tell a ``controller`` where the axes are, and what to know of them.
+    """Return the files that show a ``controller`` where the axes are, and what to know of them.
 
     ``stem`` is the file name without extension (else axis, controller, "axis"), ``sources`` maps
     what the numbers come from to its SHA-256. Raises DataError for a verdict other than "ok" and a

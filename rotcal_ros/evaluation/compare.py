@@ -1,4 +1,4 @@
-"""Tells whether two deviation curves of one table agree within their uncertainties.
+"""Tests whether two deviation curves of one table agree within their uncertainties.
 
 Differences are aligned by the offset that no method can know: their mean is subtracted. The
 uncertainty of that mean and its correlation with every value are part of the divisor of the

@@ -361,7 +361,7 @@ def read_any_runs(
 ) -> BidirectionalRuns:
     """Return the runs in a table of another form: deviations at table angles, in any unit.
 
-    Columns tell run and direction, or the order of the rows. ``sheet`` says what the table leaves
+    Columns state run and direction, or the order of the rows. ``sheet`` says what the table leaves
     open, ``announce`` is given how it was understood. Raises as :func:`read_runs`.
     """
     reading = read_any(path, (("position", "deviation_rad"),), sheet)
@@ -375,7 +375,7 @@ def read_any_runs(
     if not reading.both_directions:
         raise DataError(
             f"{path}: all angles were approached in one direction, or once: ISO 230-2 needs runs "
-            "up and down; a column 'direction' tells them, and so does the order of the rows"
+            "up and down; a column 'direction' states them, and so does the order of the rows"
         )
     rows = []
     for row, (run, down) in zip(reading.table.rows(), reading.passes, strict=True):

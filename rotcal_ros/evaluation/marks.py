@@ -231,7 +231,7 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
 
 
 def beside_the_curves(result: Result, *, valid: bool) -> list[str]:
-    """Return what is told beside the deviations, in a sentence each; with U where ``valid``."""
+    """Return what is said beside the deviations, in a sentence each; with U where ``valid``."""
     return [*_axis_line(result.details, valid=valid), *reversals(result, valid=valid)]
 
 

@@ -117,7 +117,7 @@ class Template:
 class Language:
     """One language: ``texts`` are English ones with their translations.
 
-    ``templates`` are those among them that have places, the most telling ones first: those with
+    ``templates`` are those among them that have places, the most specific ones first: those with
     LETTERS, and the rest.
     """
 
@@ -207,9 +207,9 @@ def language(code: str) -> Language:
     texts = {_joined(english): _joined(translated) for english, translated in entries}
     texts = {english: text for english, text in texts.items() if english and text}
     templates = [Template.of(*entry) for entry in texts.items() if _PLACE.search(entry[0])]
-    telling = sorted(templates, key=lambda template: template.letters, reverse=True)
-    whole = [template for template in telling if template.letters >= LETTERS]
-    short = [template for template in telling if 0 < template.letters < LETTERS]
+    specific = sorted(templates, key=lambda template: template.letters, reverse=True)
+    whole = [template for template in specific if template.letters >= LETTERS]
+    short = [template for template in specific if 0 < template.letters < LETTERS]
     return Language(code, texts, (whole, short))
 
 

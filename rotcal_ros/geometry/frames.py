@@ -50,7 +50,7 @@ class Pose:
 
 
 class FrameTree:
-    """Frames that stand still; of a child that is told twice the last one counts.
+    """Frames that stand still; of a child that is stated twice the last one counts.
 
     What cannot be used is left out; a name may begin with a slash, as old ones do.
     """

@@ -199,7 +199,7 @@ class Calibration:
     def of_curves(self, observations: Iterable[Observation]) -> CurveModel | None:
         """Return the observations that count as a model, to be solved with other instruments.
 
-        None where only the result tells all: where the method says so, and where air or clocks
+        None where only the result shows all: where the method says so, and where air or clocks
         add to its uncertainty.
         """
         find = self.method.of_curves
@@ -207,10 +207,10 @@ class Calibration:
             return None
         return find(self.configuration, self.plan, self._that_count(observations))
 
-    def untold(self, observations: Iterable[Observation], model: CurveModel) -> Result:
+    def unsolved(self, observations: Iterable[Observation], model: CurveModel) -> Result:
         """Return a result that says nothing: of observations that need those of others.
 
-        ``model``: what they are with them. It has the components that its curves tell.
+        ``model``: what they are with them. It has the components that its curves determine.
         """
         used, count = self._that_count(observations), len(model.angles)
         names, each = [c for c in model.curves if c not in model.mixed], np.eye(count)
@@ -286,7 +286,7 @@ class Calibration:
         return f"run {left.run}: {ahead}{more}"
 
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
-        """Return in words what a person has to correct, as far as the method can tell."""
+        """Return in words what a person has to correct, as far as the method can say."""
         if self.method.check is None:
             return ()
         used = self.refraction.corrected(final_observations(observations))
@@ -296,8 +296,8 @@ class Calibration:
         """Return one exact observation for every step of the plan, the table being perfect."""
         if self.method.nominal is None:
             raise ConfigurationError(
-                f"{self.configuration.source}: the method {self.method.name} does not tell what "
-                "is seen without error: give a recorded bag instead of the configuration"
+                f"{self.configuration.source}: the method {self.method.name} does not predict "
+                "what is seen without error: give a recorded bag instead of the configuration"
             )
         see = self.method.nominal(self.configuration, self.plan)
         return tuple(step.observed(see(step)) for step in self.plan.steps)
@@ -319,7 +319,7 @@ class Calibration:
 
 
 def stated_circumstances(configuration: Configuration) -> Circumstances:
-    """Return what a configuration alone tells of the circumstances."""
+    """Return what a configuration alone states of the circumstances."""
     air = configuration.air
     return Circumstances(
         simulated=configuration.simulated,

@@ -130,7 +130,7 @@ def solved(measured: Recording | Measurements) -> ResultSource:
 def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
     """Return a bag or a table, ready to be solved together with others.
 
-    Also one that cannot be solved alone: the others may tell what it lacks.
+    Also one that cannot be solved alone: the others may determine what it lacks.
     """
     try:
         return JointInput(name, measured.solve(), measured.of_curves())
@@ -140,7 +140,7 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
         model = measured.of_curves()
         if model is None:
             raise
-        return JointInput(name, measured.calibration.untold(measured.observations, model), model)
+        return JointInput(name, measured.calibration.unsolved(measured.observations, model), model)
 
 
 def read_instrument(path: Path) -> JointInput:

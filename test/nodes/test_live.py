@@ -44,7 +44,7 @@ def action_of(live):
 
 
 def check_goal(asked, told):
-    """The goal that was asked for is the one that was followed; told from Kilted on."""
+    """The goal that was asked for is the one that was followed; reported from Kilted on."""
     if hasattr(ActionServer, "configure_introspection"):
         (request,) = [message.request[0] for message in asked if len(message.request)]
         assert bytes(request.goal_id.uuid) == bytes(told[-1].goal_id.uuid)

@@ -142,7 +142,7 @@ class _Bag:
     twin_of: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what others are told of it."""
+        """Return what is published of it."""
         own = ("key", "session", "start_ns", "observations")
         return {name: value for name, value in asdict(self).items() if name not in own}
 

@@ -365,7 +365,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
             for row in connection.execute(streamed):
                 facts = row._asdict()
                 if content:
-                    with suppress(zlib.error):  # its hash tells
+                    with suppress(zlib.error):  # its hash shows it
                         facts["content"] = zlib.decompress(facts["content"])
                 yield HistoryEntry(**facts)
 

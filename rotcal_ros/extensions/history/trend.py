@@ -85,7 +85,7 @@ class CampaignSeries:
 
     @property
     def kelvin(self) -> Floats | None:
-        """Temperatures (m,) less their mean; None where they tell nothing."""
+        """Temperatures (m,) less their mean; None where they show nothing."""
         if self.temperature_c is None or np.ptp(self.temperature_c) < _LEAST_KELVIN:
             return None
         return np.asarray(self.temperature_c - np.mean(self.temperature_c), dtype=np.float64)

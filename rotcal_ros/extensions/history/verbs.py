@@ -125,7 +125,7 @@ def add(
 ) -> int:
     """Add results: result.json, bags, sessions with their reports; none of them twice.
 
-    A result says by identity.serial and cell.axis which table it is of; --serial and --axis tell
+    A result says by identity.serial and cell.axis which table it is of; --serial and --axis state
     it for those that do not. With --as, files of any form are kept beside the results: a quick
     check, a report, a table in force. Of several the others are added where one is refused; the
     exit code is then 1.
@@ -276,7 +276,7 @@ def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> 
 def due(
     before: str, ics: Path | None, mail: bool, settings: HistorySettings, as_json: bool
 ) -> int:
-    """Tell which tables are due before a day; the exit code is 1 if there are any."""
+    """Show which tables are due before a day; the exit code is 1 if there are any."""
     from rotcal_ros.extensions.history.exchange import calendar, letter
     from rotcal_ros.extensions.history.outlook import DAY_NS
 

@@ -157,7 +157,7 @@ class DmeClient:
     def abort(self, why: str) -> None:
         """Stop all motion with AbortE, from any thread; a person goes on with :meth:`clear`.
 
-        A session that is blocked is told too: what blocked it need not have stopped a motion.
+        A blocked session gets it too: what blocked it need not have stopped a motion.
         """
         link = self._link
         self.blocked = self.blocked or why

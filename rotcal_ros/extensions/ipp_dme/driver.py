@@ -91,7 +91,7 @@ class Driver:
         self._wanted = None
 
     def clear(self) -> Future[str]:
-        """Clear the machine's errors for a person; the future tells the outcome.
+        """Clear the machine's errors for a person; the future holds the outcome.
 
         It has the DmeError of a failed attempt.
         """

@@ -1,7 +1,7 @@
 """What is done with a table that was dropped on the page: it is explained, solved, written about.
 
 All of it is work for a process of its own. The page names no file: the folder has one place for
-each, and errors tell the names that people know.
+each, and errors use the names that people know.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ SHOWN_ROWS: Final = 6
 TITLES: Final = {name: phrase(find_method(name).title) for name in method_names()}
 """Of all methods, which are loaded here: the processes are copies of one that has done so."""
 Reply = dict[str, Any]
-"""What the page is told: all that JSON can hold."""
+"""What the page is given: all that JSON can hold."""
 
 
 @dataclass(frozen=True)

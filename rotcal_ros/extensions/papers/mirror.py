@@ -158,7 +158,7 @@ def cone_axis(normals: Floats, height: Floats) -> Floats:
     """Return the upward axes (t, 3) that two ``normals`` (t, 2, 3) have ``height`` (t,) along.
 
     The cure for a station of two normals: the mirror makes the same angle with the axis at every
-    station, so that the others tell it.
+    station, so that the others determine it.
     """
     first, second = normals[:, 0], normals[:, 1]
     alike = 1.0 + np.einsum("ti,ti->t", first, second)

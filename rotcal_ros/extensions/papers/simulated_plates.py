@@ -36,9 +36,9 @@ HARMONICS: Final[Mapping[str, Mapping[int, tuple[float, float]]]] = {
     "ECC": {1: (2.0, 20.0), 2: (0.9, -75.0), 4: (0.3, 140.0), 7: (0.2, 60.0)},
 }
 """The table's errors: harmonic, amplitude (um, arcsec) and phase in degrees. What turns with the
-table, the first of the radial ones, no plate can tell from its own place."""
+table, the first of the radial ones, no plate can separate from its own place."""
 MARKERS: Final = ("o", "s", "^", "D", "x", "+")
-"""Curves that are drawn together can be told apart without colours."""
+"""Curves that are drawn together can be distinguished without colours."""
 
 
 def true_deviations(angles: Floats) -> dict[str, Floats]:

@@ -147,7 +147,7 @@ def lost_in_groups() -> float:
 
 
 def lost_offset(name: str) -> float:
-    """Return the true offset between even and odd positions, which no group of balls tells."""
+    """Return the true offset between even and odd positions, which no group of balls shows."""
     truth = true_deviations(grid_angles(GRID))[name]
     return abs(float(truth[::2].mean() - truth[1::2].mean()))
 

@@ -30,7 +30,7 @@ LEAST_RATE, LARGEST_RATE = 0.01, 100.0
 PLAYER: Final = "player"
 """The process that replays."""
 _ERRORS: Final = {2: ConfigurationError, 3: DataError}
-"""The exit code of the process tells the kind of its error."""
+"""The exit code of the process shows the kind of its error."""
 
 
 def _rate(_context: click.Context, _option: click.Parameter, value: float) -> float:

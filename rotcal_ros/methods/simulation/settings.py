@@ -63,7 +63,7 @@ class TableSettings:
     ecc: AngularHarmonics = group(AngularHarmonics)
     compensation: CompensationSettings = group(CompensationSettings, expert=True)
     external: bool = expert(
-        False, doc="another program moves the table and tells its actual angle on table_actual"
+        False, doc="another program moves the table and publishes its actual angle on table_actual"
     )
     backlash_arcsec: float = expert(
         0.0, doc="arcsec, by which the angle stays larger when approached from above"

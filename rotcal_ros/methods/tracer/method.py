@@ -84,7 +84,7 @@ def trials(
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel | None:
-    """Return what the accepted lengths tell of ECC, to be solved with other instruments.
+    """Return what the accepted lengths determine of ECC, to be solved with other instruments.
 
     None where the table comes to its angles more than once, and for runs joined by what was
     measured twice.

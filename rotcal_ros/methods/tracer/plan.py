@@ -102,7 +102,8 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     if settings.repeated and settings.order != TARGETS_PER_STATION:
         raise PlanError(
             f"repeated runs need the order {TARGETS_PER_STATION}: with {settings.order} the table "
-            "would arrive anew for every target, and no arrival could be told from another"
+            "would arrive anew for every target, and no arrival could be distinguished from "
+            "another"
         )
     angles = table_angles(settings)
     arrivals = visits(len(angles), settings.runs, settings.bidirectional)

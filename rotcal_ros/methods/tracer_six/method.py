@@ -86,7 +86,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel | None:
-    """Return what the accepted lengths tell of the curves, to be solved with other instruments.
+    """Return what accepted lengths determine of the curves, to be solved with other instruments.
 
     None where the table comes to its angles from both sides.
     """
@@ -258,7 +258,7 @@ def _located(plan: Plan, observations: Sequence[Observation], planned: Floats) -
 
 
 def read(configuration: Configuration, table: Table, targets: Table | None) -> PlannedMeasurements:
-    """Return lengths by place, table position and target; a table tells no scatter.
+    """Return lengths by place, table position and target; a table shows no scatter.
 
     What the plan measures several times may stand in the table as often, in the order of time.
     """

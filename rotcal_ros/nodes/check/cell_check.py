@@ -446,7 +446,7 @@ def _problem(
     limit_s = snapshot.configuration.planner.stream_timeout_s
     if text := snapshot.values.get(REFUSED + topic):
         return Finding(text, f"publish {kind} on {name}")
-    bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line tells it
+    bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line says so
     if not bad_joint and (why := snapshot.unusable(topic)):
         if topic == names.JOINT_STATES and snapshot.adapter is not None:
             return snapshot.adapter.wrong()

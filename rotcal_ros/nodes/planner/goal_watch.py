@@ -105,7 +105,7 @@ class RequiredNodes:
         return {name: s for name, s in self._health.slow.items() if name in self.nodes}
 
     def is_another(self, name: str) -> Callable[[], bool]:
-        """Return a function that tells whether a node has become another process since now."""
+        """Return a function that says whether a node has become another process since now."""
         now = self._health.process(name)
         return lambda: self._health.process(name) != now
 
@@ -255,7 +255,7 @@ class GoalWatch:
     ) -> None:
         """Wait until nothing is missing; after the time of a preflight GoalError names what is.
 
-        It does so at once when ``in_vain`` tells why to wait would be in vain.
+        It does so at once when ``in_vain`` says why waiting would be in vain.
         """
         came = await self.wait(_rarely(lambda: not missing() or bool(in_vain())), self.patience_s)
         if why := in_vain() or ([] if came else missing() or ["preflight timed out"]):
@@ -405,7 +405,7 @@ class GoalWatch:
     def _check_publishers(self, place: str) -> None:
         """Raise GoalError if an instrument was restarted: only the next run hears it.
 
-        Beats tell a restart of required nodes. A restarted machine may no longer know where it is,
+        Beats show a restart of required nodes. A restarted machine may no longer know where it is,
         so a person has to begin again.
         """
         found = started_anew(self.heard, self.links.offered(self.instruments))

@@ -232,7 +232,7 @@ def joint_faults(values: Values, joint: str) -> Iterator[str]:
     """Yield what is wrong with the joint of the table."""
     heard = joints(values)
     chosen, topic = chosen_joint(values, joint), name_in(values, names.JOINT_STATES)
-    if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are told
+    if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are listed
         return
     if chosen not in heard:
         yield (

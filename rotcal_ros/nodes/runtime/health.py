@@ -333,7 +333,7 @@ class Health:
         self._diagnostics.publish(array)
 
     def _message(self, state: NodeState, values: Values) -> msg.NodeState:
-        """Return a state with what is to be told besides."""
+        """Return a state with what else is to be reported."""
         trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))

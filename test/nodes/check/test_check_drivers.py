@@ -72,10 +72,10 @@ def test_a_driver_that_is_here_is_asked_for_nothing():
 @pytest.mark.parametrize(
     ("kinds", "words", "roles"),
     [
-        ((Tracer,), "tells lengths", {"tracer_length"}),
+        ((Tracer,), "measures lengths", {"tracer_length"}),
         ((Tracker,), "finds reflectors", {"probe_point", "probe_target"}),
         (
-            (Tracer, Tracker), "tells lengths and finds reflectors",
+            (Tracer, Tracker), "measures lengths and finds reflectors",
             {"tracer_length", "probe_point", "probe_target"},
         ),
     ],

@@ -106,7 +106,7 @@ def plan_plate(
     ``min_gap`` grid steps lie between neighbours, ``subset_of`` are the steps of an existing
     plate, ``weights`` those of the mean variances of ECC, EXC and EYC, EAC and EBC, EZC (rotations
     times radius). ``steps`` is the layout, ``predicted_std(sigma, radius)`` (m) its standard
-    deviations (m, rad), ``optimal`` tells that none is better. Raises PlanError when no layout
+    deviations (m, rad), ``optimal`` says that none is better. Raises PlanError when no layout
     separates table, plate and machine.
 
     Layouts that differ by a rotation or a reflection are equal, so only one of them is looked at;
@@ -362,7 +362,7 @@ def _variances(sums: Complexes, grid: int, n_balls: int) -> Floats:
     lower, middle, upper = diagonal[:, :-2], diagonal[:, 1:-1], diagonal[:, 2:]
     up_power, down_power = _power(up), _power(down)
     cross_power = _power(across)
-    # singular layouts may divide by zero here: they are told by _singular
+    # singular layouts may divide by zero here: they are found by _singular
     with np.errstate(divide="ignore", invalid="ignore"):
         # PLANE, whose unknowns d+ and d- meet only in rho c_z: by elimination
         up_share, down_share = 0.5 * up_power / upper, 0.5 * down_power / lower

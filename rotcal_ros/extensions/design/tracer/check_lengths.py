@@ -2,9 +2,9 @@
 
 Wanted is the assurance of :class:`rotcal_ros.planning.check_rule.CheckRule`: a table that has only
 aged as stated shall be found still valid with a probability of 1 - false alarm. Targets that all
-stations see come first, since only they tell the machine's errors from the table's: they are added
-and exchanged as long as that improves, the fewest that suffice are kept, and single lengths are
-taken away from them. It finds a good plan, and proves nothing about the best.
+stations see come first, since only they separate the machine's errors from the table's: they are
+added and exchanged as long as that improves, the fewest that suffice are kept, and single lengths
+are taken away from them. It finds a good plan, and proves nothing about the best.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ class TracerDesign:
 
     ``lengths`` (N) are ordered by position and target, the latter indices into ``targets`` (n, 3),
     which are those in use. ``bound``: no plan that reaches the goal has fewer lengths, checked or
-    not; ``checked_bound``: none with the wanted redundancy, as far as counting tells.
+    not; ``checked_bound``: none with the wanted redundancy, as far as counting shows.
     """
 
     settings: TracerDesignSettings
@@ -107,7 +107,7 @@ class TracerDesign:
         return ceil(self.ideal.bound - 1e-9)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON, SI but for names that tell a unit."""
+        """Return plain types for JSON, SI but for names that carry a unit."""
         return {
             "lengths": len(self.lengths),
             "targets": len(self.scene.targets),

@@ -38,7 +38,7 @@ function take(event) {
   document.body.className = ended ? "ended" : "live";
   text("alive", t("Live {0}", clock(time_s, true)));
   show(sections, state, Boolean(token));
-  alerts.tell(state.now);
+  alerts.announce(state.now);
   if (ended) {
     source.close();
     banner(t("Switched off at {0}", clock(time_s)), t("Below is the last state. Nothing here is live any more."));

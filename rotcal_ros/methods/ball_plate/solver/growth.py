@@ -66,7 +66,7 @@ class GrowthTest:
         size, band = abs(self.amount) / MICROMETRE, 2.0 * self.std / MICROMETRE
         found = f"the plate {grew} by {size:.3g} +- {band:.2g} um/m over the run"
         if self.kelvin is None:
-            cause = "plan.plate.material would tell it in kelvin"
+            cause = "plan.plate.material would give it in kelvin"
         elif abs(self.kelvin) > PLAUSIBLE_K:
             cause = (
                 f"{self.material} does not with {PLAUSIBLE_K:g} K: the machine's scales changed"

@@ -209,7 +209,7 @@ class BallPlateProblem:
 class RowLayout:
     """What of a problem does not depend on the measured values, to remember by.
 
-    ``key`` tells layouts apart; ``problem`` is one of this layout, whichever was met first.
+    ``key`` distinguishes layouts; ``problem`` is one of this layout, whichever was met first.
     """
 
     key: tuple[object, ...]

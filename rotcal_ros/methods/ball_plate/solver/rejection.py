@@ -172,7 +172,7 @@ def _without_poor_positions(
 
 
 def _more_than_one_centre(knock: PlateMotion, test: CentreTest, dof: int) -> bool:
-    """Tell whether a jump (six parameters) explains more than the worst centre alone (three).
+    """Return whether a jump (six parameters) explains more than the worst centre alone (three).
 
     One bad centre at the end of a series looks like a jump of its own row, and the jump takes some
     noise of a second row on top: the difference is tested by F with three parameters.

@@ -393,8 +393,8 @@ def _knock(facts: _Evidence) -> Protection:
         return Protection(
             "knock",
             "not protected",
-            f"the closure tells of {carried} that moved, but only nests that are measured again "
-            "tell of a tracker knocked at its station",
+            f"the closure shows {carried} that moved, but only nests that are measured again "
+            "show a tracker knocked at its station",
         )
     found = normal_isf(problem.significance / 2.0) + normal_isf(1.0 - POWER)
     on_table = found * facts.closure_std / float(facts.std[1:].min())
@@ -402,7 +402,7 @@ def _knock(facts: _Evidence) -> Protection:
     return Protection(
         "knock",
         "tested",
-        f"the closure tells of {carried} that moved, nests measured again of the tracker",
+        f"the closure shows {carried} that moved, nests measured again show the tracker",
         error,
     )
 

@@ -34,7 +34,7 @@ from rotcal_ros.methods.tracer.policy.information import (
 Progress = Callable[[int, int], None]
 
 SMALLEST: Final = 0.02
-"""Redundancy below which effects are no longer told apart, to keep the penalty finite."""
+"""Redundancy below which effects are no longer distinguished, to keep the penalty finite."""
 UNCHECKED: Final = 1e-3
 """Redundancy of a length without which something is undetermined."""
 MISSING: Final = 1.0

@@ -92,7 +92,7 @@ class Forecast:
 class SequenceForecast:
     """Judges orders of the lengths of one plan; ``problem`` holds lengths with the stated noise.
 
-    Raises ObservabilityError when the plan cannot tell the angle at all.
+    Raises ObservabilityError when the plan cannot determine the angle at all.
     """
 
     def __init__(self, problem: TracerProblem) -> None:
@@ -116,7 +116,7 @@ def ranks(order: Ints) -> Ints:
 
 
 def _unseen(treatment: str, error: float | None) -> float:
-    """Return the error of a statement: none where it is harmless, any where nothing tells it."""
+    """Return the error of a statement: none where it is harmless, any where it cannot be seen."""
     if error is not None:
         return error
     return 0.0 if treatment == "harmless" else inf

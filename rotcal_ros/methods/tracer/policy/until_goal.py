@@ -11,7 +11,7 @@ is the set that reaches the goal with the planned noise. What is not known is le
   suspect is replaced by another target;
 * a drift: the first step and the middle step are measured again, to close the sweep;
 * what the result states: where that misses the goal, although what is planned reaches it, further
-  steps follow. The goal is reached when both do: the U of the result is the one that is told.
+  steps follow. The goal is reached when both do: the U of the result is the one that is reported.
 
 Where all steps together would miss the goal with the noise as it is, it ends at once: hours of
 lengths would lead to nothing.
@@ -138,7 +138,7 @@ class UntilGoal:
         self._beams = FreeBeams(experiment.directions)
         self._at: int | None = None
         self._first_stage: set[int] = set()
-        """The steps whose lengths have told the noise, once they have."""
+        """The steps whose lengths have determined the noise, once they have."""
         self._spoiled = False
         """Whether one of them has become suspect since."""
         self._stated = (1.0, PLANNED_FACTOR)
@@ -339,12 +339,12 @@ class UntilGoal:
         missed = f"all steps that are left would give {_in_words(best)} > {_in_words(goal)}"
         if self._allowance.floor >= goal:
             missed = (
-                f"the table's error motion alone, as its circle tells it, gives {_in_words(best)}"
+                f"the table's error motion alone, as its circle shows it, gives {_in_words(best)}"
             )
         return f"the goal is out of reach: {missed}, {self._noise_and_doubt}"
 
     def _state(self, noise: LengthNoise) -> None:
-        """State the noise from now on as the first stage tells it, if it does."""
+        """State the noise from now on as the first stage estimates it, if it does."""
         if noise.dof > 0.0:
             share = self._experiment.share_of_noise(self._measured, noise.factor)
             self._stated = (noise.factor, student_factor(noise.dof / share**2))

@@ -56,7 +56,7 @@ KNOCKED_AT: Final = (0.25, 0.5, 0.75)
 NOTHING: Final = 1e-150
 """Keeps divisions by what a test does not feel finite; far below any square of a length."""
 MOST_PATTERNS: Final = 4_000_000
-"""Lengths of all patterns together, 32 MB, up to which each length's influence is told."""
+"""Lengths of all patterns together, 32 MB, up to which each length's influence is stated."""
 
 
 def stated(

@@ -232,7 +232,7 @@ PRIOR_AXIS: Final = 0.5
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 HARDLY_CHECKED: Final = 0.01
-"""Redundancy of a length below which its residual, next to none, tells nothing of its error."""
+"""Redundancy of a length below which its residual, next to none, shows nothing of its error."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 Grouping = Callable[[Grid, Adjustment], tuple[Group | Undivided, ...]]

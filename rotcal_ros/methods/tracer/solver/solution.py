@@ -71,7 +71,7 @@ from rotcal_ros.methods.tracer.solver.zeros import (
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
 FREE_CIRCLE: Final = 1e-4
-"""Deviation (m) from the circle that keeps every station near it and tells nothing else."""
+"""Deviation (m) from the circle that keeps every station near it and adds no other knowledge."""
 _COVARIANCE: Final = {"station": stations_covariance, "joint": network_covariance}
 
 
@@ -403,7 +403,7 @@ def check_sense(motion: TableMotion, stations: Floats, commanded: Floats, positi
             "they follow the angles with the opposite sign. Which way does the table turn, seen "
             "from +z, while its angle counts up? Clockwise: negate the table angles. "
             "Counter-clockwise: the frame of the targets is left-handed (an axis turned round, or "
-            "two exchanged), which lengths alone cannot tell"
+            "two exchanged), which lengths alone cannot show"
         )
     off, order = motion.cumulative[worst] / DEGREE, commanded[worst] / DEGREE
     raise DataError(

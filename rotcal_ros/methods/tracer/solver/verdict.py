@@ -206,8 +206,9 @@ def _doubt_circle(evidence: Evidence, settings: TracerLimits) -> list[str]:
         return []
     return [
         f"the stations leave their circle, radially and axially, {circle.sigma0:.1f} times as far "
-        f"as is expected ({circle.dof} contrasts that the lengths tell): the stated circle_std of "
-        f"{circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its place"
+        f"as is expected ({circle.dof} contrasts that the lengths determine): the stated "
+        f"circle_std of {circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its "
+        "place"
     ]
 
 
