@@ -173,7 +173,7 @@ def uncertainty(
     table (see :func:`read_table`): about what was measured. ``components`` maps each to value,
     linear_std, mean, std, low and high (95 %), arrays (n,) in m or rad; ``warnings`` say where
     the trials contradict the solver. There are at most ``trials``; they end when the figures are
-    stable to ``digits``. Raises ConfigurationError if the method brings no trials.
+    stable to ``digits``. Raises ConfigurationError if the method has no trials.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")

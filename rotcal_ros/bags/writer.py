@@ -277,7 +277,7 @@ class BagWriter:
         self._watched.grew(file.path, file.size)
 
     def _describe(self) -> None:
-        """Write what rosbag2 wants to know, into the file and beside it."""
+        """Write what rosbag2 needs to know, into the file and beside it."""
         information = self._note_description()
         text = yaml_text({"rosbag2_bagfile_information": information})
         files.write_atomically(self.folder / METADATA_FILE, text)

@@ -1,4 +1,4 @@
-"""``rotcal plan``: the order of a ball plate's plan, what any could hide, and what it brings."""
+"""``rotcal plan``: the order of a ball plate's plan, what any could hide, and what it adds."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _refuse(error: ConfigurationError) -> None:
 
 @click.group(cls=PlanGroup)
 def command() -> None:
-    """Plan what to measure, in what order, what it could hide, and what another would bring."""
+    """Plan what to measure, in what order, what it could hide, and what another would add."""
 
 
 @command.command()
@@ -182,7 +182,7 @@ def reliability(
 )
 @json_option
 def add(additions: tuple[str, ...], present: tuple[Path, ...], as_json: bool) -> int:
-    """Print what each addition would bring to a table's calibration, before it is measured.
+    """Print what each addition would add to a table's calibration, before it is measured.
 
     For every METHOD (with its default settings) or CONFIG: the time that its plan takes, and the
     largest expanded uncertainty (k = 2) of each deviation when it is solved together with what

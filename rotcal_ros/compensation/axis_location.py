@@ -81,7 +81,7 @@ class Located:
     """What a controller is given: ``files`` by name, and ``notes`` on what they leave.
 
     ``values`` are the parameters by name, in the unit of the controller. ``unverified``: what
-    nobody has confirmed on a real control.
+    has not been confirmed on a real control.
     """
 
     files: Mapping[str, str]
@@ -121,7 +121,7 @@ def prepare_location(
     ``stem`` is the file name without extension (else axis, controller, "axis"), ``sources`` maps
     what the numbers come from to its SHA-256. Raises DataError for a verdict other than "ok" and a
     result without place, ConfigurationError for a controller that has no such parameters, or whose
-    meaning nobody has verified unless ``accept_unverified``. Writes nothing.
+    meaning is not verified, unless ``accept_unverified``. Writes nothing.
     """
     check_verdict(result)
     lines = axis_lines(result)

@@ -450,7 +450,7 @@ def _behind_note(following: Following, steepest: float, feed: float, behind: flo
 
 
 LARGEST_TRIM_DEG = 1.0
-"""Nobody compensates more than this; trims read as positions give angles of the whole travel."""
+"""No table compensates more than this; trims read as positions give angles of the whole travel."""
 
 
 def hook_up(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:

@@ -87,7 +87,7 @@ class BidirectionalRuns:
         if shape[0] < 2 or shape[1] < 2:
             raise DataError(
                 f"{shape[0]} targets and {shape[1]} runs: a spread needs at least 2 of both, and "
-                "the standard asks for 5 runs"
+                "the standard requires 5 runs"
             )
         for name, values in (("forward", self.forward), ("reverse", self.reverse)):
             if not np.all(np.isfinite(values)):
@@ -203,9 +203,9 @@ def _short_of_the_standard(runs: BidirectionalRuns) -> list[str]:
     targets, n = runs.forward.shape
     notes = []
     if n < 5:
-        notes.append(f"{n} runs in each direction, the standard asks for 5")
+        notes.append(f"{n} runs in each direction, the standard requires 5")
     if targets < wanted:
-        notes.append(f"{targets} targets over {travel:.4g} deg, the standard asks for {wanted}")
+        notes.append(f"{targets} targets over {travel:.4g} deg, the standard requires {wanted}")
     return notes
 
 
@@ -464,6 +464,6 @@ def require_runs(result: Result, source: str) -> BidirectionalRuns:
     if runs is None:
         raise DataError(
             f"{source}: the result holds no repeated runs in both directions; measure with the "
-            "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
+            "plan settings 'runs' (2 or more, the standard requires 5) and 'bidirectional'"
         )
     return runs

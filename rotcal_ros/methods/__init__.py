@@ -1,4 +1,4 @@
-"""The methods: what each brings so that nodes, replay and report need not ask.
+"""The methods: what each provides so that nodes, replay and report need not ask.
 
 A :class:`Method` says how its settings become a plan, how streams become observations, and how
 these are solved. :func:`prepare` turns a configuration into a :class:`Calibration`, which the live

@@ -56,7 +56,7 @@ class Calibration:
 
     @property
     def method(self) -> Method:
-        """What the method of the configuration brings."""
+        """What the method of the configuration provides."""
         return self.configuration.method
 
     @cached_property
@@ -166,7 +166,7 @@ class Calibration:
     def beams_m(self) -> tuple[float, float]:
         """The shortest and the longest beam of the plan, m.
 
-        Where nobody says where the instrument stands, by the distances between the targets.
+        Where the place of the instrument is not stated, by the distances between the targets.
         """
         stands = [(step, self.stand_at(step)) for step in self.plan.steps]
         beams = [dist(step.position, at) for step, at in stands if at is not None]
@@ -192,7 +192,7 @@ class Calibration:
     def trials(self, observations: Iterable[Observation]) -> Trials:
         """Prepare Monte Carlo trials about the observations that count."""
         if self.method.trials is None:
-            raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
+            raise ConfigurationError(f"the method {self.method.name} has no Monte Carlo trials")
         used = self.refraction.corrected(self._that_count(observations))
         return self.method.trials(self.configuration, self.plan, used)
 

@@ -17,7 +17,7 @@ class CheckLine:
 
     ``part`` groups the lines of a table, a probe, a tracer ...; ``found`` is what was found of
     ``name``; ``todo`` what a person should do about it, empty where there is nothing. ``state``
-    missing: nothing can be measured; doubt: it looks wrong; open: nobody can know it here; note:
+    missing: nothing can be measured; doubt: it looks wrong; open: it cannot be known here; note:
     for information. ``rate_hz`` and ``stamp_offset_s`` (stamp less time of arrival) are those of
     a stream; None: there is none.
     """

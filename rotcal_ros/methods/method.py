@@ -1,4 +1,4 @@
-"""What a method brings, so that nodes, replay and report need not know which one it is."""
+"""What a method provides, so that nodes, replay and report need not know which one it is."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class TableReader:
 
 
 DEFAULT: Final = "tracer_multistation"
-"""The method of a node or a simulation for which nobody has chosen."""
+"""The method of a node or a simulation for which none was chosen."""
 
 
 def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Floats]:
@@ -129,7 +129,7 @@ def no_figures(_result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Fi
 
 @dataclass(frozen=True)
 class Method:
-    """What a method brings. Everything lies in one package, named by an entry point.
+    """What a method provides. Everything lies in one package, named by an entry point.
 
     ``name`` is that of configurations and results, ``title`` is for people, ``page`` the name of
     its page in the documentation. ``plan_settings``, ``solver_settings`` and

@@ -218,7 +218,7 @@ class TrialMotion:
 def beams_of(calibration: Calibration, motion: TrialMotion) -> tuple[float, float] | None:
     """Return by how much the length should change (m), and by how much if clockwise.
 
-    None where nobody says where the tracer rides, or where the probe is.
+    None where it is not stated where the tracer rides, or where the probe is.
     """
     place, probe = calibration.place_on_table(), motion.probe
     if place is None or probe is None or not all(map(isfinite, probe)):

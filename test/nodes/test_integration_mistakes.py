@@ -34,7 +34,7 @@ ADAPTER = (
 )
 TOLD = {
     "": ("", "", ""),
-    "other namespace": ("joint_states", "missing", "nobody publishes"),
+    "other namespace": ("joint_states", "missing", "no node publishes"),
     "other joint": ("joint", "missing", "no joint 'rotary' (cell.joint), it has arm, C"),
     "degrees": ("joint", "doubt", "turns from zero: is it in deg?"),
     "no velocity": ("joint", "missing", "joint rotary has no velocity"),

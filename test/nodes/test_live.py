@@ -145,7 +145,7 @@ def test_without_a_cell_the_reason_is_named_a_wrong_configuration_or_what_is_mis
     outcome = live.client("second").result()
     assert outcome["error_code"] == TOPIC_MISSING, outcome["error_msg"]
     for topic in ("tracer_length", "probe_point", "joint_states"):
-        assert f"nobody publishes /cell/{topic}" in outcome["error_msg"]
+        assert f"no node publishes /cell/{topic}" in outcome["error_msg"]
     assert not live.session.exists()
 
 

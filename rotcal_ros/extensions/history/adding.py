@@ -181,7 +181,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> list[tuple
 def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, float]:
     """Return the ECC that a history expects of a table on a day, and what its tolerance leaves.
 
-    The day is as 2026-03-31, the result suspect, since nobody has measured it. If nowhere the
+    The day is as 2026-03-31, the result suspect, since it was not measured. If nowhere the
     table is further than what is left (rad) from this curve, both about their mean, it is within
     its tolerance; zero or less without a tolerance, or where the curve itself is beyond. Raises
     DataError for a table of which too little is known.

@@ -1,4 +1,4 @@
-"""The database of a history: opened, brought to its present form, asked, added to.
+"""The database of a history: opened, converted to its present form, queried, added to.
 
 SQLite (one file, WAL) or PostgreSQL, by one schema. What was added is on the medium when ``add``
 returns, once, whoever adds it at the same time or again. Every row stays as it was written:

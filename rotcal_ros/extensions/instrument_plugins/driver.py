@@ -1,7 +1,7 @@
 """The thread that drives an instrument: connects, reads or measures, and reconnects when lost.
 
 A place is measured while the table stands at the ordered angle. Before its driver connects, a
-check of a cell says what the plug-in brings.
+check of a cell says what the plug-in provides.
 """
 
 from __future__ import annotations
@@ -259,7 +259,7 @@ class TableRest:
 
 
 def brings(settings: InstrumentSettings) -> tuple[str, ...]:
-    """Return what the plug-in brings; nothing where it cannot be made, which its line says."""
+    """Return what the plug-in provides; nothing where it cannot be made, which its line says."""
     try:
         instrument = instrument_of(settings)
     except RotcalError:

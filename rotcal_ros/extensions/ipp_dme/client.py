@@ -295,7 +295,7 @@ class DmeClient:
             self._tell(standing_of(text, "OnMoveReportE"))
 
     def _concern(self, fault: DmeFault) -> None:
-        """Take an error that nobody asked for, or that stops nothing."""
+        """Take an error that answers no command, or that stops nothing."""
         if fault.stops:
             self.blocked = self.blocked or f"the server reports, unasked: {fault}"
         self._warn(fault)
@@ -343,7 +343,7 @@ FAR_OFF_DEG: Final = 1.0
 
 
 def way_to_turn(version: str) -> str:
-    """Return how a server of this version wants its table turned; DmeError if unreadable."""
+    """Return how a server of this version turns its table; DmeError if unreadable."""
     found = re.match(r"\s*(\d+)(\.|$)", version)
     if found is None:
         raise DmeError(
@@ -443,7 +443,7 @@ class DmeLink:
 
     ``on_report(tag, text)`` gets the data of daemons and unasked reports of the server (tag
     E0000), ``on_warning(fault)`` errors that stop nothing or belong to no command; the reading
-    thread calls both. Raises ConnectionLostError when nobody answers at ``host``.
+    thread calls both. Raises ConnectionLostError when no server answers at ``host``.
     """
 
     def __init__(

@@ -98,7 +98,7 @@ class Asked:
 
 
 def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
-    """Do some work in a process of its own and send what it brings, or the error."""
+    """Do some work in a process of its own and send its outcome, or the error."""
     signal(SIGINT, SIG_IGN)  # the page ends this process itself
     try:
         reply = work(asked)

@@ -93,7 +93,7 @@ class JointWatch:
 
         A joint that has an order and has not begun to move is not at rest at its goal: it may
         stand there by chance, before it comes again from the other side. Its velocity is then
-        unknown (NaN), which nobody takes for rest.
+        unknown (NaN), which is not taken for rest.
         """
         self.latest, self._heard_s = sample, now_s
         if not isfinite(sample.angle):

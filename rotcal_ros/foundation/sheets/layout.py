@@ -84,7 +84,7 @@ class Layout:
     """How a grid is understood: the ``header`` of ours that its columns fill, and from where.
 
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
-    the cells of a matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``:
+    the cells of a matrix, empty for a list. ``aside``: headings that are not needed; ``missing``:
     columns without any; ``doubled``: a column and two headings that mean it. ``first``: index of
     the first row of values. ``length_unit``: stated above the table.
     """

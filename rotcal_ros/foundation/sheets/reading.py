@@ -225,7 +225,7 @@ def read_any(
 def _require_named(
     path: Path, headers: Sequence[Header], named: Mapping[str, str], head: Sequence[str]
 ) -> None:
-    """Raise ConfigurationError for a column that nobody knows, BagError for a heading too few."""
+    """Raise ConfigurationError for a column that is not known, BagError for a heading too few."""
     ours = {TableColumn.of(name).name for header in headers for name in header}
     ours |= BESIDE if "position" in ours else set()
     there = {folded(part) for text in head for part in (text, *CORNER.split(text))}

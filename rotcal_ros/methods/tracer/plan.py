@@ -171,12 +171,12 @@ def explicit_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) -
     if settings.repeated:
         raise PlanError(
             "runs and bidirectional repeat all lengths: they do not go with explicit pairs; leave "
-            "out one of both"
+            "out one of the two"
         )
     if settings.limited:
         raise PlanError(
             "min_elevation_deg and min_distance_m leave out pairs: they do not go with explicit "
-            "ones; remove one of both"
+            "ones; remove one of the two"
         )
     angles, targets = table_angles(settings), tuple(targets) or targets_of(settings)
     pairs = settings.listed

@@ -369,7 +369,7 @@ class GoalWatch:
         self._astray = self._astray or Patience(allowed_s)
         if self._astray.is_over(pausing=bool(self.slow)):
             topic = self.links.graph.resolve(names.PLAN)
-            publishers = ", ".join(self.links.graph.publishers(topic)) or "nobody"
+            publishers = ", ".join(self.links.graph.publishers(topic)) or "none"
             raise GoalError(
                 Codes.NODE_LOST,
                 f"{'; '.join(astray)} any more {place}: does another node publish on {topic} (its "

@@ -194,7 +194,7 @@ def test_the_plain_minimum_warns():
     ("arguments", "text"),
     [
         (("--need", "EXC=1"), "expected ECC=ARCSEC"),
-        (("--need", "ECC=0.0001", *SMALL), "wanted of them is 0.0001"),
+        (("--need", "ECC=0.0001", *SMALL), "the goal is 0.0001"),
         (("--set", "sigma=3"), "unknown setting 'sigma'"),
         (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
         (("--need", "ECC"), "--need ECC: expected ECC=ARCSEC, e.g. ECC=1.2"),

@@ -65,7 +65,7 @@ def fewest_lengths(
     """Choose the fewest lengths from the stations to the targets of ``scene`` that suffice.
 
     ``expected_std`` (m,), rad: how far the earlier curve may usually be off, see
-    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver asks for, to
+    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver needs, to
     targets that do not lie in a plane, and every length a redundancy of ``least_redundancy``; with
     0 nothing checks the lengths, and an undetected error of one may turn the verdict.
     ``one_zero``: all lengths share their zero.

@@ -239,7 +239,7 @@ def _goal(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> flo
     if demands.mean <= constant:
         raise PlanError(
             f"the error motion alone makes U(ECC) {COVERAGE_FACTOR * constant**0.5 / ARCSEC:.3g} "
-            f"arcsec, wanted is {settings.need_arcsec:g}, and no number of lengths helps: ask for "
+            f"arcsec, the goal is {settings.need_arcsec:g}, and more lengths do not help: ask for "
             "less, or check error_motion_std_m"
         )
     return demands.mean - constant
@@ -275,12 +275,12 @@ def _finished(
 
 
 def _per_station(settings: TracerDesignSettings) -> int:
-    """Return how many lengths the solver asks for at each station."""
+    """Return how many lengths the solver needs at each station."""
     return station_minimum(settings.zero == PER_STATION, settings.circle_std_m is not None)
 
 
 def _checked_bound(settings: TracerDesignSettings, scene: Scene) -> int:
-    """Return how many lengths the redundancy alone asks for.
+    """Return how many lengths the redundancy alone requires.
 
     The leverages of a station's lengths add up to at least its own unknowns, 4 with a zero of its
     own and 3 without; each is at most 1 - redundancy. A circle knows some of them in advance.

@@ -65,7 +65,7 @@ def _usual(command: click.Command) -> TradeTable:
 @json_option
 @click.pass_context
 def trade(context: click.Context, as_json: bool) -> int:
-    """Show which sizes, noises and numbers reach a wanted U(ECC).
+    """Show which sizes, noises and numbers reach a required U(ECC).
 
     Without a method: the usual case of each.
     """
@@ -92,7 +92,7 @@ SPACING_M = 0.17
 
 
 @trade.command(cls=TradeCommand)
-@shown_option("--need-arcsec", type=positive, default=1.2, help="arcsec, wanted U(ECC), k = 2.")
+@shown_option("--need-arcsec", type=positive, default=1.2, help="arcsec, required U(ECC), k = 2.")
 @shown_option("--radius-m", default="0.065,0.13", help="m, distances of the tracer from the axis.")
 @shown_option("--sigma-um", default="0.1,0.2,0.4", help="um, noise of a length (k = 1).")
 @shown_option("--target-um", type=positive, default=1.0, help="um, error of a target (k = 1).")
@@ -166,7 +166,7 @@ def tracer(
 
 
 @trade.command(cls=TradeCommand)
-@shown_option("--need-arcsec", type=positive, default=0.05, help="arcsec, wanted U(ECC), k = 2.")
+@shown_option("--need-arcsec", type=positive, default=0.05, help="arcsec, required U(ECC), k = 2.")
 @shown_option("--grid", type=click.IntRange(min=5), default=72, help="Table angles in a turn.")
 @shown_option("--balls", default="8,10,12,16", help="Numbers of balls.")
 @shown_option("--radius-m", type=positive, default=0.185, help="m, radius of the ball circle.")

@@ -1,4 +1,4 @@
-// The connection: one stream of events. What it brings is shown, and so is its silence.
+// The connection: one stream of events. What arrives is shown, and so is its silence.
 import { show } from "./sections.js";
 import { redraw } from "./charts.js";
 import { clock, t, text, translatePage } from "./words.js";

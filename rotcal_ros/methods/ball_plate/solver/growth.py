@@ -32,7 +32,7 @@ from rotcal_ros.methods.ball_plate.solver.order_effects import (
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle, places_of
 
 LARGEST: Final = 5e-4
-"""Growth over a run that nobody would overlook: 20 K of aluminium."""
+"""Growth over a run that could not be overlooked: 20 K of aluminium."""
 PLAUSIBLE_K: Final = 20.0
 """Kelvin from which on a growth is not laid to the plate's temperature."""
 

@@ -41,7 +41,7 @@ MISNAMED = 1e-4
 LEAK = 0.3
 """Part of the worst normalised residual below which a row may only follow a worse one."""
 MOST_OPEN = 0.25
-"""Part of the table positions that may be left out for want of balls."""
+"""Part of the table positions that may be left out for lack of balls."""
 DETERMINED = 1e-8
 """Residual cofactors below this part of the largest belong to coordinates without a check."""
 

@@ -57,7 +57,7 @@ MINORITY: Final = 0.4
 MOST_TIMES: Final = 6
 """Subsets that are left out one after the other; of more, the data are beyond help."""
 LARGEST: Final = 1e-3
-"""Error (m) of several readings that nobody would overlook."""
+"""Error (m) of several readings that could not be overlooked."""
 
 
 class Settled(NamedTuple):

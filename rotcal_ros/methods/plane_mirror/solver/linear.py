@@ -1,4 +1,4 @@
-"""The linear view of a mirror's points at a solution: what the engine of adjustment asks for.
+"""The linear view of a mirror's points at a solution: what the engine of adjustment needs.
 
 Whatever way the deviations are found, the points are held against one model, that of
 :mod:`~rotcal_ros.methods.plane_mirror.solver.joint` with the drift of the tracker among its
@@ -64,7 +64,7 @@ _OPEN: Final = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """What may be wrong as a whole: m pairs, then readings of nests.
+    """What may be wrong as one group: m pairs, then readings of nests.
 
     ``row`` (m,): of the mirrored point or the nest in the problem. ``pairs``: how many are pairs.
     ``station``, ``position`` (-1: a nest), ``nest`` (m,), ``moment`` (m,), ``beam`` (m, 3): unit

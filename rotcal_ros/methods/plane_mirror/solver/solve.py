@@ -251,7 +251,7 @@ def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) 
 
 
 def differing(repeats: Sequence[Closure], angles: Floats, significance: float) -> list[str]:
-    """Return a sentence about positions, commanded to the same of ``angles`` (N,), that differ."""
+    """Return a sentence about positions that differ, commanded to the same of ``angles`` (N,)."""
     return [
         f"positions commanded to {angles[c.first] / DEGREE:g} and {angles[c.last] / DEGREE:g} deg "
         f"differ by {c.error / ARCSEC:.2f} arcsec, expected within {2 * c.std / ARCSEC:.2f}: the "

@@ -73,7 +73,7 @@ class Forecast:
 
     @property
     def worst(self) -> float:
-        """The larger one of both."""
+        """The larger one of the two."""
         return max(self.drift, self.knock)
 
     @property
@@ -324,7 +324,7 @@ def improved(costs: Floats, order: Ints, kicks: int = 0, seed: int = 0) -> Ints:
 def shortest_possible(costs: Floats) -> float:
     """Return what no path through all lengths can beat, s: the lightest spanning tree.
 
-    Of the smaller one of both directions; each path is a spanning tree.
+    Of the smaller of the two directions; each path is a spanning tree.
     """
     both = np.minimum(costs, costs.T)
     least = both.min()

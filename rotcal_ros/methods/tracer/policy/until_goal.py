@@ -4,7 +4,7 @@ With known noise the uncertainty of a set of lengths is known before any is take
 is the set that reaches the goal with the planned noise. What is not known is learnt on the way:
 
 * the noise, from the residuals of the first sweep; further steps are as many as Student's t then
-  asks for (Stein's two stages, see :mod:`.experiment`), where they pay most for their time;
+  requires (Stein's two stages, see :mod:`.experiment`), where they pay most for their time;
 * blocked beams: a step that was given up is replaced by the best at the same station, and beams
   nearby are held to be blocked too until better is known;
 * suspect lengths are measured again, then all lengths of their station; a length that stays
@@ -83,7 +83,7 @@ NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
 """No larger set is measured for what is nearly as little."""
 SHARES: Final = (1.0, 0.93)
 """Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
-the quickest of both is taken."""
+the quicker of the two is taken."""
 TRIES: Final = 3
 """Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
 BLOCKED_WIDTH: Final = 15.0 * DEGREE
@@ -235,7 +235,7 @@ class UntilGoal:
         return self._now
 
     def _solved(self) -> Stated | None:
-        """Return what the result states of all that was measured; None where nobody solves it."""
+        """Return what the result states of all that was measured; None where it is not solved."""
         if self._result is None and self._experiment.solved is not None:
             self._result = self._experiment.solved(tuple(self._seen.values()))
         return self._result
@@ -352,7 +352,7 @@ class UntilGoal:
             self._doubted, self._best = False, math.nan
 
     def _measure_again(self, suspect: Observation, value: float) -> None:
-        """Queue what a suspect length asks for: the same again, or another target."""
+        """Queue what a suspect length requires: the same again, or another target."""
         self._spoiled = bool(self._first_stage)
         again, why = self._suspects.again(suspect, value, self._measured)
         self._queue.extend((step, why) for step in again)

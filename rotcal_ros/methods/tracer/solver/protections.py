@@ -48,9 +48,9 @@ from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS
 from rotcal_ros.methods.tracer.solver.zeros import largest_share
 
 LARGEST_MOVE: Final = 1e-4
-"""Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
+"""Drift or knock (m, or rad times the largest reach) that could not be overlooked."""
 LARGEST_RATIO: Final = 1e-3
-"""Error of the scale, or of the air's index per metre of height, that nobody would overlook."""
+"""Error of the scale, or of the air's index per metre of height, that could not be missed."""
 KNOCKED_AT: Final = (0.25, 0.5, 0.75)
 """Shares of a run after which a knock is tried."""
 NOTHING: Final = 1e-150

@@ -79,7 +79,7 @@ from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, Grid
 LEAST_OF_GROUP: Final = 4
 """Lengths that are a group."""
 LARGEST: Final = 1e-4
-"""Error (m) of several lengths that nobody would overlook."""
+"""Error (m) of several lengths that could not be overlooked."""
 WORDS: Final = Words(
     "lengths", "warm air, a person or an obstacle", "in the beams", "in its beams"
 )

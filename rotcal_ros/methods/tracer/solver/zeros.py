@@ -7,7 +7,7 @@ shift
     about an adjustment: how strongly the lengths speak for it, how well they determine its size,
     and by how much it moves the stations unseen.
 jump
-    A shift that nobody reported: a slipped fringe, or a beam that broke unseen. It is tested like
+    A shift that was not reported: a slipped fringe, or a beam that broke unseen. It is tested like
     an outlier: the score of the shift over its standard deviation, with the unexplained scatter of
     the other residuals (externally studentised). It has to stand out more than any single length,
     which would be an outlier itself. The zero is then split there, which costs one unknown. The
