@@ -176,7 +176,7 @@ def take(browser: Browser, name: str, shot: Shot, folder: Path) -> None:
 
 
 def _address(nodes: RunningSession) -> str:
-    """Return the address of the page, which the client tells once it is there."""
+    """Return the address of the page, which the client prints once it is there."""
     deadline = time.monotonic() + TIMEOUT_MS / 1e3
     while time.monotonic() < deadline:
         with suppress(Empty):

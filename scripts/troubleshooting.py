@@ -172,7 +172,7 @@ def _piece(node: ast.expr, known: dict[str, str]) -> str:
 
 
 def _name(node: ast.expr) -> str:
-    """Return the name that tells most about an expression; "" for none."""
+    """Return the name that says most about an expression; "" for none."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):

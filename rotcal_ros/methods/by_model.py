@@ -132,7 +132,8 @@ class ByModel:
     ) -> CurveModel | None:
         """Return what accepted observations determine of the curves, to be solved with others.
 
-        None where the table comes to its angles more than once: how it scatters, the result knows.
+        None where the table comes to its angles more than once: only the result shows how it
+        scatters.
         """
         if self.arrivals(configuration) is not None:
             return None

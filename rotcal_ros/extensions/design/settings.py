@@ -221,10 +221,10 @@ class TracerDesignSettings(TableAngleSettings):
 
     @property
     def largest_arcsec(self) -> float:
-        """Wanted U at the worst angle, arcsec."""
+        """Required U at the worst angle, arcsec."""
         return self.need_largest_arcsec or 1.1 * self.need_arcsec
 
     @property
     def goal(self) -> tuple[float, float]:
-        """Wanted U, rms over the angles and at the worst one, rad."""
+        """Required U, rms over the angles and at the worst one, rad."""
         return self.need_arcsec * ARCSEC, self.largest_arcsec * ARCSEC

@@ -37,7 +37,7 @@ DAY_NS: Final = 86_400_000_000_000
 ENOUGH: Final = 3
 """Fewest campaigns since the last step for a forecast."""
 _DATES: Final = 16
-"""A due date is looked for among so many dates, and then between two of them."""
+"""A due date is searched for among so many dates, and then between two of them."""
 _EXACT_NS: Final = DAY_NS / 2
 _SIGNIFICANT: Final = 3.0
 """Standard uncertainties of a change that is called one."""

@@ -52,7 +52,7 @@ KELVIN: Final = 10.0
 DRAWS: Final = 4000
 """Curves that are drawn for a probability: one of 0.95 is then known to 0.003."""
 _SEASON_FROM: Final = 6
-"""Fewest campaigns of a series in which a season is looked for; it must span a year, too."""
+"""Fewest campaigns of a series in which a season is searched for; it must span a year, too."""
 _LEAST_KELVIN: Final = 1.0
 
 

@@ -127,7 +127,7 @@ def add(
 
     A result says by identity.serial and cell.axis which table it is of; --serial and --axis state
     it for those that do not. With --as, files of any form are kept beside the results: a quick
-    check, a report, a table in force. Of several the others are added where one is refused; the
+    check, a report, a table in force. If one of several is refused, the others are added; the
     exit code is then 1.
     """
     from rotcal_ros.extensions.history.adding import add_sources
@@ -163,8 +163,8 @@ def add(
 def event(serial: str, what: str, axis: str, day: str, why: str, settings: HistorySettings) -> int:
     """Note what happened to the table SERIAL.
 
-    After another encoder, another bearing or a repair it is another table: earlier results say
-    nothing of it. After a crash, an adjustment or something else its curve may have jumped.
+    After another encoder, another bearing or a repair it is another table: earlier results do not
+    describe it. After a crash, an adjustment or something else its curve may have jumped.
     """
     with _open(settings) as history:
         item = history.item(serial, axis)

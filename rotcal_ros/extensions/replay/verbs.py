@@ -80,7 +80,7 @@ def command(
     """Publish BAG as it was recorded, so that nodes and viewers work without a machine.
 
     The plan, the orders and the streams of the instruments are published, with their recorded
-    quality of service. What nodes had made of them is not: a live capture and a live solver make
+    quality of service. What nodes derived from them is not: a live capture and a live solver make
     it again, equal to the last bit. A live solver is asked for its result at the end. Nothing is
     replayed where a machine listens to orders. Ctrl-C ends it.
     """

@@ -38,7 +38,7 @@ CORNER: Final = re.compile(r"[\\|/]")
 _NO_UNIT: Final = ("", "-", "1")
 """What stands for none in a line of units."""
 _LOOKED_AT: Final = 100
-"""Rows in which the head of a table is looked for."""
+"""Rows in which the head of a table is searched for."""
 _ALL_IN: Final = re.compile(
     r"(?:units?|einheit(?:en)?|unites?|单位|單位|単位)\s*[:=]\s*(\S+)|"
     r"(?:all|alle|toutes?|tous)\b.*\b(?:in|en)\s+(\S+)",

@@ -220,7 +220,7 @@ def read(
 ) -> PlannedMeasurements:
     """Return ball centres by table position and ball step, numbered in the order of the rows.
 
-    A plate that moved is looked for in the order of measurement, which is that of the rows.
+    A plate that moved is searched for in the order of measurement, which is that of the rows.
     Standard deviations in the table take the place of those of the set-up.
     """
     stated = table.header[-3:] == STD

@@ -1,4 +1,4 @@
-"""Where to put the balls, and what a wanted uncertainty needs of plate, positions and machine.
+"""Where to put the balls, and what a required uncertainty needs of plate, positions and machine.
 
 :func:`plan_plate` finds the layout with the smallest predicted uncertainty. Layouts are judged by
 their mean variances when all CMM positions are measured, in closed form, many at once. With
@@ -413,7 +413,7 @@ def _singular(
 
 @dataclass(frozen=True)
 class Effort:
-    """One way to reach the wanted uncertainty.
+    """One way to reach the required uncertainty.
 
     ``layout`` are the balls, ``positions`` (S,) the CMM positions to measure them at;
     ``expanded`` is the worst predicted expanded uncertainty (k = 2) of the wanted component
@@ -451,7 +451,7 @@ def required_effort(
     if component not in COMPONENTS:
         raise PlanError(f"unknown component {component!r}: one of {', '.join(COMPONENTS)}")
     if not limit > 0.0:
-        raise PlanError(f"the wanted uncertainty must be positive, not {limit}")
+        raise PlanError(f"the required uncertainty must be positive, not {limit}")
     ways = []
     most = most_balls or MOST_BALLS
     for n_balls in range(5, min(most, grid // min_gap) + 1):
@@ -515,8 +515,8 @@ class PlateTrade:
     """What a plate of ``balls`` at the steps ``ball_steps`` gives, all positions measured.
 
     ``centres`` are measured in ``seconds``; ``expanded``: U (k = 2) of ECC, rad. ``radius`` and
-    ``sigma`` (m) are what the wanted uncertainty takes, the other one as given. ``saving``: share
-    of the centres that the best of all plans could save.
+    ``sigma`` (m) are what the required uncertainty takes, the other one as given. ``saving``:
+    share of the centres that the best of all plans could save.
     """
 
     balls: int

@@ -54,7 +54,7 @@ TRIES: Final = 6
 AIM: Final = 0.97
 """Share of the wanted variance that a search aims at."""
 CLOSE: Final = 0.85
-"""Share of the wanted variance from which fewer lengths are no longer looked for."""
+"""Share of the wanted variance from which fewer lengths are no longer searched for."""
 LEAST_EXCESS: Final = 0.1
 """A plan that needs still less of its wanted variance is taken to need so much: the next search
 may use ten times its variance at most."""

@@ -1,4 +1,4 @@
-"""``rotcal plan trade``: what a wanted uncertainty takes, for each of the methods."""
+"""``rotcal plan trade``: what a required uncertainty takes, for each of the methods."""
 
 from __future__ import annotations
 
@@ -249,7 +249,7 @@ def mirror(
 
 @trade.command(cls=TradeCommand)
 @click.argument("configuration", type=path_type, metavar="[CONFIG]", required=False)
-@shown_option("--need-um", type=positive, default=1.0, help="um, wanted U of the axis, k = 2.")
+@shown_option("--need-um", type=positive, default=1.0, help="um, required U of the axis, k = 2.")
 @shown_option("--minutes", type=positive, default=15.0, help="min, that it may take.")
 @shown_option("--balls", "numbers", default="1,2,3", help="Numbers of balls, of those of CONFIG.")
 @shown_option("--angles", default="6,8,12,18", help="Table angles in a turn.")

@@ -87,7 +87,7 @@ def solve(problem: BallPlateProblem) -> Result:
     rejects centres that do not fit and looks for a moved plate. Standard deviations belong to
     the stated noise when its chi-square test passes, else to the one found in the residuals.
     Centres measured again at the end are compared with the first time instead of fitted; drift
-    and motions of the plate are looked for in the order of the rows, and ``protections`` state
+    and motions of the plate are searched for in the order of the rows, and ``protections`` state
     what this order cannot show. Raises DataError for a table that is not what it says and
     ObservabilityError, with the harmonics that are lost, when balls and positions do not separate
     the errors.

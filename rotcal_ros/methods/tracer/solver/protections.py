@@ -7,7 +7,7 @@ closures. The size at which one of these turns the verdict with a probability of
 *detectable* one.
 
 What does not depend on how a method works this out comes first, for one place of the tracer and
-for several: the sizes up to which an effect is looked for, the largest error that stays unseen,
+for several: the sizes up to which an effect is searched for, the largest error that stays unseen,
 effects of the air, and the statements that both methods make.
 """
 
@@ -290,7 +290,7 @@ def returned(solution: TracerSolution) -> tuple[Returned, ...]:
     covariance = solution.covariance.enlarged(solution.scale).total
     if solution.slips is not None:
         covariance = covariance + LowRank.whole(solution.slips.covariance(), 3)
-    # without the error motion: that is looked for
+    # without the error motion: that is searched for
     measured = bearing_slopes(solution.fit.stations, motion).spread(covariance)
     gathered = solution.evidence.gathering.covariance()
     if gathered is not None:

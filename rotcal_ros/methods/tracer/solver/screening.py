@@ -12,7 +12,7 @@ targets x, targets y, targets z
 
 They are tested, and estimated where the statement is contradicted, as in ``adjust.noise``.
 The targets' axes are coupled in the prior, so that an axis which the lengths cannot check follows
-the others. While outliers are looked for, large residuals are bent, so that outliers do not pass
+the others. While outliers are searched for, large residuals are bent, so that outliers do not pass
 for noise, and the factors are estimated again after every round.
 
 Rule of rejection: the normalised residual (residual over its own standard deviation, after Baarda)

@@ -294,7 +294,7 @@ def _screened_together(
 ) -> tuple[ScreenedLengths, tuple[Jump, ...], Shifts | None]:
     """Do as :func:`_screened` where stations are tied together, and split zeros where they jump.
 
-    The shifts are those of the network that comes out. Large jumps are looked for before large
+    The shifts are those of the network that comes out. Large jumps are searched for before large
     outliers, with their margin: the errors of known targets come in the order of time.
     """
     limits, order = problem.settings, problem.measuring_order

@@ -49,7 +49,7 @@ from rotcal_ros.methods.tracer.solver.problem import Grid
 from rotcal_ros.methods.tracer.solver.start import with_zeros
 
 LEAST_SIDE: Final = 4
-"""Lengths on either side of a shift that is looked for: fewer are outliers."""
+"""Lengths on either side of a shift that is searched for: fewer are outliers."""
 CANDIDATES: Final = 256
 """Moments that stand for all of them."""
 PLACES: Final = 2_000_000
@@ -59,13 +59,13 @@ MOST_FRINGES: Final = 3
 AGREES: Final = 2.58
 """Standard deviations by which the size of a slip may miss a whole number of fringes; 99 %."""
 MOST_JUMPS: Final = 10
-"""Jumps after which no further ones are looked for: such a beam is not unbroken at all."""
+"""Jumps after which no further ones are searched for: such a beam is not unbroken at all."""
 SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""
 MOST_LENGTHS: Final = 3000
 """Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
 LEAST_STD, LARGEST_STD = 1e-9, 1e-6
-"""Walks (m) among which an unknown one is looked for; the least is none."""
+"""Walks (m) among which an unknown one is searched for; the least is none."""
 NEAR: Final = 0.05
 """Relative precision of an estimated walk: far below what the data determine."""
 
@@ -132,7 +132,7 @@ class Shifts:
 
     @property
     def enough(self) -> Bools:
-        """Whether a shift (t,) has lengths enough on either side to be looked for."""
+        """Whether a shift (t,) has lengths enough on either side to be searched for."""
         return np.asarray(self.moments.side[self.at] >= LEAST_SIDE)
 
     @property

@@ -51,7 +51,7 @@ class SixProblem(LengthProblem):
     (k,): numbers that distinguish the arrivals at one angle in one run; lengths of different
     arrivals have their own scatter. ``tilt_std`` (rad): prior knowledge of EAC and EBC, which two
     places, or three in a line, need. Without ``order`` run follows run and angle follows angle.
-    ``slip`` 0: no jump of a zero is looked for.
+    ``slip`` 0: no jump of a zero is searched for.
 
     A pair of station and target has one length in each arrival.
     """

@@ -86,7 +86,7 @@ SHOWN: Final = 1e-3
 LIKELY: Final = 1e-4
 """Share of the largest weight from which a scatter counts."""
 REACH: Final = 1e4
-"""Mean chi-squared up to which, and beginning with its inverse, a size is looked for."""
+"""Mean chi-squared up to which, and beginning with its inverse, a size is searched for."""
 BISECTIONS: Final = 16
 """Of the logarithm of the size, over eight decades: to 0.03 %."""
 
