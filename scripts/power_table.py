@@ -148,19 +148,19 @@ def _put(page: Path, title: str, section: str) -> None:
     known = [title_of(plan) for plan in plans_of(METHODS)]
     order = [name for name in known if name in sections]
     order += [name for name in sections if name not in known]
-    told: dict[str, str] = {}
-    texts = [f"## {name}\n\n{_once(sections[name], told).rstrip()}\n" for name in order]
+    explained: dict[str, str] = {}
+    texts = [f"## {name}\n\n{_once(sections[name], explained).rstrip()}\n" for name in order]
     write_atomically(page, "\n".join([INTRODUCTION, *texts]))
 
 
-def _once(section: str, told: dict[str, str]) -> str:
-    """Return ``section`` without the explanations in ``told``, by effect, and remember its own."""
+def _once(section: str, explained: dict[str, str]) -> str:
+    """Return ``section`` without what is ``explained`` by effect, and remember its own."""
     table, *items = re.split(r"^(?=\* )", section, flags=re.M)
     for item in items:
         effect, explanation = item.rstrip().split(":", 1)
-        if told.get(effect) != explanation:
+        if explained.get(effect) != explanation:
             table += item
-        told[effect] = explanation
+        explained[effect] = explanation
     return table
 
 

@@ -188,7 +188,7 @@ def _point(values: Iterable[Any]) -> Point:
 
 
 WAITING_LIMIT: Final = 64
-"""At most this many messages wait for their partner; beyond that the oldest is forgotten."""
+"""Messages that may wait for their partner; beyond that the oldest is forgotten."""
 
 
 class Orders:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
 
 NOISE_SEED: Final = 1
-"""Of the noise with which a plan is measured; what is found does not depend on it."""
+"""Seed of the noise with which a plan is measured; what is found does not depend on it."""
 touch_option = shown_option(
     "--touches", type=click.IntRange(min=1), default=15, help="Touch points per ball."
 )

@@ -34,7 +34,7 @@ TILTING_AXIS: Final = "tilting_axis"
 ALONG: Final = {"A": 0, "B": 1, "C": 2}
 """The direction that an axis is nominally parallel to."""
 DECIMALS: Final = 6
-"""Of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
+"""Decimals of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
 
 
 @dataclass(frozen=True, eq=False)

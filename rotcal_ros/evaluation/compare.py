@@ -258,7 +258,7 @@ def _suspicion(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floa
 
 
 ALIKE: Final = 0.9
-"""From this correlation on two curves have the same shape."""
+"""Correlation above which two curves have the same shape."""
 SCALES: Final = {
     3600.0: "degrees taken for arcseconds",
     180.0 / pi * 3600.0: "radians taken for arcseconds",

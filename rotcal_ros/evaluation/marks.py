@@ -209,7 +209,7 @@ def _all(agreed: Mapping[str, float]) -> str:
 
 
 SURELY_WRONG: Final = 2.0
-"""In U, so four standard uncertainties: no honest curve is that far from the truth."""
+"""Distance in U, four standard uncertainties: no honest curve is that far from the truth."""
 
 
 def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:

@@ -28,7 +28,7 @@ JOINTS: Final = ("; ", ": ", ", ")
 LONGEST: Final = 4000
 """Letters of a text that is still taken apart."""
 MOST_LETTERS: Final = 200
-"""Of words before a mere blank."""
+"""Most letters of the words before a mere blank."""
 LETTERS: Final = 7
 """An entry with fewer beside its places may have made a text, if no others did piece by piece."""
 DEPTH: Final = 6

@@ -39,7 +39,7 @@ from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
 
 SEED: Final = 0
-"""Of the noise with which orders are judged."""
+"""Seed of the noise with which orders are judged."""
 
 
 @dataclass(frozen=True, eq=False)

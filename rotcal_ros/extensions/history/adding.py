@@ -42,7 +42,7 @@ TITLE = phrase("Since last time")
 AT_ONCE: Final = 50
 """Results in files that are added in one transaction."""
 REFUSALS: Final = (DataError, ConfigurationError)
-"""Of one addition; others are of the history."""
+"""Errors of one addition; all others are errors of the history."""
 LONGEST_NS: Final = 86_400_000_000_000
 """No measurement takes longer."""
 

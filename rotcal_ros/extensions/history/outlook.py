@@ -49,7 +49,7 @@ KEPT_AFTER: Final = 100
 _FITS: Final = 0.01
 """A jump goes to another table if that would show more in one of a hundred such curves."""
 _CLEARLY: Final = 10.0
-"""By this logarithm of a likelihood ratio the other table explains it better."""
+"""Logarithm of the likelihood ratio from which another table explains a curve better."""
 Kind = Literal["jump", "drift", "wear", "beyond", "verdict", "event", "swapped"]
 
 

@@ -337,7 +337,7 @@ def standing_of(text: str, asked_by: str) -> MachinePosition:
 
 
 FIRST_WITH_R: Final = 2
-"""From this major version on R is an ordinary argument of GoTo."""
+"""Major version from which R is an ordinary argument of GoTo."""
 FAR_OFF_DEG: Final = 1.0
 """A table that is farther from its order than this has misunderstood it."""
 

@@ -53,7 +53,7 @@ RESULT, OWN_SETUP, REPORT, PDF, DCC = (
 )  # fmt: skip
 SHOWN_ROWS: Final = 6
 TITLES: Final = {name: phrase(find_method(name).title) for name in method_names()}
-"""Of all methods, which are loaded here: the processes are copies of one that has done so."""
+"""Titles of all methods, loaded here: the processes are copies of one that has done so."""
 Reply = dict[str, Any]
 """What the page is given: all that JSON can hold."""
 

@@ -54,9 +54,9 @@ STANDS: Final = tracker_stands(SETTINGS)
 STEP: Final = SETTINGS.table_step_deg * DEGREE
 MIRROR: Final = nominal_mirror(SETTINGS)
 NORMAL_STD: Final = 1.0 * ARCSEC
-"""Of a normal about each of its axes, for the spread of the recipes."""
+"""Noise (k = 1) of a normal about each of its axes, for the spread of the recipes."""
 NEST_STD: Final = 5e-6
-"""Of a nest along each axis, m, for the same."""
+"""Noise (k = 1) of a nest along each axis, m, for the same spread."""
 RUNS: Final = 2000
 OURS: Final[tuple[Way, ...]] = ("stitching", "registration", "joint")
 SEED: Final = 11

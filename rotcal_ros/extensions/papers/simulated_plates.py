@@ -22,9 +22,9 @@ from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.figures import style
 
 RADIUS: Final = 0.185
-"""Of the circle of the balls in both papers, m."""
+"""Radius of the circle of the balls in both papers, m."""
 CENTRE_STD: Final = 0.05e-6
-"""Of a ball centre along each axis, m: U = 0.1 um (k = 2), first paper, section 5."""
+"""Noise of a ball centre along each axis, m: U = 0.1 um (k = 2), first paper, section 5."""
 MANUFACTURE_STD: Final = 5e-6
 MACHINE_STD: Final = 0.8e-6
 HARMONICS: Final[Mapping[str, Mapping[int, tuple[float, float]]]] = {

@@ -32,7 +32,7 @@ SIX: Final = tuple(range(0, GRID, 2))
 REPEATS: Final = 3
 """Times that the plate is set up and measured anew; the paper draws their mean."""
 AUTOCOLLIMATOR_STD: Final = 0.1 * ARCSEC
-"""Of a reading on a calibrated face; the paper states none."""
+"""Noise of a reading on a calibrated face; the paper states none."""
 
 
 def reproduce() -> Reproduction:

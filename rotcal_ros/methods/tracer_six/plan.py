@@ -34,7 +34,7 @@ LEAST_ANGLES: Final = 3
 LEAST_PLACES: Final = 3
 """Two leave a turn about the line through them."""
 _UPRIGHT: Final = 0.7
-"""From this vertical part on, what is lost about a line is mostly ECC."""
+"""Vertical part from which the turn that is lost about a line is mostly ECC."""
 
 
 def plan(configuration: Configuration) -> Plan:

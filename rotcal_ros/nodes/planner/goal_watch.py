@@ -31,7 +31,7 @@ from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.settings import PlannerSettings
 
 ASTRAY_TIMEOUT_S: Final = 5.0
-"""For this long capture and solver may work on another plan than the goal's."""
+"""How long capture and solver may work on another plan than the goal's."""
 FOUND_S: Final = 5.0
 """Time for two ends to discover each other: lost discovery packets are sent again after 3 s."""
 SETTLED_S: Final = 0.5

@@ -103,7 +103,7 @@ class Silences:
 
 
 JUMP_ON_ITS_WAY_S: Final = 60.0
-"""For this long after a clock was set, messages with older stamps may still arrive."""
+"""How long after a clock was set messages with older stamps may still arrive."""
 
 
 class LogTimes:

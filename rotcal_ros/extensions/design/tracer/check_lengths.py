@@ -36,7 +36,7 @@ BETTER: Final = 1e-3
 """Relative gain for which an exchange is worth its time."""
 
 WAYS: Final = 3
-"""From how many of the smallest sets of targets lengths are taken away, to keep the fewest."""
+"""How many of the smallest sets of targets lengths are taken away from, to keep the fewest."""
 
 
 @dataclass(frozen=True, eq=False)

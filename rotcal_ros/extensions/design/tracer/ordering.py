@@ -279,7 +279,7 @@ class OrderedDesign:
 
     @property
     def wanted(self) -> tuple[float, float]:
-        """By what the variances that the lengths make, mean and largest, are to be multiplied."""
+        """Factor on the variances that the lengths cause, mean and largest."""
         least = LEAST_EXCESS if self.kept else 1.0
         mean, largest = (AIM / max(value, least) for value in self.excess())
         return mean, largest

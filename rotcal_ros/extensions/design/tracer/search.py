@@ -36,7 +36,7 @@ from rotcal_ros.methods.tracer.solver.problem import station_minimum
 IDEAL_GAP: Final = 0.05
 """Share by which the ideal plan may lie above its bound: what follows rounds to whole lengths."""
 STRICTER: Final = (4.0, 16.0, 64.0)
-"""By which the goal's variance is divided to find targets that check each other."""
+"""Divisors of the goal's variance, to find targets that check each other."""
 POOL_TARGETS: Final = 64
 ENOUGH_TARGETS: Final = 40
 POOL_SPACINGS: Final = 1.8
@@ -58,7 +58,7 @@ noise to show."""
 
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """Of N lengths: ``redundancy`` (N,), ``detectable`` (N,) error in m, ``effect`` (N, m) in rad.
+    """``redundancy`` (N,) of N lengths, ``detectable`` (N,) error in m, ``effect`` (N, m) in rad.
 
     ``effect``: what the smallest detectable error does to the angles less their mean. ``share``
     (N,): the largest effect of each length in expanded uncertainties (k = 2) of the same angle.

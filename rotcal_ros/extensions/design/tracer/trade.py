@@ -25,7 +25,7 @@ from rotcal_ros.methods.tracer.policy.information import Information, Lengths, S
 from rotcal_ros.planning.sequence_time import TimeModel
 
 MOST_TARGETS: Final = 64
-"""As many as the paper has; a goal that takes more is called out of reach."""
+"""Most targets, as many as the paper has; a goal that needs more is called out of reach."""
 TRIED: Final = 8
 """Targets that are tried exactly before the best is taken."""
 

@@ -1,6 +1,6 @@
 """What the ball plate method is given: centres of balls at table positions.
 
-Of a ball j at the table position i the method knows the CMM position k = i + j (mod N) where it
+For a ball j at the table position i the method knows the CMM position k = i + j (mod N) where it
 stands, when it was measured, and how far it was found from its nominal place.
 """
 

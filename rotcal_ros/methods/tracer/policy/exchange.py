@@ -43,7 +43,7 @@ FLAT: Final = 1.0
 """Penalty of a station whose targets lie in a plane."""
 GOAL_WEIGHT: Final = 10.0
 REDUNDANCY_WEIGHT: Final = 40.0
-"""By which a lacking share of the goal, and a squared lack of redundancy, become penalties."""
+"""Factors that make penalties of a lacking share of the goal and a squared lack of redundancy."""
 ENOUGH: Final = 1e-12
 """Penalty that is none."""
 NEARLY: Final = 1e-9

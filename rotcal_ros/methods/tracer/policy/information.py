@@ -47,7 +47,7 @@ from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""
 LEAST_DEPTH: Final = 0.1
-"""Of the targets of a station, across the plane they lie nearest to, over their extent."""
+"""Least depth of a station's targets across the plane they lie nearest to, over their extent."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,11 +41,11 @@ CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
 """Each further sweep costs the table its way once more."""
 SPARSE: Final = (2, 3)
-"""Of every so many positions one is visited once more by a last sweep, which saves turns."""
+"""A last sweep visits one of every so many positions once more, which saves turns."""
 DRAWS: Final = 8
 """Ways of sharing the lengths among the sweeps of which the best protected one is kept."""
 KICKS: Final = 20
-"""Of the quickest order; sweeps leave the heuristic little to choose."""
+"""Kicks for the quickest order; sweeps leave the heuristic little to choose."""
 AGAIN: Final = 1e4
 """Time (s), longer than any way, of measuring a pair again without having left it."""
 MOST_KICKED: Final = 200

@@ -76,13 +76,13 @@ EXCHANGES: Final = 300
 CHECKED_EXCHANGES: Final = 40
 """So long the first sweep is sought by exchange, before anything moves: about a second."""
 LEAST_REDUNDANCY: Final = 0.02
-"""Of each length of the first sweep: an error of 33 standard deviations shows."""
+"""Redundancy of each length of the first sweep: an error of 33 standard deviations shows."""
 HIDDEN: Final = 0.9 * TOLERABLE
 """What a drift or knock may do unseen (std); below the limit, as the noise is not known yet."""
 NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
 """No larger set is measured for what is nearly as little."""
 SHARES: Final = (1.0, 0.93)
-"""Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
+"""Shares of the required uncertainty: some lengths more may need a sweep less to be protected, and
 the quicker of the two is taken."""
 TRIES: Final = 3
 """Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
@@ -94,7 +94,7 @@ FEW_SUSPECTS: Final = 4
 SUSPECT_SHARE: Final = 0.1
 """When more lengths than either are suspect, that is no error of single lengths but noise."""
 ROUNDS: Final = 6
-"""In about so many rounds further steps are put together."""
+"""Rounds, about, in which further steps are put together."""
 SHORTLIST: Final = 700
 """Only so many of the best candidates are looked at again in every round."""
 MOST_PER_STATION: Final = 3

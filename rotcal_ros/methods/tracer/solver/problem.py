@@ -250,7 +250,7 @@ FREE_TARGET_MINIMUM: Final = 4
 REACH: Final = 100.0
 """No tracer reaches further (metres): targets that lie further apart are in another unit."""
 IMPOSSIBLE_SHARE: Final = 0.25
-"""From this share of impossible lengths on, it is the unit or the plan that is wrong."""
+"""Share of impossible lengths from which the unit or the plan is wrong."""
 MILLIMETRES: Final = 1e-3
 """Below this spread of the lengths, as a share of that of the targets, the units differ."""
 

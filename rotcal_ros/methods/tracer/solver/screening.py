@@ -226,7 +226,7 @@ def _stretches(grid: Grid, order: Ints) -> list[Places]:
 
 
 COMPONENTS: Final = ("lengths", "distance", "targets x", "targets y", "targets z")
-"""Of the noise, in the order of all arrays (5,) here."""
+"""Components of the noise, in the order of all arrays (5,) here."""
 PRIOR_AXIS: Final = 0.5
 """Standard deviation of ln s of one axis of the targets against the others."""
 GROSS: Final = 5.0

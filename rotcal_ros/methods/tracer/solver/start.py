@@ -32,7 +32,7 @@ CHANCE: Final = 25.0
 MIRROR: Final = 1e-5
 """Distance (m) from which two candidates are two places, not one found twice."""
 DEVIATES: Final = 1e-5
-"""By how much (m) stations may be off their commanded places on the circle."""
+"""How far (m) stations may be off their commanded places on the circle."""
 LOST: Final = 1e-3
 """Root mean square misfit (m) of stations that are not where the commanded angles say."""
 

@@ -53,7 +53,7 @@ TINY: Final = 1e-12
 DECADES: Final = np.logspace(-3.0, 3.0, 121)
 """Error motions, in units of the radial residuals, over which the posterior is summed."""
 SPACING: Final = float(np.log(DECADES[1] / DECADES[0]))
-"""Of their natural logarithms: the width that each stands for in the sum."""
+"""Spacing of their natural logarithms: the width that each represents in the sum."""
 ABSENT: Final = 0.8
 """Prior weight of no error motion, in natural logarithms of sigma far above the noise."""
 NOTICED: Final = 1.5

@@ -225,8 +225,8 @@ def doubt_jump(where: str, jump: Jump, fringe: float) -> str:
     """Return the sentence about a zero that jumped; ``fringe`` (m) is what a counter slips by."""
     return (
         f"the zero of {where} jumps by {jump.size:+.3g} m (standard deviation {jump.std:.2g} m) "
-        f"at observation {jump.row}, and nothing had said so: {_cause(jump, fringe)}; it was "
-        "split there"
+        f"at observation {jump.row}, although no break was reported: {_cause(jump, fringe)}; it "
+        "was split there"
     )
 
 

@@ -173,7 +173,7 @@ STAGNANT: Final = 1e-6
 SHRINKING: Final = 1e-4
 """Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 60
-"""Of chord steps, each with the slopes of now."""
+"""Most chord steps, each with the present slopes."""
 FLAT: Final = 1e-4
 """Difference of the places' heights and radii (m) up to which they lie on one circle: what they
 then show of the flex is below any noise."""

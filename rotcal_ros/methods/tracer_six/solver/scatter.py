@@ -88,7 +88,7 @@ LIKELY: Final = 1e-4
 REACH: Final = 1e4
 """Mean chi-squared up to which, and beginning with its inverse, a size is searched for."""
 BISECTIONS: Final = 16
-"""Of the logarithm of the size, over eight decades: to 0.03 %."""
+"""Bisections of the logarithm of the size, over eight decades: to 0.03 %."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,7 +105,7 @@ NEAR: Final = 0.05
 ROUNDS: Final = 2
 """Poses from places, then places from poses: each round takes nearly all that nominals lack."""
 NONE: Final = stated(0.0, 0.0)
-"""Of a table that repeats."""
+"""The scatter of a table that repeats."""
 
 
 @dataclass(frozen=True, eq=False)
