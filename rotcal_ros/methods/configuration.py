@@ -6,7 +6,7 @@ or have ``method`` and the groups at the top. There, in short, settings of the p
 solver may stand without their group.
 
 Long lists of a plan may stand in files of their own, which the configuration names: as it is read,
-its text takes their contents in the place of the names (:func:`configuration_text`). What is
+its text takes their contents in place of the names (:func:`configuration_text`). What is
 recorded has to be whole: its hash, the session's folder, the goal of a run and the bag hold that
 text.
 """
@@ -312,7 +312,7 @@ def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> 
 
 
 def _with_contents(text: str, source: str, folder: Path) -> str:
-    """Return configuration text with the lists in the place of the names of files in ``folder``.
+    """Return configuration text with the lists in place of the names of files in ``folder``.
 
     The files are not needed again. All else of the text stays, comments as well.
     Raises ConfigurationError, with ``source`` and the setting, for a file that cannot be read and

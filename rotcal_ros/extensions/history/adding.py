@@ -109,7 +109,7 @@ def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
 
 
 def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
-    """Add the result of a bag, in the place of an earlier one of the same measurement.
+    """Add the result of a bag, in place of an earlier one of the same measurement.
 
     So a bag that is solved again counts once. The earlier one stays if it had more observations:
     a damaged copy replaces no whole recording. ``serial`` is for a result that states none,

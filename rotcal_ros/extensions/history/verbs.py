@@ -182,7 +182,7 @@ def event(serial: str, what: str, axis: str, day: str, why: str, settings: Histo
 def correct(
     number: int, serial: str, axis: str, withdraw: bool, why: str, settings: HistorySettings
 ) -> int:
-    """Put another entry in the place of ENTRY, which stays: for another table, or for none."""
+    """Put another entry in place of ENTRY, which stays: for another table, or for none."""
     if withdraw == bool(serial or axis):
         raise click.UsageError("give --serial or --axis, or --withdraw")
     with _open(settings) as history:

@@ -42,7 +42,7 @@ EXPECTED: Final = "expected.json"
     "--from-history",
     "database",
     metavar="FILE|URL",
-    help="Check what this history expects of the table SERIAL, in the place of a result.",
+    help="Check what this history expects of the table SERIAL, in place of a result.",
 )
 @click.option("--axis", default="", help="Axis of a table --from-history, such as C.")
 @click.option("--at", "day", metavar="DAY", help="Day of the check --from-history, 2026-03-31.")

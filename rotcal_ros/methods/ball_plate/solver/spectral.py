@@ -611,7 +611,7 @@ def closed_form(problem: BallPlateProblem, *, nominal_radius: bool = False) -> C
 
 
 class ClosedFormFit(SpectralFit):
-    """All N x N centres by the means of the closed form, in the place of the harmonics.
+    """All N x N centres by the means of the closed form, in place of the harmonics.
 
     The answer is the same but for rounding; plate and CMM errors, residuals and covariances are
     those of :class:`SpectralFit`. Raises PlanError when the grid is not complete.
