@@ -196,7 +196,7 @@ def test_the_plain_minimum_warns():
         (("--need", "EXC=1"), "expected ECC=ARCSEC"),
         (("--need", "ECC=0.0001", *SMALL), "the goal is 0.0001"),
         (("--set", "sigma=3"), "unknown setting 'sigma'"),
-        (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
+        (("--set", "error_motion_std_m=1.0e-6", *SMALL), "more lengths do not help"),
         (("--need", "ECC"), "--need ECC: expected ECC=ARCSEC, e.g. ECC=1.2"),
         (("missing.yaml",), "cannot read the goal missing.yaml: No such file"),
         (("--set", "keep_out_m=[1, 2"), "keep_out_m=[1, 2: not valid YAML"),
