@@ -37,7 +37,7 @@ FOUND_S: Final = 5.0
 SETTLED_S: Final = 0.5
 """If no new publisher is discovered for this long, the known ones count as all."""
 LOOK_S: Final = 0.1
-"""To look at the graph takes longer than a turn of the executor."""
+"""Looking at the graph takes longer than a turn of the executor."""
 HOPELESS_S: Final = 0.5
 """The capture must report HOPELESS for this long: late readings may look so for a moment."""
 SOLVER: Final = "solver"

@@ -375,7 +375,7 @@ def _gone(solution: TracerSolution) -> Floats:
 
 
 def _arrivals(solution: TracerSolution) -> int:
-    """Return how often the table came to the position that it came to least."""
+    """Return how often the table visited the position that it visited least."""
     problem = solution.problem
     at = problem.position[np.argsort(problem.measuring_order, kind="stable")]
     come = np.append(True, np.diff(at) != 0)
