@@ -47,7 +47,7 @@ INTRODUCTION = f"""# What could be wrong, and would you see it?
 Every effect that could spoil a calibration was added to simulated measurements of a small plan,
 larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of them.
 
-* *Size* is where the verdict turns. If it never does, the largest size that was tried follows
+* *Size* is where the verdict changes. If it never does, the largest size that was tried follows
   "not up to". "Allowed" is the allowance that the configuration states and the uncertainty
   contains.
 * *Error* is what the effect does to the deviations unnoticed up to that size, in standard
@@ -55,10 +55,10 @@ larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of 
   component and angle. Effects that scatter count over all angles.
 * *Named* says whether the verdict line names the effect ("ok, not protected against ...").
 
-No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. What an
-effect is, stands below the table, or else below the nearest table above.
+No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. The
+effects are explained below the table, or else below the nearest table above.
 
-Three errors have no size here, because no size turns the verdict:
+Three errors have no size here, because no size changes the verdict:
 
 * **An offset between parts of the table that nothing joins**
   ([groups](ball_plate.md#closed-form-and-groups)). Such a result is always `suspect`.
