@@ -13,7 +13,7 @@ SEED ?= 1
 SAMPLE ?= 400
 SECONDS ?= 60
 
-# A sourced ROS installation must not leak into .venv, which brings its own ROS.
+# A sourced ROS installation must not leak into .venv, which contains its own ROS.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 

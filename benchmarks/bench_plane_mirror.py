@@ -43,7 +43,7 @@ def problem(way: str = "joint", seed: int | None = 1) -> PlaneMirrorProblem:
 def joint() -> Row:
     """From the rows to the whole result, against scipy from the same approximate values.
 
-    scipy is told which unknown touches which residual; without that it takes ten times longer.
+    scipy is given which unknown touches which residual; without that it takes ten times longer.
     """
     task = problem()
     residual, start, n = joint_residual(task)

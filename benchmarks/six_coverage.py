@@ -14,7 +14,7 @@ LEVELS = (0.5, 1.0, 2.0)
 KINDS = {"shifts": (6.5e-8, 0.0), "turns": (0.0, 4.3e-7), "both": (5.2e-8, 2.6e-7)}
 """Scatter (m, rad) that doubles the variance of EAC and EBC, 864 lengths with one arrival."""
 TWELVE = [0, 2, 3, 5, 8, 9, 10, 11, 14, 15, 18, 21]
-"""Of the good targets, those that tell the six curves as well when each is measured twice."""
+"""Of the good targets, those that determine the six curves as well when each is measured twice."""
 ALL = list(range(24))
 CASES = {"one arrival": (1, ALL), "two arrivals, 12 targets": (2, TWELVE)}
 NONE = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}

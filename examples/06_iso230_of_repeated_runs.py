@@ -11,4 +11,4 @@ for name, (both, forward, reverse) in figures.summary():
     texts = ("-" if x is None else f"{x / rc.ARCSEC:.2f}" for x in (both, forward, reverse))
     print(f"{name:24s}", *(f"{text:>7s}" for text in texts), "arcsec")
 print(f"mean reversal: {figures.mean_reversal / rc.ARCSEC:.2f} arcsec")
-print(*figures.warnings or ["as many runs and targets as the standard asks for"])
+print(*figures.warnings or ["as many runs and targets as the standard requires"])

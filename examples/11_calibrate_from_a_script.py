@@ -24,7 +24,7 @@ with rc.ros.Calibrator("/cell") as calibrator:  # leaving the block cancels what
 print("bag:", outcome.bag_folder)
 result = outcome.load()  # raises with the reason when there is none
 print(f"verdict {result.verdict_line}, {result.n_observations} observations")
-if len(sys.argv) > 1:  # a simulated cell tells its truth
+if len(sys.argv) > 1:  # a simulated cell reports its truth
     truth = rc.simulated_truth(rc.read_configuration(configuration))["ECC"]
     ratio = abs(result.deviations["ECC"] - truth)[1:] / result.std["ECC"][1:]
     print(f"largest error against the truth: {ratio.max():.2f} standard uncertainties")

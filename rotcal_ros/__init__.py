@@ -42,7 +42,7 @@ _MODULES = {
 }
 """Name -> the module that it is."""
 _OF_EXTENSIONS = ("plan_plate", "write_certificate")
-"""Names that extensions bring, where they are installed."""
+"""Names that extensions provide, where they are installed."""
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = sorted([*_PLACES, *_MODULES, *_OF_EXTENSIONS])

@@ -4,7 +4,7 @@
     check_keys.py SRC
 
 The keys are looked up in scripts/rosdep_keys.txt, so that no network is needed. Ends with exit
-code 1 and a line for each key that nobody knows, and for each that pip alone can install.
+code 1 and a line for each key that is not known, and for each that pip alone can install.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def known_keys() -> dict[str, list[str]]:
 def wrong(source: Path, environment: dict[str, str]) -> tuple[list[str], list[str]]:
     """Return the packages of a workspace, and what is wrong with their keys.
 
-    As colcon, rosdep and bloom do it: nobody looks inside a package for another one.
+    As colcon, rosdep and bloom do it: none looks inside a package for another one.
     """
     found = [parse_package(path) for path in sorted(source.glob("*/package.xml"))]
     own, known, faults = {package.name for package in found}, known_keys(), list[str]()

@@ -7,7 +7,7 @@ Simulated runs with an own generator: a tracer 65 mm off the axis of a table wit
 few arcsec, 24 targets low around it, of which every station sees a few, all lengths from one zero
 or a zero per station; lengths with 0.2 um, the machine with 1 um. The stations leave their circle
 by 0.07 um radially and axially, which is what is stated; in the last cases they go round a rosette
-of 1.5 um, which nobody has stated. Of each case: how many of the 95 % intervals of ECC hold the
+of 1.5 um, which was not stated. Of each case: how many of the 95 % intervals of ECC hold the
 truth, and how often the verdict was ok. With --error-motion nothing is stated of the circle, and
 the stations leave it by an error motion along x and y that the solver has to estimate: coverage by
 its size. Figures of it are in docs/evidence_methods.md.
@@ -106,7 +106,7 @@ def row(case: Case, runs: int, each: int) -> str:
 
 
 SIZES = (0.0, 0.05e-6, 0.1e-6, 0.2e-6, 0.3e-6, 1e-6, 3e-6)
-"""Error motions (m, k = 1) that nobody has stated."""
+"""Error motions (m, k = 1) that were not stated."""
 LAYOUTS = {
     "11 angles of 12, 20 low targets": (11, 12, 20, False),
     "12 angles, 20 low targets": (12, 12, 20, False),

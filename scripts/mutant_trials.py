@@ -41,7 +41,7 @@ ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "mutants"
 MARKERS = "not slow and not ros and not linuxcnc"
 ENOUGH_S = 20.0
-"""Processor seconds that the tests of one mutant may need without it, unless told otherwise."""
+"""Processor seconds that the tests of one mutant may need without it, unless stated otherwise."""
 LONGEST_S = 20.0
 """Processor seconds that one test may take under the meter."""
 FILE_S = 0.1
@@ -347,7 +347,7 @@ def side_by_side(jobs: int, work: Callable[[int], None]) -> None:
     Raises
     ------
     SystemExit
-        If one of them failed; what it printed tells why.
+        If one of them failed; what it printed says why.
 
     """
     children = []

@@ -1,7 +1,7 @@
 """Put small faults into the code, one by one, and see whether the tests notice.
 
 mutmut makes the mutants: of functions with decorators and of constants too, which its own runner
-cannot try. Left out are those that put None for a value (they crash and tell nothing), those in
+cannot try. Left out are those that put None for a value (they crash and show nothing), those in
 the words of an error or of another sentence, and those of ``strict=``, ``dtype=np.float64``, type
 aliases, the names of indices in ``einsum`` and the -1 of ``reshape`` (any negative number says the
 same), which change nothing. A uniform random sample of the rest is tried, as ``mutant_trials.py``
@@ -69,7 +69,7 @@ class Mutant:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What tells it from others; not the number of its line, which may move."""
+        """What distinguishes it from others; not the number of its line, which may move."""
         return str(self.path.relative_to(ROOT)), self.text, self.before, self.after
 
     def diff(self) -> str:
@@ -103,7 +103,7 @@ class Collector(MutationVisitor):
 
 
 def mutants_of(room: str, path: Path) -> Iterator[Mutant]:
-    """Yield all mutants of a file that may tell something."""
+    """Yield all mutants of a file that may show something."""
     collector = Collector()
     source = path.read_text()
     module = MetadataWrapper(cst.parse_module(source)).visit(collector)

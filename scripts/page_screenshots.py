@@ -114,7 +114,7 @@ def bridge(folder: Path) -> tuple[str, ...]:
     return (
         "bridge.controller=linuxcnc",
         "bridge.spacing_deg=10.0",
-        "bridge.combine=replace",  # nobody says what the simulated control holds
+        "bridge.combine=replace",  # it is not stated what the simulated control holds
         f"bridge.controller_folder={folder / 'controller'}",
         f"bridge.secret_file={secret}",
     )
@@ -158,7 +158,7 @@ def take_web(browser: Browser, folder: Path) -> None:
 
 
 def take(browser: Browser, name: str, shot: Shot, folder: Path) -> None:
-    """Run a calibration until it is as the picture wants it, and write the picture."""
+    """Run a calibration until it is as the picture needs it, and write the picture."""
     changes = (*shot.changes, *(bridge(folder) if shot.until is confirm else ()))
     session = prepare_session(ROOT / "config" / f"{shot.configuration}.yaml", folder / "cell",
                               changes)  # fmt: skip
@@ -176,7 +176,7 @@ def take(browser: Browser, name: str, shot: Shot, folder: Path) -> None:
 
 
 def _address(nodes: RunningSession) -> str:
-    """Return the address of the page, which the client tells once it is there."""
+    """Return the address of the page, which the client prints once it is there."""
     deadline = time.monotonic() + TIMEOUT_MS / 1e3
     while time.monotonic() < deadline:
         with suppress(Empty):

@@ -47,7 +47,7 @@ INTRODUCTION = f"""# What could be wrong, and would you see it?
 Every effect that could spoil a calibration was added to simulated measurements of a small plan,
 larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of them.
 
-* *Size* is where the verdict turns. If it never does, the largest size that was tried follows
+* *Size* is where the verdict changes. If it never does, the largest size that was tried follows
   "not up to". "Allowed" is the allowance that the configuration states and the uncertainty
   contains. A knock beside the first or the last reading of a run is one reading that is off, and
   left out: where these are more than 5 % of all moments, no size turns the verdict.
@@ -56,10 +56,10 @@ larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of 
   component and angle. Effects that scatter count over all angles.
 * *Named* says whether the verdict line names the effect ("ok, not protected against ...").
 
-No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. What an
-effect is, stands below the table, or else below the nearest table above.
+No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. The
+effects are explained below the table, or else below the nearest table above.
 
-Three errors have no size here, because no size turns the verdict:
+Three errors have no size here, because no size changes the verdict:
 
 * **An offset between parts of the table that nothing joins**
   ([groups](ball_plate.md#closed-form-and-groups)). Such a result is always `suspect`.
@@ -149,19 +149,19 @@ def _put(page: Path, title: str, section: str) -> None:
     known = [title_of(plan) for plan in plans_of(METHODS)]
     order = [name for name in known if name in sections]
     order += [name for name in sections if name not in known]
-    told: dict[str, str] = {}
-    texts = [f"## {name}\n\n{_once(sections[name], told).rstrip()}\n" for name in order]
+    explained: dict[str, str] = {}
+    texts = [f"## {name}\n\n{_once(sections[name], explained).rstrip()}\n" for name in order]
     write_atomically(page, "\n".join([INTRODUCTION, *texts]))
 
 
-def _once(section: str, told: dict[str, str]) -> str:
-    """Return ``section`` without the explanations in ``told``, by effect, and remember its own."""
+def _once(section: str, explained: dict[str, str]) -> str:
+    """Return ``section`` without what is ``explained`` by effect, and remember its own."""
     table, *items = re.split(r"^(?=\* )", section, flags=re.M)
     for item in items:
         effect, explanation = item.rstrip().split(":", 1)
-        if told.get(effect) != explanation:
+        if explained.get(effect) != explanation:
             table += item
-        told[effect] = explanation
+        explained[effect] = explanation
     return table
 
 

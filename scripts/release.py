@@ -65,16 +65,16 @@ def main() -> int:
 
 
 def agreed_version() -> str:
-    """Return the one version that package, manifests and changelogs tell."""
+    """Return the one version that package, manifests and changelogs state."""
     stated = re.search(r'__version__ = "(.+)"', (ROOT / "rotcal_ros/__init__.py").read_text())
-    told = {"rotcal_ros/__init__.py": stated[1] if stated else ""}
+    versions = {"rotcal_ros/__init__.py": stated[1] if stated else ""}
     for path in MANIFESTS:
-        told[_name(path)] = ElementTree.parse(path).findtext("version") or ""
+        versions[_name(path)] = ElementTree.parse(path).findtext("version") or ""
     for path in CHANGELOGS:
-        told[_name(path)] = newest_heading(path)[0]
-    if len(set(told.values())) != 1:
-        raise UnfitError("versions differ: " + ", ".join(f"{k} {v}" for k, v in told.items()))
-    return next(iter(told.values()))
+        versions[_name(path)] = newest_heading(path)[0]
+    if len(set(versions.values())) != 1:
+        raise UnfitError("versions differ: " + ", ".join(f"{k} {v}" for k, v in versions.items()))
+    return next(iter(versions.values()))
 
 
 def newest_heading(changelog: Path) -> tuple[str, str]:

@@ -1,6 +1,6 @@
 """Writes docs/result.schema.json from the tables of docs/result_json.md and from the code.
 
-The page tells field, shape, unit and meaning; names that a field chooses among, and the group
+The page states field, shape, unit and meaning; names that a field chooses among, and the group
 identity, come from the dataclasses. The keyword ``unit`` is an annotation of our own.
 """
 

@@ -31,10 +31,10 @@ PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 HEAD = """# Settings
 
 A configuration is a YAML file: the name of a `method` and groups of settings, at the top or, as in
-a ROS 2 parameter file, below `/**: ros__parameters:`. It is checked whole before anything moves. A
-setting that is not given keeps its default; one in **bold** has to be given. The unit stands in
-the name and before the comma. Lists hold values of the kind that is named. A default *none* is a
-setting that is not given, in YAML `null`. In the place of a `*` in a name stands one of the words
+a ROS 2 parameter file, below `/**: ros__parameters:`. It is checked completely before anything
+moves. A setting that is not given keeps its default; one in **bold** has to be given. The unit
+stands in the name and before the comma. Lists hold values of the kind that is named. A default
+*none* is a setting that is not given, in YAML `null`. A `*` in a name stands for one of the words
 with which the meaning ends.
 
 On the command line: `--set GROUP.NAME=VALUE`; `rotcal settings METHOD` prints what to state first
@@ -60,7 +60,7 @@ Of `rotcal bag info`, `check` and `repair`, and of whatever else is given a bag 
 [recording](recording.md#checking-and-repairing)."""
 EXPERTS = """## For experts
 
-Nobody has to touch these in ordinary use: thresholds, waits and rates, what a simulated machine is
+These need no change in ordinary use: thresholds, waits and rates, what a simulated machine is
 like and what goes wrong in it. In a file they stand in their groups, like all others.
 """
 

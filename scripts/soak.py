@@ -7,7 +7,8 @@ Each method is measured once in peace; then, until the time is up, again and aga
 ``busy`` processes per core, while a node at random is stopped (SIGSTOP) for 2 s every few seconds.
 A session is good when it ends by itself with the verdict ok, its result is that of the quiet one
 within their noise, and no confirmed observation is missing in its bag. The memory of every node is
-told, and how it grows. Exit code 1 where a session was not good; figures as JSON in out/soak.json.
+reported, and how it grows. Exit code 1 where a session was not good; figures as JSON in
+out/soak.json.
 """
 
 from __future__ import annotations
@@ -138,7 +139,7 @@ def session(
     found: dict[str, Any] = {
         "method": method, "busy_per_core": per_core, "seconds": round(time.monotonic() - begin),
         "machine": loaded, "stops": nodes.stopped, "code": process.returncode,
-        "memory": {n: growth(told) for n, told in nodes.memory.items() if len(told) > 1},
+        "memory": {n: growth(samples) for n, samples in nodes.memory.items() if len(samples) > 1},
     }  # fmt: skip
     if process.returncode:
         return found | {"error": (out + err).strip().splitlines()[-1:]}
@@ -152,15 +153,15 @@ def session(
     }
 
 
-def growth(told: list[tuple[float, float]]) -> dict[str, float]:
+def growth(samples: list[tuple[float, float]]) -> dict[str, float]:
     """Return the memory of a node in MB at half time and at the end, and the growth per hour.
 
     That is of the second half without its last fifth, in which all is solved.
     """
-    half = told[len(told) // 2 :]
+    half = samples[len(samples) // 2 :]
     at_s, megabytes = np.array(half[: max(3, len(half) * 4 // 5)]).T
     slope = np.polyfit(at_s - at_s[0], megabytes, 1)[0] if len(at_s) > 2 else 0.0
-    found = {"half_mb": megabytes[0], "end_mb": told[-1][1], "mb_per_hour": slope * 3600.0}
+    found = {"half_mb": megabytes[0], "end_mb": samples[-1][1], "mb_per_hour": slope * 3600.0}
     return {name: round(float(value), 1) for name, value in found.items()}
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The tests, on all cores, each file in one worker, so that what its tests share is made once. The
 # live ones wait much, so it is two cells for each core (ROTCAL_LIVE_WORKERS=1: one cell at a time);
-# those without nodes take what is left meanwhile, and tell first how they ended. At the end it says
+# those without nodes take what is left meanwhile, and say first how they ended. At the end it says
 # what could not be tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [--quick] [arguments of pytest]    --quick: without those marked slow

@@ -46,8 +46,8 @@ GROUPS = (
 """Headings, the page that explains more, and the beginnings of the files that belong there."""
 HEAD = """# Troubleshooting
 
-Search this page (Ctrl-F) for some words of the error; `<...>` stands for what differs. On the
-right stands what to do. Three kinds of errors are not listed, because they need no list:
+Search this page (Ctrl-F) for some words of the error; `<...>` is what differs. The right
+column says what to do. Three kinds of errors are not listed, because they need no list:
 
 * `expected ...` says what is right at the place that is named: correct it there.
 * What the operating system refuses, such as a full disk, is said in its own words.
@@ -172,7 +172,7 @@ def _piece(node: ast.expr, known: dict[str, str]) -> str:
 
 
 def _name(node: ast.expr) -> str:
-    """Return the name that tells most about an expression; "" for none."""
+    """Return the name that says most about an expression; "" for none."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):

@@ -1,4 +1,4 @@
-"""The table of rooms in CONTRIBUTING and the import contracts tell one story."""
+"""The table of rooms in CONTRIBUTING and the import contracts agree."""
 
 import re
 from pathlib import Path

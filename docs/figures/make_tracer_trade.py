@@ -1,6 +1,6 @@
 """Draw tracer_trade.svg: lengths against U(ECC), of plans and of what no plan can beat.
 
-For each wanted uncertainty the goals of config/ are planned as 'rotcal plan tracer' does it, in
+For each required uncertainty the goals of config/ are planned as 'rotcal plan tracer' does it, in
 one search; all figures are printed as well. Takes two minutes of processor time.
 """
 

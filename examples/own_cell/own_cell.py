@@ -116,7 +116,7 @@ class OwnCell(Node):
         self.tell_point(point)
 
     def tell_more(self) -> None:
-        """Publish the temperature, and where the idle probe is: the preflight wants to hear it."""
+        """Publish the temperature, and where the idle probe is: the preflight has to hear it."""
         self.publish(self.temperatures, Temperature(temperature=20.0), self.now_ns())
         if self.order is None:
             self.tell_point(ProbePoint(kind=ProbePoint.KIND_UNKNOWN))

@@ -41,7 +41,7 @@ def make_table(
     Correction = -deviation = commanded - actual: add it to the command. ``angles``,
     ``correction_forward``, ``correction_reverse`` and ``std`` (k = 1) are (n,) rad. ``reverse`` is
     the result of the approach with decreasing angle; ``axis`` need not be stated if the result has
-    it, and is C if nobody knows it; ``reference_angle`` (rad) is where the correction is zero;
+    it, and is C if it is not known; ``reference_angle`` (rad) is where the correction is zero;
     ``spacing`` (rad) puts rows between the measured angles, on a spline or on the fit of so many
     ``harmonics``. Raises DataError for a result without ECC, that does not close, or whose parts
     have unconnected zeros; ConfigurationError for an axis that is not the measured one, or an
@@ -114,7 +114,7 @@ def write_controller_files(
     If the result does not know which table was in force, one of two has to be given: ``replaces``
     (none was), or the folder ``add_to`` with the files of that table. Raises DataError for a
     contradiction, for a verdict other than ok and for a file that would make things worse,
-    ConfigurationError for what the controller cannot take or nobody has verified (unless
+    ConfigurationError for what the controller cannot take or that is not verified (unless
     ``accept_unverified``), BagError if the files cannot be written.
 
     >>> import tempfile

@@ -122,9 +122,9 @@ def solve_together(*sources: Recording | Measurements | Result | Name) -> Result
     """Solve what several instruments observed of one table: one curve of each deviation.
 
     Each is a recording, a table of :func:`read_table`, a bag, or a result or its file, which then
-    stands for its observations. What cannot be solved alone is, where the others tell what it
-    lacks. Everything in the result counts from its mean; ``verdict`` is suspect if an input is, if
-    something was wrong with one, or if they contradict each other; ``details`` hold weights,
+    stands for its observations. What cannot be solved alone is, where the others determine what
+    it lacks. Everything in the result counts from its mean; ``verdict`` is suspect if an input is,
+    if something was wrong with one, or if they contradict each other; ``details`` hold weights,
     chi-square and noise of each. Raises DataError for inputs that share observations, or that
     fewer than two common angles join.
 
@@ -174,7 +174,7 @@ def uncertainty(
     table (see :func:`read_table`): about what was measured. ``components`` maps each to value,
     linear_std, mean, std, low and high (95 %), arrays (n,) in m or rad; ``warnings`` say where
     the trials contradict the solver. There are at most ``trials``; they end when the figures are
-    stable to ``digits``. Raises ConfigurationError if the method brings no trials.
+    stable to ``digits``. Raises ConfigurationError if the method has no trials.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")

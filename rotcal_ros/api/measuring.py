@@ -87,7 +87,7 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
 
     The last accepted attempt at every step counts; the order of the observations does not. For
     the result see ``read_result``: SI, deviation = actual - commanded. Raises DataError for data
-    that are contradictory or too few, ObservabilityError if the geometry cannot tell.
+    that are contradictory or too few, ObservabilityError if the geometry cannot determine them.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")

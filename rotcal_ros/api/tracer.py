@@ -2,7 +2,7 @@
 
 ``solve(Problem(...))`` gives a ``Result``; lengths in m, angles in rad, deviation = actual -
 commanded. Raises DataError for data that do not fit together, ObservabilityError where the
-geometry cannot tell.
+geometry cannot determine ECC.
 
 >>> import numpy as np
 >>> import rotcal_ros as rc

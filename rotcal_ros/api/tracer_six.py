@@ -2,7 +2,7 @@
 
 ``solve(Problem(...))`` gives a ``Result``; lengths in m, angles in rad, deviation = actual -
 commanded. Raises DataError for data that do not fit together, ObservabilityError where places or
-lengths cannot tell all six.
+lengths cannot determine all six.
 
 >>> import numpy as np
 >>> import rotcal_ros as rc

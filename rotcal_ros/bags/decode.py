@@ -322,7 +322,7 @@ class FieldLayout:
         )
 
     def fits(self, rows: Bytes, template: Bytes, alike: Collection[str] | None = None) -> Bools:
-        """Tell which rows have the shape of ``template``, of which this is the layout.
+        """Return which rows have the shape of ``template``, of which this is the layout.
 
         The texts named by ``alike`` have to be the same, None: all; others to be UTF-8.
         """

@@ -26,7 +26,7 @@ GAP: Final = "a gap in the numbers of its publisher"
 REPORTED: Final = "reported by the middleware"
 QUEUE: Final = "the recorder's queue was full"
 SILENCE: Final = "it was silent"
-UNHEARD: Final = "a publisher whose quality of service nobody can receive"
+UNHEARD: Final = "a publisher whose quality of service cannot be received"
 
 
 @dataclass(frozen=True, slots=True)

@@ -324,7 +324,7 @@ def find_record(file: BinaryIO, start: int, size: int, *, chunked: bool) -> int 
 def is_sound(
     file: BinaryIO, offset: int, size: int, *, links: int, unknown: int = _MOST_UNKNOWN
 ) -> bool:
-    """Tell whether a record at ``offset`` is consistent, and ``links`` more after it.
+    """Return whether a record at ``offset`` is consistent, and ``links`` more after it.
 
     Besides these there may be ``unknown`` records of unknown kinds.
     """

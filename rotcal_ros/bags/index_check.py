@@ -240,7 +240,7 @@ class _Facts:
         self._is_named.append(0)
 
     def differs(self, offset: int, facts: object) -> bool:
-        """Tell whether the record at ``offset`` is known and differs from ``facts``."""
+        """Return whether the record at ``offset`` is known and differs from ``facts``."""
         place = self._place(offset)
         return place is not None and self._hashes[place] != hash(facts)
 

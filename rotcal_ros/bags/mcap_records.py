@@ -135,7 +135,7 @@ def parse_message_index(content: bytes) -> tuple[int, memoryview, int]:
 
 
 def is_message_index(content: bytes) -> bool:
-    """Tell whether the length inside a record is that of a message index that fills it."""
+    """Return whether the length inside a record is that of a message index that fills it."""
     size = int.from_bytes(content[2:6], "little")
     return size % INDEX_ENTRY == 0 and len(content) == _index_header.size + size
 

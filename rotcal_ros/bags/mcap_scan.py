@@ -400,7 +400,7 @@ class SmallBlocks:
 
     def __init__(self) -> None:
         self._blocks: list[Block] = []
-        self._room = 0  # the first block goes at once: some readers want no more
+        self._room = 0  # the first block goes at once: some readers need no more
 
     def joined_with(self, block: Block) -> tuple[Block, ...]:
         """Add ``block``; return what has become large enough."""

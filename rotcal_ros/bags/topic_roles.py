@@ -1,4 +1,4 @@
-"""Tells which topics of a cell play which role, as its nodes say or have recorded."""
+"""Finds which topics of a cell play which role, as its nodes say or have recorded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def plain_name(namespace: str, role: str) -> str:
 
 
 class CalledOtherwise:
-    """Tells which topics play which role, by the latest beats of the nodes that decide it."""
+    """Knows which topics play which role, by the latest beats of the nodes that decide it."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace

@@ -46,7 +46,7 @@ class BagWriter:
     the lock on its folder. Data are on disk after :meth:`sync`; :meth:`tick` calls it when the
     interval has passed. When the disk fails, or somebody else deletes, replaces or cuts a file of
     the bag, the file is closed at its last whole record and BagError is raised. The caller
-    serialises the calls. ``clock`` tells in ns when something is attached: with a clock that
+    serialises the calls. ``clock`` gives in ns when something is attached: with a clock that
     stands, the same calls write the same bytes.
     """
 
@@ -278,7 +278,7 @@ class BagWriter:
         self._watched.grew(file.path, file.size)
 
     def _describe(self) -> None:
-        """Write what rosbag2 wants to know, into the file and beside it."""
+        """Write what rosbag2 needs to know, into the file and beside it."""
         information = self._note_description()
         text = yaml_text({"rosbag2_bagfile_information": information})
         files.write_atomically(self.folder / METADATA_FILE, text)

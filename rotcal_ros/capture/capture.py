@@ -142,7 +142,7 @@ class Capture:
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """By stream: what it delivered and what was wrong with it, without zeros."""
+        """What each stream delivered and what was wrong with it, without zeros."""
         all_counts = {}
         unasked = {q.name for q in QUANTITIES.values() if not q.expected(self._settings)}
         unasked.add("nest")

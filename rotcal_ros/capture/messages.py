@@ -1,7 +1,7 @@
 """From messages to the records of rotcal_ros.foundation.observations: which field means what.
 
-The functions take any object whose attributes are the message's fields, be it made by rclpy
-or decoded from a bag, so that the live path and the replay build identical records. An order comes
+The functions take any object whose attributes are the message's fields, made by rclpy or
+decoded from a bag, so that the live path and the replay build identical records. An order comes
 as two messages, one for the table and one for the probe, which :class:`Orders` pairs.
 """
 
@@ -198,7 +198,7 @@ def _point(values: Iterable[Any]) -> Point:
 
 
 WAITING_LIMIT: Final = 64
-"""At most this many messages wait for their partner; beyond that the oldest is forgotten."""
+"""Messages that may wait for their partner; beyond that the oldest is forgotten."""
 
 
 class Orders:

@@ -57,7 +57,7 @@ class Rejections:
 
     running: deque[str] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     _told_s: dict[str, float] = field(default_factory=dict)
-    _untold: Counter[str] = field(default_factory=Counter)
+    _unreported: Counter[str] = field(default_factory=Counter)
 
     def note(self, observation: Observation, now_s: float) -> str | None:
         """Take an observation; return a line for the log, if it is worth one.
@@ -71,10 +71,10 @@ class Rejections:
         self.running.append(reason)
         kind = kind_of(reason)
         if now_s - self._told_s.get(kind, float("-inf")) < REPEATED_S:
-            self._untold[kind] += 1
+            self._unreported[kind] += 1
             return None
         self._told_s[kind] = now_s
-        more = self._untold.pop(kind, 0)
+        more = self._unreported.pop(kind, 0)
         since = f" (and {more} more like this since the last line)" if more else ""
         place = place_in_words(observation.table_position, observation.target, observation.attempt)
         return f"{place} rejected: {reason}{since}"

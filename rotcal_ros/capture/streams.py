@@ -20,7 +20,7 @@ behind the latest one, that its clock was set back,"""
 _SET_BACK_AFTER_NS = 100_000_000
 """where they span this much time."""
 _STAGE = 4096
-"""At most this many samples are staged before a decision."""
+"""Most samples that are staged before a decision."""
 NEVER = 1 << 63
 
 Sample = tuple[int, Floats]

@@ -146,7 +146,7 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
     gap = _gap(readings[:, SEQUENCE])
     if n_used < min(2, len(length)) or n_used < settings.min_used_share * len(length):
         return ReducedWindow(n_used=n_used, reason=gap or _too_few(faults, length, settings))
-    if n_used == 1:  # a reading alone tells no scatter
+    if n_used == 1:  # a reading alone shows no scatter
         return ReducedWindow((float(length[used][0]),), (0.0,), (0.0,), 1)
     mean, scatter = mean_and_scatter(length[used])
     drift = _drift(stamps[used], length[used], mean)

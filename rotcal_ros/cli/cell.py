@@ -102,7 +102,7 @@ def _moved(configuration: Path, report: CellReport) -> CellReport:
 
 
 def _answered(report: CellReport) -> CellReport:
-    """Ask the person which way the table turned, if no instrument could tell."""
+    """Ask the person which way the table turned, if no instrument could show it."""
     from rotcal_ros.methods.trial_motion import handedness_seen
 
     if not any(line.name == "handedness" and line.state == "open" for line in report.lines):

@@ -54,7 +54,7 @@ def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
     """Check this machine and say what to do.
 
     Without ROS a bag can still be solved: the lines about ROS concern live calibration only. With
-    --machine-ini it shows which tables that LinuxCNC loads, and what is wrong with them.
+    --machine-ini it shows which tables this LinuxCNC loads, and what is wrong with them.
     """
     done: list[Check] = []
     for check in chain(checks(output), tables(machine_ini) if machine_ini else ()):

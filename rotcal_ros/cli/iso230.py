@@ -39,7 +39,7 @@ def command(
     """Evaluate RUNS: a table, or the result.json or bag of a plan with runs.
 
     The table, a workbook or a text in any form, has the table angle, run, direction (up or down)
-    and deviation; without run and direction the order of the rows tells them. Every target occurs
+    and deviation; without run and direction the order of the rows gives them. Every target occurs
     once in every run and direction. Every figure comes with its uncertainty: from the scatter of
     the runs, and from errors that all runs share. A result or bag knows the latter; for a table
     --device states them.

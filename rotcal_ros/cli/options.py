@@ -101,7 +101,7 @@ explain_option: Final = click.option(
 
 
 def announcer(*, explain: bool) -> Callable[[Reading], object]:
-    """Return what is told how a table was understood: in one line, or all for ``--explain``."""
+    """Return what prints how a table was understood: in one line, or all for ``--explain``."""
     from rotcal_ros.report.terminal.console import tell, understood
 
     return (lambda reading: tell(*reading.lines())) if explain else understood

@@ -1,4 +1,4 @@
-"""``rotcal plan``: the order of a ball plate's plan, what any could hide, and what it brings."""
+"""``rotcal plan``: the order of a ball plate's plan, what any could hide, and what it adds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
 
 NOISE_SEED: Final = 1
-"""Of the noise with which a plan is measured; what is found does not depend on it."""
+"""Seed of the noise with which a plan is measured; what is found does not depend on it."""
 touch_option = shown_option(
     "--touches", type=click.IntRange(min=1), default=15, help="Touch points per ball."
 )
@@ -65,7 +65,7 @@ def _refuse(error: ConfigurationError) -> None:
 
 @click.group(cls=PlanGroup)
 def command() -> None:
-    """Plan what to measure, in what order, what it could hide, and what another would bring."""
+    """Plan what to measure, in what order, what it could hide, and what another would add."""
 
 
 @command.command()
@@ -182,7 +182,7 @@ def reliability(
 )
 @json_option
 def add(additions: tuple[str, ...], present: tuple[Path, ...], as_json: bool) -> int:
-    """Print what each addition would bring to a table's calibration, before it is measured.
+    """Print what each addition would add to a table's calibration, before it is measured.
 
     For every METHOD (with its default settings) or CONFIG: the time that its plan takes, and the
     largest expanded uncertainty (k = 2) of each deviation when it is solved together with what
@@ -234,7 +234,7 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
     model = alone.of_curves(observations)
     if model is None:
         return JointInput(name, alone.solve(observations))
-    return JointInput(name, alone.untold(observations, model), model)
+    return JointInput(name, alone.unsolved(observations, model), model)
 
 
 def _present(path: Path, seed: int) -> JointInput:

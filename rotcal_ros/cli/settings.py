@@ -39,7 +39,7 @@ def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
 
     With a GROUP (plan, solver, topics, ...), what its settings mean; the unit stands before the
     comma. Without METHOD, those of all methods. Settings for experts, such as thresholds and
-    waits, which nobody has to touch in ordinary use, are left out without --expert or --all.
+    waits, which need no change in ordinary use, are left out without --expert or --all.
     --json has every setting, and marks the ones to state first and those for experts.
     docs/settings.md has the same content: both come from the declarations that configurations
     are checked against.

@@ -22,7 +22,7 @@ AGE: Final = "age"
 CONFLICTS: Final = (AXIS, SERIAL, AGE)
 """The words that accept contradictions, one for each kind."""
 UNVERIFIED: Final = "unverified"
-"""Accepts what nobody has confirmed of a controller; no contradiction."""
+"""Accepts what has not been confirmed of a controller; no contradiction."""
 ACCEPT: Final = "accept"
 """The setting that a refusal asks for: its answers are such words, each with the reason."""
 LARGEST_AGE_DAYS: Final = 30.0

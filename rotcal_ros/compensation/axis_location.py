@@ -1,6 +1,6 @@
 """Where rotary axes stand, as the parameters of a controller's kinematics.
 
-A result of :mod:`~rotcal_ros.methods.table_balls` tells the axis average line of the table, and
+A result of :mod:`~rotcal_ros.methods.table_balls` gives the axis average line of the table, and
 of the axis that tilts it, in the machine's coordinates. A controller that moves the tool with the
 table has numbers for this; each kind writes its own (:meth:`.controller.Controller.locate`).
 """
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 KIND: Final = "rotcal_axis_location"
 DECIMALS: Final = 6
-"""Of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
+"""Decimals of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
 
 
 def in_words(line: AxisLine) -> str:
@@ -48,7 +48,7 @@ class Located:
     """What a controller is given: ``files`` by name, and ``notes`` on what they leave.
 
     ``values`` are the parameters by name, in the unit of the controller. ``unverified``: what
-    nobody has confirmed on a real control.
+    has not been confirmed on a real control.
     """
 
     files: Mapping[str, str]
@@ -69,12 +69,12 @@ def prepare_location(
     accept_unverified: bool = False,
     sources: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the files that tell a ``controller`` where the axes are, and what to know of them.
+    """Return the files that show a ``controller`` where the axes are, and what to know of them.
 
     ``stem`` is the file name without extension (else axis, controller, "axis"), ``sources`` maps
     what the numbers come from to its SHA-256. Raises DataError for a verdict other than "ok" and a
     result without place, ConfigurationError for a controller that has no such parameters, or whose
-    meaning nobody has verified unless ``accept_unverified``. Writes nothing.
+    meaning is not verified, unless ``accept_unverified``. Writes nothing.
     """
     check_verdict(result)
     if not result.axes:

@@ -62,7 +62,7 @@ class BridgeSettings:
     )
     busy_command: tuple[str, ...] = expert(
         (),
-        doc="command that tells whether the table may be changed: exit code 0: yes, 1: no, with "
+        doc="command that reports whether the table may be changed: exit code 0: yes, 1: no, with "
         "the reason as output; empty: the controller's own settings decide",
     )
     max_change_arcsec: float = setting(

@@ -61,7 +61,7 @@ class Rule(Protocol):
 class Controller(ABC):
     """One kind of controller; a subclass declares its settings, all of them with a default.
 
-    ``position_resolution`` (rad) is the step of the positions in a file, ``staircase`` tells that
+    ``position_resolution`` (rad) is the step of the positions in a file, ``staircase`` says that
     the control does not interpolate between them. ``suffixes`` are the endings of the names of its
     files; without them files that were copied by hand are not recognised before the first change.
     """
@@ -153,7 +153,7 @@ class Controller(ABC):
 
     @property
     def busy_command(self) -> tuple[str, ...]:
-        """Command that tells whether the machine is at work; see :mod:`.feed`; empty: none."""
+        """Command that reports whether the machine is at work; see :mod:`.feed`; empty: none."""
         return ()
 
 

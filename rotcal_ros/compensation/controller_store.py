@@ -94,7 +94,7 @@ STATE_FOLDER: Final = ".rotcal"
 """Folder below the controller's: lock, journal, and earlier tables."""
 LOCK: Final = "lock"
 OWNER: Final = "controller"
-"""In the state folder: the address of the controller that the journal is about."""
+"""File in the state folder with the address of the controller that the journal is about."""
 
 
 class ControllerFolder:

@@ -34,7 +34,7 @@ def to_be_in_force(
 
     It is ``table`` itself, or ``table`` added to the one in the folder ``add_to``; all have to
     belong to the same machine. ``measured_ns`` is when it was measured (since 1970), if the table
-    does not tell that. ``replaces``: a person says that none was in force. Raises
+    does not say so. ``replaces``: a person says that none was in force. Raises
     DataError for a contradiction that is not ``accepted``, and if nothing says what was in force;
     ConfigurationError if both options are given.
     """

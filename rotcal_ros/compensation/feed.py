@@ -499,7 +499,7 @@ class Exchange:
         if now_ns < self.journal.last_ns():
             raise ControllerError(
                 "the clock is behind the last change in the journal, so tables measured before "
-                "and after it could not be told apart: set the clock; nothing was changed"
+                "and after it could not be distinguished: set the clock; nothing was changed"
             )
         kept = self.journal.keep(before, now_ns)
         hashes = contents_hash(before), contents_hash(wanted)

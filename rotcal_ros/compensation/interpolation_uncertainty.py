@@ -31,7 +31,7 @@ GAP: Final = 1.5
 """A distance above this multiple of the median distance of the angles is a gap."""
 
 Weights = Callable[[DirectionalCurve, Floats], Floats]
-"""For a curve and m angles (rad): the matrix (m, n) that a table applies to its n values."""
+"""Returns for a curve and angles (m,), rad, the weights (m, n) of a table on its n values."""
 
 
 def without_gaps(

@@ -123,7 +123,7 @@ class LinuxCnc(EveryTurnController):
     home_deg: float = setting(0.0, doc="deg, HOME of the joint, where the trim begins with 0")
     kinematics: str = setting(
         KINEMATICS[0],
-        doc="that get the place of the axes, in mm; machine_ini tells both",
+        doc="that get the place of the axes, in mm; machine_ini states both",
         choices=KINEMATICS,
     )
 
@@ -451,7 +451,7 @@ def _behind_note(following: Following, steepest: float, feed: float, behind: flo
 
 
 LARGEST_TRIM_DEG = 1.0
-"""Nobody compensates more than this; trims read as positions give angles of the whole travel."""
+"""No table compensates more than this; trims read as positions give angles of the whole travel."""
 
 
 def hook_up(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:

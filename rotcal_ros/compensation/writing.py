@@ -89,7 +89,7 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
 
 
 def stem_of(asked: str | None, usual: str, *, simulated: bool) -> str:
-    """Return the name that was ``asked`` for, else the ``usual`` one, which tells a simulation."""
+    """Return the name that was ``asked`` for, else the ``usual`` one, which names a simulation."""
     return check_stem(asked or (f"{usual}_{SIMULATED}" if simulated else usual).lower())
 
 

@@ -1,4 +1,4 @@
-"""Tells whether two deviation curves of one table agree within their uncertainties.
+"""Tests whether two deviation curves of one table agree within their uncertainties.
 
 Differences are aligned by the offset that no method can know: their mean is subtracted. The
 uncertainty of that mean and its correlation with every value are part of the divisor of the
@@ -258,7 +258,7 @@ def _suspicion(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floa
 
 
 ALIKE: Final = 0.9
-"""From this correlation on two curves have the same shape."""
+"""Correlation above which two curves have the same shape."""
 SCALES: Final = {
     3600.0: "degrees taken for arcseconds",
     180.0 / pi * 3600.0: "radians taken for arcseconds",

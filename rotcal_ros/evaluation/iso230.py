@@ -87,7 +87,7 @@ class BidirectionalRuns:
         if shape[0] < 2 or shape[1] < 2:
             raise DataError(
                 f"{shape[0]} targets and {shape[1]} runs: a spread needs at least 2 of both, and "
-                "the standard asks for 5 runs"
+                "the standard requires 5 runs"
             )
         for name, values in (("forward", self.forward), ("reverse", self.reverse)):
             if not np.all(np.isfinite(values)):
@@ -203,9 +203,9 @@ def _short_of_the_standard(runs: BidirectionalRuns) -> list[str]:
     targets, n = runs.forward.shape
     notes = []
     if n < 5:
-        notes.append(f"{n} runs in each direction, the standard asks for 5")
+        notes.append(f"{n} runs in each direction, the standard requires 5")
     if targets < wanted:
-        notes.append(f"{targets} targets over {travel:.4g} deg, the standard asks for {wanted}")
+        notes.append(f"{targets} targets over {travel:.4g} deg, the standard requires {wanted}")
     return notes
 
 
@@ -361,7 +361,7 @@ def read_any_runs(
 ) -> BidirectionalRuns:
     """Return the runs in a table of another form: deviations at table angles, in any unit.
 
-    Columns tell run and direction, or the order of the rows. ``sheet`` says what the table leaves
+    Columns state run and direction, or the order of the rows. ``sheet`` says what the table leaves
     open, ``announce`` is given how it was understood. Raises as :func:`read_runs`.
     """
     reading = read_any(path, (("position", "deviation_rad"),), sheet)
@@ -375,7 +375,7 @@ def read_any_runs(
     if not reading.both_directions:
         raise DataError(
             f"{path}: all angles were approached in one direction, or once: ISO 230-2 needs runs "
-            "up and down; a column 'direction' tells them, and so does the order of the rows"
+            "up and down; a column 'direction' states them, and so does the order of the rows"
         )
     rows = []
     for row, (run, down) in zip(reading.table.rows(), reading.passes, strict=True):

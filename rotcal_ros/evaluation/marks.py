@@ -209,7 +209,7 @@ def _all(agreed: Mapping[str, float]) -> str:
 
 
 SURELY_WRONG: Final = 2.0
-"""In U, so four standard uncertainties: no honest curve is that far from the truth."""
+"""Distance in U, four standard uncertainties: no honest curve is that far from the truth."""
 
 
 def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:
@@ -231,7 +231,7 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
 
 
 def beside_the_curves(result: Result, *, valid: bool) -> list[str]:
-    """Return what is told beside the deviations, in a sentence each; with U where ``valid``."""
+    """Return what is said beside the deviations, in a sentence each; with U where ``valid``."""
     return [*(_line(axis, valid=valid) for axis in result.axes), *reversals(result, valid=valid)]
 
 

@@ -1,4 +1,4 @@
-"""The quick check: a new measurement tells whether an earlier curve still describes the table.
+"""The quick check: a new measurement shows whether an earlier curve still describes the table.
 
 The rule with its risks and sources is in :mod:`rotcal_ros.planning.check_rule`.
 """

@@ -62,7 +62,7 @@ def read_deviations(
 
 
 def _require_known_factor(reading: Reading) -> None:
-    """Raise DataError for an uncertainty of which nobody says whether it is expanded."""
+    """Raise DataError for an uncertainty that is not said to be standard or expanded."""
     named = reading.table.header[2]
     use = reading.uses.get(TableColumn.of(named).name)
     text = named if use is None else use.text
@@ -80,7 +80,7 @@ def read_reference(table: Table, std: float | None = None) -> MeasuredCurve:
     Deviation = actual - commanded; u is the standard uncertainty (k = 1) of each value,
     independent of the others; ``std`` (rad) replaces it if the column is absent. A row at 360 deg
     repeats the one at 0 and must equal it within 4 standard uncertainties. Raises BagError for
-    other columns, DataError with the wrong row, or if nobody states u.
+    other columns, DataError with the wrong row, or if u is not stated.
     """
     require_header(table, (COLUMNS, COLUMNS[:2]))
     rows = []

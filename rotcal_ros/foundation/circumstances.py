@@ -53,7 +53,7 @@ class Circumstances:
     """Circumstances of a measurement.
 
     ``simulated``: no instrument measured, a simulation did. Times are nanoseconds since 1970 of
-    the machine's clock, None if a table has none: then ``identity.measured`` may tell the day;
+    the machine's clock, None if a table has none: then ``identity.measured`` may state the day;
     ``temperature_c`` degrees Celsius, ``pressure_pa`` of the air, ``humidity`` relative, 0 to 1:
     what was captured, else what the configuration states. ``refraction`` says in words who
     corrects the lengths for the index of refraction of the air; empty without lengths.

@@ -13,7 +13,7 @@ from typing import Final
 LEAST_NS: Final = 50_000_000
 """A smaller step does not count, since two clocks cannot be read at the same instant."""
 NAMED_NS: Final = 30_000_000_000
-"""From this size on a jump is reported to a person at once."""
+"""Size from which a jump is reported to a person at once."""
 _CLOSE_NS: Final = 5_000_000
 _TRIES: Final = 10
 _REMEMBERED: Final = 100

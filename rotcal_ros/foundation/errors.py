@@ -75,7 +75,7 @@ class GeometryError(DataError):
 
 
 class ObservabilityError(DataError):
-    """The geometry cannot tell what was asked; the text names the weak direction."""
+    """The geometry cannot determine what was asked for; the text names the weak direction."""
 
 
 class ControllerError(RotcalError):

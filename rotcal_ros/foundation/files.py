@@ -95,7 +95,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
 def scratch_folder(parent: Path) -> Iterator[Path]:
     """Make a folder in ``parent`` for unfinished files; it is gone afterwards.
 
-    Nobody else may enter it: under a name that can be guessed, a planted link would redirect the
+    No other user may enter it: under a name that can be guessed, a planted link would redirect the
     writing. If a failing disk does not release it, it stays behind.
     """
     folder = parent / f".rotcal-{secrets.token_hex(8)}"

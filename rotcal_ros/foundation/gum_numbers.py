@@ -1,6 +1,6 @@
 """Numbers as people see them: two significant digits of U, the value to the same place.
 
-The GUM asks for this (JCGM 100:2008, 7.2.6). U is always an expanded uncertainty, with the
+The GUM requires this (JCGM 100:2008, 7.2.6). U is always an expanded uncertainty, with the
 coverage factor of :mod:`~rotcal_ros.foundation.components`.
 """
 

@@ -88,7 +88,7 @@ class Identity:
     received: str = expert("", doc="date on which the item was received, as 2026-03-31")
     measured: str = setting(
         "",
-        doc="day or local time of the measurement, where the data tell no date: 2026-03-31 or "
+        doc="day or local time of the measurement, where the data state no date: 2026-03-31 or "
         "2026-03-31T10:00",
     )
     tolerance_arcsec: float = setting(

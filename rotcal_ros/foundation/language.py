@@ -28,7 +28,7 @@ JOINTS: Final = ("; ", ": ", ", ")
 LONGEST: Final = 4000
 """Letters of a text that is still taken apart."""
 MOST_LETTERS: Final = 200
-"""Of words before a mere blank."""
+"""Most letters of the words before a mere blank."""
 LETTERS: Final = 7
 """An entry with fewer beside its places may have made a text, if no others did piece by piece."""
 DEPTH: Final = 6
@@ -117,7 +117,7 @@ class Template:
 class Language:
     """One language: ``texts`` are English ones with their translations.
 
-    ``templates`` are those among them that have places, the most telling ones first: those with
+    ``templates`` are those among them that have places, the most specific ones first: those with
     LETTERS, and the rest.
     """
 
@@ -207,9 +207,9 @@ def language(code: str) -> Language:
     texts = {_joined(english): _joined(translated) for english, translated in entries}
     texts = {english: text for english, text in texts.items() if english and text}
     templates = [Template.of(*entry) for entry in texts.items() if _PLACE.search(entry[0])]
-    telling = sorted(templates, key=lambda template: template.letters, reverse=True)
-    whole = [template for template in telling if template.letters >= LETTERS]
-    short = [template for template in telling if 0 < template.letters < LETTERS]
+    specific = sorted(templates, key=lambda template: template.letters, reverse=True)
+    whole = [template for template in specific if template.letters >= LETTERS]
+    short = [template for template in specific if 0 < template.letters < LETTERS]
     return Language(code, texts, (whole, short))
 
 

@@ -99,7 +99,7 @@ class Why(IntEnum):
 RELEASED: Final = frozenset({Why.RELEASED, Why.RELEASED_AND_WORK})
 """An emergency stop is over, and a person has to resume."""
 STOPS: Final = frozenset({Why.STOPPED, *RELEASED})
-"""Safety has stopped the cell, and nobody but a person lets it go on."""
+"""Safety has stopped the cell, and only a person lets it go on."""
 PAUSES: Final = frozenset({Why.WORK, *STOPS})
 """A goal waits for a person."""
 
@@ -124,7 +124,7 @@ class Reason:
 
     @property
     def instruction(self) -> str | None:
-        """What a person has to do before a goal goes on; None if it waits for nobody."""
+        """What a person has to do before a goal goes on; None if it does not wait for one."""
         if self.code not in PAUSES:
             return None
         return phrase(INSTRUCTIONS[self.code], *self.arguments, "", "")

@@ -231,5 +231,5 @@ class Observation:
 
     @property
     def captured(self) -> bool:
-        """Whether a window of samples was captured; a row of a table may tell a time, but none."""
+        """Whether a window of samples was captured; a row of a table has none, at most a time."""
         return self.window_start_ns > 0

@@ -63,7 +63,7 @@ OF_EXTENSIONS: Final = {
 """Names from extensions of this package; if they are missing, errors say what to install."""
 _OWN: Final = "rotcal_ros"
 NOT_INSTALLED: Final = f"; its extension is not installed: pip install {_OWN}"
-"""Hint at a name that an extension of this package brings."""
+"""Hint at a name that an extension of this package provides."""
 _LONGEST: Final = 80
 """Most characters of an unknown name that are compared with the existing ones."""
 
@@ -134,7 +134,7 @@ def extension(group: str, name: str, what: str) -> Any:
 def node_module(name: str) -> str:
     """Return the module of a node, which is a command of this package.
 
-    Raises ConfigurationError if the extension that brings it is not installed.
+    Raises ConfigurationError if the extension that provides it is not installed.
     """
     scripts = distribution(_OWN).entry_points.select(group="console_scripts", name=name)
     for script in scripts:
@@ -171,7 +171,7 @@ def in_words(error: BaseException) -> str:
 
 
 def _foreign(package: str) -> list[tuple[str, EntryPoint]]:
-    """Return the plug-ins that another ``package`` brings, with their kinds in words."""
+    """Return the plug-ins that another ``package`` provides, with their kinds in words."""
     return [
         (what, point)
         for group, what in KINDS.items()

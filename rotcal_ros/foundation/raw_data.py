@@ -114,7 +114,7 @@ class RawData:
         return cls(hashes, begun, ended)
 
     def tied(self, to: Floats) -> RawData:
-        """Return the same of a result that is ``to`` (k, m) times this one."""
+        """Return the raw data of a result that is ``to`` (k, m) times this one."""
         found = self.influence
         return self if found is None else replace(self, influence=found.tied(to))
 

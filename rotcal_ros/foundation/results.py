@@ -117,7 +117,7 @@ class ErrorMotion:
 
     @property
     def estimated(self) -> bool:
-        """Whether the circle, not the statement, tells what is used."""
+        """Whether the circle, not the statement, gives what is used."""
         return self.stated is None or self.used > self.stated
 
 

@@ -12,10 +12,10 @@ VERIFICATION: Final = "verification.json"
 REQUEST: Final = "verify.json"
 """The request of a verification, beside its first session."""
 CONFIGURATION: Final = "configuration.yaml"
-"""In a session's folder, and as an attachment in its bag."""
+"""File in a session's folder, and attachment in its bag."""
 
 MEETING_POINT: Final = "running.json"
-"""In a session's folder while it runs: the address of its socket."""
+"""File in a session's folder while it runs, with the address of its socket."""
 
 
 @dataclass(frozen=True, slots=True)

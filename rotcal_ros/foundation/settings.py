@@ -36,7 +36,7 @@ class SettingInfo:
     """What a setting means: ``description`` with the unit, and its inclusive range.
 
     ``first``: to measure a real table, somebody has to state it or at least look at it.
-    ``expert``: in ordinary use nobody touches it.
+    ``expert``: it needs no change in ordinary use.
     """
 
     description: str
@@ -84,8 +84,8 @@ def setting(
     ``doc`` is one sentence; the unit stands before its first comma. Without a default the setting
     is required. A list setting is a tuple; its range holds for every element. The choices of a
     Literal are those of its type. ``first`` marks the few settings of a method that have to be
-    stated to measure a real table: they are shown before all others. ``expert`` marks what nobody
-    has to touch in ordinary use, such as thresholds, waits and rates: it is shown to who asks.
+    stated to measure a real table: they are shown before all others. ``expert`` marks what needs
+    no change in ordinary use, such as thresholds, waits and rates: it is shown on request.
     """
     metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices), first, expert)}
     if default is MISSING:
@@ -94,7 +94,7 @@ def setting(
 
 
 expert: Final = partial(setting, expert=True)
-"""Declare a setting that nobody has to touch in ordinary use."""
+"""Declare a setting that needs no change in ordinary use."""
 
 
 def group(cls: type[Any], *, expert: bool = False) -> Any:

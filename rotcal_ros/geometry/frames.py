@@ -50,7 +50,7 @@ class Pose:
 
 
 class FrameTree:
-    """Frames that stand still; of a child that is told twice the last one counts.
+    """Frames that stand still; of a child that is stated twice the last one counts.
 
     What cannot be used is left out; a name may begin with a slash, as old ones do.
     """
@@ -81,7 +81,7 @@ class FrameTree:
 
 
 def pose_of(frame: StaticFrame) -> Pose:
-    """Return a transform as a pose; its quaternion is brought to norm 1 (it must not be 0)."""
+    """Return a transform as a pose; its quaternion is scaled to norm 1 (it must not be 0)."""
     x, y, z, w = np.asarray(frame.rotation) / np.linalg.norm(frame.rotation)
     axes = np.array(
         [

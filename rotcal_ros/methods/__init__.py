@@ -1,9 +1,9 @@
-"""The methods: what each brings so that nodes, replay and report need not ask.
+"""The methods: what each provides so that nodes, replay and report need not ask.
 
 A :class:`Method` says how its settings become a plan, how streams become observations, and how
 these are solved. :func:`prepare` turns a configuration into a :class:`Calibration`, which the live
 solver and the offline replay use alike. A name is loaded when it is first asked for: what can be
-set is told without what makes plans and solves.
+set is known without loading what makes plans and solves.
 """
 
 from __future__ import annotations

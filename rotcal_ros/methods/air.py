@@ -48,7 +48,7 @@ class Refraction:
         return EQUATIONS.get(self.settings.refraction) if self.lengths else None
 
     def require_sources(self, capture: CaptureSettings) -> None:
-        """Raise ConfigurationError, before anything moves, for air that nobody will tell."""
+        """Raise ConfigurationError, before anything moves, for air that will not be reported."""
         if self.equation is None:
             return
         for column, (topic, quantity) in _COLUMNS.items():
@@ -73,7 +73,7 @@ class Refraction:
     def corrected(self, observations: Observations) -> tuple[Observation, ...]:
         """Return the observations with lengths of distance instead of optical path.
 
-        Raises DataError where an observation does not tell the air.
+        Raises DataError where an observation does not report the air.
         """
         return self._over(observations, 0.0)
 
@@ -81,7 +81,7 @@ class Refraction:
         """Solve corrected observations; what the index is uncertain by is part of the result.
 
         One error of the sensors and of the equation is common to all lengths: the solution with
-        every index larger by its standard uncertainty tells what that does to each deviation.
+        every index larger by its standard uncertainty shows what that does to each deviation.
         """
         if self.equation is None:
             return solve(tuple(observations))

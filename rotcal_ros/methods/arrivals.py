@@ -29,7 +29,7 @@ from rotcal_ros.planning.table_angles import visits
 class Arrivals:
     """To which of ``targets`` (k,) rad each station of a result belongs, and when it was.
 
-    ``target``, ``run`` (m,) count from 0, ``upward`` (m,) tells the side of the approach.
+    ``target``, ``run`` (m,) count from 0, ``upward`` (m,) is the side of the approach.
     """
 
     targets: Floats

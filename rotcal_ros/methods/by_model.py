@@ -45,7 +45,7 @@ TRUE_SIZE: Final = 2.0
 
 
 def tables_of_also(result: Result) -> list[ResultTable]:
-    """Return what the model tells beside the deviations, a table for each name."""
+    """Return what the model determines beside the deviations, a table for each name."""
     factor, label = SHOWN_IN["rad" if result.residuals is None else result.residuals.unit]
     unit = label.replace("µ", "u")
     return [
@@ -82,8 +82,8 @@ class ByModel:
     The first observations of a model are the readings, in their order, of as many ``coordinates``
     each. Its outputs are the deviations at the first table positions of the plan, one of the
     ``components`` after the other; ``further`` outputs below them count in every test. Rows of
-    ``untold`` deviations are of those that the model has, and other instruments may tell.
-    ``states`` tells what the engine cannot know; all that every method lists has to be said.
+    ``untold`` deviations are of those that the model has, and other instruments may determine.
+    ``states`` says what the engine cannot know; all that every method lists has to be said.
     ``counts_from``: what they count from, see :class:`~rotcal_ros.foundation.results.Zeros`.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
     the result, and the curves from each side. ``nominal``: what is read at a step where nothing is
@@ -136,7 +136,7 @@ class ByModel:
     def of_curves(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
     ) -> CurveModel:
-        """Return what accepted observations tell of the curves, to be solved with others.
+        """Return what accepted observations determine of the curves, to be solved with others.
 
         Where the table comes to its angles from both sides, of the mean.
         """
@@ -250,7 +250,7 @@ class ByModel:
     def _wandering(self, model: Model, sizes: Sizes, random: np.random.Generator) -> Floats:
         """Return the unknowns (p,) of a table that wanders by ``sizes``, and of what is wrong.
 
-        Only of a model with blocks of that name: what another cannot tell is harmless to it.
+        Only of a model with blocks of that name: what another cannot determine is harmless to it.
         """
         moved, largest = np.zeros(model.size[1]), max(model.blocks.values())
         every = table_deviations(largest, sizes, random)

@@ -57,7 +57,7 @@ class Calibration:
 
     @property
     def method(self) -> Method:
-        """What the method of the configuration brings."""
+        """What the method of the configuration provides."""
         return self.configuration.method
 
     @cached_property
@@ -180,7 +180,7 @@ class Calibration:
     def beams_m(self) -> tuple[float, float]:
         """The shortest and the longest beam of the plan, m.
 
-        Where nobody says where the instrument stands, by the distances between the targets.
+        Where the place of the instrument is not stated, by the distances between the targets.
         """
         stands = [(step, self.stand_at(step)) for step in self.plan.steps]
         beams = [dist(step.position, at) for step, at in stands if at is not None]
@@ -206,7 +206,7 @@ class Calibration:
     def trials(self, observations: Iterable[Observation]) -> Trials:
         """Prepare Monte Carlo trials about the observations that count."""
         if self.method.trials is None:
-            raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
+            raise ConfigurationError(f"the method {self.method.name} has no Monte Carlo trials")
         used = self.refraction.corrected(self._that_count(observations))
         return self.method.trials(self.configuration, self.plan, used)
 
@@ -222,10 +222,10 @@ class Calibration:
         used = self._that_count(observations)
         return self.refraction.of_curves(used, partial(find, self.configuration, self.plan))
 
-    def untold(self, observations: Iterable[Observation], model: CurveModel) -> Result:
+    def unsolved(self, observations: Iterable[Observation], model: CurveModel) -> Result:
         """Return a result that says nothing: of observations that need those of others.
 
-        ``model``: what they are with them. It has the components that its curves tell.
+        ``model``: what they are with them. It has the components that its curves determine.
         """
         used, count = self._that_count(observations), len(model.angles)
         names, each = [c for c in model.curves if c not in model.mixed], np.eye(count)
@@ -301,7 +301,7 @@ class Calibration:
         return f"run {left.run}: {ahead}{more}"
 
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
-        """Return in words what a person has to correct, as far as the method can tell."""
+        """Return in words what a person has to correct, as far as the method can say."""
         if self.method.check is None:
             return ()
         used = self.refraction.corrected(final_observations(observations))
@@ -311,8 +311,8 @@ class Calibration:
         """Return one exact observation for every step of the plan, the table being perfect."""
         if self.method.nominal is None:
             raise ConfigurationError(
-                f"{self.configuration.source}: the method {self.method.name} does not tell what "
-                "is seen without error: give a recorded bag instead of the configuration"
+                f"{self.configuration.source}: the method {self.method.name} does not predict "
+                "what is seen without error: give a recorded bag instead of the configuration"
             )
         see = self.method.nominal(self.configuration, self.plan)
         return tuple(step.observed(see(step)) for step in self.plan.steps)
@@ -334,7 +334,7 @@ class Calibration:
 
 
 def stated_circumstances(configuration: Configuration) -> Circumstances:
-    """Return what a configuration alone tells of the circumstances."""
+    """Return what a configuration alone states of the circumstances."""
     air = configuration.air
     return Circumstances(
         simulated=configuration.simulated,

@@ -17,7 +17,7 @@ class CheckLine:
 
     ``part`` groups the lines of a table, a probe, a tracer ...; ``found`` is what was found of
     ``name``; ``todo`` what a person should do about it, empty where there is nothing. ``state``
-    missing: nothing can be measured; doubt: it looks wrong; open: nobody can know it here; note:
+    missing: nothing can be measured; doubt: it looks wrong; open: it cannot be known here; note:
     for information. ``rate_hz`` and ``stamp_offset_s`` (stamp less time of arrival) are those of
     a stream; None: there is none.
     """
@@ -35,9 +35,10 @@ class CheckLine:
 class DriverCheck:
     """What a check says of a driver before ``rotcal run`` starts it, by its group's settings.
 
-    ``brings``: the streams that it will tell, and the orders that it will obey. ``look``: the line
-    of its device, told whether its node is here and whether the cell is simulated; None: no line.
-    ``ears``: what hears the table behind it, made of a node and a configuration; None: nothing is.
+    ``brings``: the streams that it will publish, and the orders that it will obey. ``look``: the
+    line of its device, given whether its node is here and whether the cell is simulated; None: no
+    line. ``ears``: what hears the table behind it, made of a node and a configuration; None:
+    nothing is.
     """
 
     brings: Callable[[Any], Sequence[str]]

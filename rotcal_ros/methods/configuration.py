@@ -6,7 +6,7 @@ or have ``method`` and the groups at the top. There, in short, settings of the p
 solver may stand without their group.
 
 Long lists of a plan may stand in files of their own, which the configuration names: as it is read,
-its text takes their contents in the place of the names (:func:`configuration_text`). What is
+its text takes their contents in place of the names (:func:`configuration_text`). What is
 recorded has to be whole: its hash, the session's folder, the goal of a run and the bag hold that
 text.
 """
@@ -129,7 +129,7 @@ class Configuration:
     extensions: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def group(self, name: str) -> Any:
-        """Return the settings of a group, be it one of ours or of an extension."""
+        """Return the settings of a group, of this package or of an extension."""
         return self.extensions[name] if name in self.extensions else getattr(self, name)
 
     @property
@@ -312,9 +312,9 @@ def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> 
 
 
 def _with_contents(text: str, source: str, folder: Path) -> str:
-    """Return configuration text with the lists in the place of the names of files in ``folder``.
+    """Return configuration text with the lists in place of the names of files in ``folder``.
 
-    Nobody needs the files again. All else of the text stays, comments as well.
+    The files are not needed again. All else of the text stays, comments as well.
     Raises ConfigurationError, with ``source`` and the setting, for a file that cannot be read and
     for a list that is given twice.
     """
@@ -433,7 +433,7 @@ def short_names(method: Method) -> dict[str, str]:
 
 
 def _require_alone(text: str, source: str, group: Any, name: str) -> None:
-    """Raise ConfigurationError where something that nobody reads stands beside ``name``."""
+    """Raise ConfigurationError where something that is not read stands beside ``name``."""
     if not (isinstance(group, Mapping) and name in group):
         return
     for other in group:
@@ -442,7 +442,7 @@ def _require_alone(text: str, source: str, group: Any, name: str) -> None:
             line = line_of(text, *above, str(other))
             raise ConfigurationError(
                 f"{source}: {f'line {line}: ' if line else ''}{other!r:.80} stands beside "
-                f"{name!r}, where nobody reads it: take it out, or put it where it belongs, in a "
+                f"{name!r}, where it is not read: take it out, or put it where it belongs, in a "
                 f"group below '{ALL_NODES}: {PARAMETERS}:'"
             )
 

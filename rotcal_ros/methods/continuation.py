@@ -75,7 +75,7 @@ class Recorded:
         try:
             return record(cls, load_json(text, finite=False))
         except ValueError as error:
-            raise DataError(f"not what a recorder tells of its session: {error}") from error
+            raise DataError(f"not what a recorder reports of its session: {error}") from error
 
 
 def continued(

@@ -167,7 +167,7 @@ class DryRun:
         return CheckLine(PART, "time", "note", f"about {in_words(seconds)}, with {why}")
 
     def _window_s(self) -> float:
-        """Return how long the capture needs at a step at least; 0 where nobody knows it."""
+        """Return how long the capture needs at a step at least; 0 where it is not known."""
         capture = self.calibration.configuration.capture
         if not self.tracer_hz:
             return 0.0

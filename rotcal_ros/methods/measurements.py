@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 TARGETS_FILE: Final = "targets"
 """Stem of the file of targets beside a table of lengths."""
 TIME: Final = "time_s"
-"""A last column that tells when a row was read, from any moment on."""
+"""A last column that states when a row was read, from any moment on."""
 LATEST_S: Final = 9e9
 """Nanoseconds beyond are no numbers of 64 bits."""
 
@@ -144,7 +144,7 @@ def _plan_of(reading: Reading, method: Method) -> dict[str, Any]:
     if reader is None or (reading.runs > 1 and not reader.runs):
         raise DataError(
             f"{reading.table.path}: the table comes to its angles in {reading.runs} runs, which "
-            f"the method {method.name} does not tell apart: keep one, and solve each for itself"
+            f"the method {method.name} does not distinguish: keep one, and solve each for itself"
         )
     plan |= {"bidirectional": True} if reading.both_directions else {}
     plan |= {reader.runs: reading.runs} if reading.runs > 1 else {}
@@ -196,7 +196,7 @@ def read_targets(
 
 
 def _known_of_plan(configuration: Configuration, columns: Mapping[str, str]) -> dict[str, Known]:
-    """Return the numbers that ``columns`` may have, by the field of a step that each tells."""
+    """Return the numbers that ``columns`` may have, by the field of a step that each holds."""
     plan = prepare(configuration).plan
     down = (step for step in plan.steps if step.approach is Approach.NEGATIVE)
     downward = frozenset(step.table_position for step in down)
@@ -246,7 +246,7 @@ def planned_table(
 
 
 def read_at(row: Row, observation: Observation) -> Observation:
-    """Return the observation with the time that its row tells, if it tells one."""
+    """Return the observation with the time that its row states, if it states one."""
     if TIME not in row.cells:
         return observation
     seconds = row.number(TIME)
@@ -269,8 +269,8 @@ class RowStepFinder:
     """Finds the step of the plan that a row measures, and refuses it twice.
 
     What the plan measures again, as a plan that closes does, may stand in the table again.
-    ``columns`` of the table, each with the field of a step that it tells: ``table_position``,
-    ``target`` or ``station``. A field that no column tells counts as the same everywhere.
+    ``columns`` of the table, each with the field of a step that it holds: ``table_position``,
+    ``target`` or ``station``. A field that no column holds counts as the same everywhere.
     """
 
     def __init__(self, plan: Plan, columns: Mapping[str, str]) -> None:

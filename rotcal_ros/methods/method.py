@@ -1,4 +1,4 @@
-"""What a method brings, so that nodes, replay and report need not know which one it is."""
+"""What a method provides, so that nodes, replay and report need not know which one it is."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class TableReader:
 
     ``read`` takes the configuration, the table and that of targets, if any, and returns what was
     measured; DataError names file and row of what cannot be. ``columns`` are those of numbers from
-    0, each with the field of a :class:`~.planning.plan.Step` that it tells. ``targets`` is the
+    0, each with the field of a :class:`~.planning.plan.Step` that it holds. ``targets`` is the
     header of a table of targets; empty where there is none. ``runs`` is the setting of the plan
     that counts how often it goes through the table angles; empty: once only. A plan that does so
     again, or in both directions, has the settings ``again`` too.
@@ -103,7 +103,7 @@ class TableReader:
 
 
 DEFAULT: Final = "tracer_multistation"
-"""The method of a node or a simulation for which nobody has chosen."""
+"""The method of a node or a simulation for which none was chosen."""
 
 
 def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Floats]:
@@ -131,7 +131,7 @@ def no_figures(_result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Fi
 
 @dataclass(frozen=True)
 class Method:
-    """What a method brings. Everything lies in one package, named by an entry point.
+    """What a method provides. Everything lies in one package, named by an entry point.
 
     ``name`` is that of configurations and results, ``title`` is for people, ``page`` the name of
     its page in the documentation. ``plan_settings``, ``solver_settings`` and
@@ -141,7 +141,7 @@ class Method:
     ``plan`` builds the plan from a configuration and refuses settings that cannot work;
     ``capture`` says how the streams become observations of its steps; ``solve`` turns a
     configuration, its plan and accepted observations into a result. ``simulated_instrument`` makes
-    the instrument of a simulated cell, ``nominal`` tells what one without error would see,
+    the instrument of a simulated cell, ``nominal`` computes what one without error would see,
     ``stations`` where the instruments stand.
 
     ``gauge`` takes from true deviations (n,) at angles (n,) what the method cannot see, so that
@@ -150,7 +150,7 @@ class Method:
     plan, not only the last one of each step.
 
     ``adaptive`` prepares the policy that measures until a goal is reached; ConfigurationError or
-    PlanError where it cannot be. ``compare`` tells what is known in advance of steps of the plan
+    PlanError where it cannot be. ``compare`` says what is known in advance of steps of the plan
     in their order, some of which gave no length, and of the plan that the method is known by.
 
     ``check_plan`` raises PlanError for a plan whose data could never be solved, before anything is
@@ -162,7 +162,7 @@ class Method:
 
     ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
-    says in words what the observations so far tell about a person's work (see
+    says in words what the observations so far show about a person's work (see
     :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``table`` reads plain tables,
     ``short_setup`` turns the entries of a short set-up into settings of plan and solver, by the
     last word of their names. ``figures`` draws what the method alone can show, ``tables`` lists

@@ -1,4 +1,4 @@
-"""A set-up for measurements of one's own: what it has to be told, and its text with comments."""
+"""A set-up for measurements of one's own: what it has to be given, and its text with comments."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ AIR: Final = ("air.temperature_c", "air.pressure_pa", "air.humidity")
 OF_THE_ITEM: Final = tuple(
     f"identity.{name}" for name in ("item", "serial", "place", "operator", "measured")
 )
-"""Asked for besides what a method has to be told first."""
+"""Asked for besides what a method has to be given first."""
 
 
 def known_settings(method: str) -> Known:
@@ -43,7 +43,7 @@ def known_settings(method: str) -> Known:
 
 
 def values_of_tables(method: str) -> dict[str, Any]:
-    """Return what a method has to be told because it is given a table."""
+    """Return what a method has to be given because it reads a table."""
     names = short_names(find_method(method))
     return {names[name]: value for name, value in find_method(method).short_setup({}).items()}
 

@@ -31,7 +31,7 @@ WORDED: Final = ("quantity", "used")
 """Columns whose cells are words of ours; other texts are names."""
 GAUGE: Final = {
     "prior": "in the frame of all stated coordinates, which weigh (datum prior)",
-    "free": "less a shift and a turn of all targets, which nothing tells (datum free)",
+    "free": "less a shift and a turn of all targets, which are not determined (datum free)",
 }
 """What corrections of targets count from, by the datum of the network."""
 

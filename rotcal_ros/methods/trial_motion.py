@@ -81,12 +81,12 @@ class TrialMotion:
 
     @cached_property
     def _began_s(self) -> float | None:
-        """When the feedback first told a motion; None: never."""
+        """When the feedback first reported a motion; None: never."""
         return _first(self.table[:, 0], np.abs(self._angles - self.start), self.way)
 
     @cached_property
     def _rest_s(self) -> float:
-        """When the feedback told the end of the motion."""
+        """When the feedback reported the end of the motion."""
         off = np.abs(self._angles - self._angles[-1]) > 0.1 * _NEARLY * abs(self._turned)
         last = np.flatnonzero(off)
         return float(self.table[last[-1] + 1, 0]) if len(last) else self.ordered_s
@@ -122,14 +122,14 @@ class TrialMotion:
         return CheckLine(PART, "sign", "missing", found, todo)
 
     def _lag(self, settings: CaptureSettings) -> CheckLine:
-        """Say how late the table begins, and how late its feedback tells it."""
+        """Say how late the table begins, and how late its feedback reports it."""
         assert self._began_s is not None
         found = f"moved {self._began_s - self.ordered_s:.2f} s after the order"
         seen_s = self._seen_s()
         if seen_s is None:
             return CheckLine(PART, "lag", "note", found)
         late_s = self._began_s - seen_s
-        found = f"{found}; its feedback told it {late_s:+.2f} s after the lengths"
+        found = f"{found}; its feedback reported it {late_s:+.2f} s after the lengths"
         if abs(late_s) <= max(_LATE_S, 0.5 * settings.settle_time_s):
             return CheckLine(PART, "lag", "good", found)
         todo = "let the feedback come without delay, or make capture.settle_time_s longer than it"
@@ -160,14 +160,15 @@ class TrialMotion:
         return float(np.median(after[-5:]) - np.median(self._before))
 
     def _rest(self, settings: CaptureSettings) -> CheckLine:
-        """Say whether motion and rest are told as they are."""
+        """Say whether motion and rest are reported as they are."""
         under_way = (self.table[:, 0] > self.ordered_s) & (self.table[:, 0] < self._rest_s)
         part = (self._angles - self.start) / (self._turned or 1.0)
         moving = self.table[under_way & (part > 0.2) & (part < 0.8), 2]
         slow = settings.velocity_tolerance_deg_s * DEGREE
         if len(moving) > 2 and np.all(np.abs(moving) <= slow):
             found = (
-                "the feedback told velocity 0 while the table moved: nobody knows when it rests"
+                "the feedback reported velocity 0 while the table moved: when it rests is not "
+                "known"
             )
             todo = (
                 "publish the true velocity beside the position, or none where an adapter is used"
@@ -178,15 +179,15 @@ class TrialMotion:
             return CheckLine(PART, "rest", "doubt", found, "publish both with the same sign")
         if (late_s := self._unrest_s()) > settings.settle_time_s:
             found = (
-                f"the lengths changed for {late_s:.2f} s after the feedback had told rest, longer "
-                f"than capture.settle_time_s = {settings.settle_time_s:g} s"
+                f"the lengths changed for {late_s:.2f} s after the feedback had reported rest, "
+                f"longer than capture.settle_time_s = {settings.settle_time_s:g} s"
             )
             return CheckLine(PART, "rest", "doubt", found, "make capture.settle_time_s longer")
         found = f"at rest {self._rest_s - self.ordered_s:.2f} s after the order"
         return CheckLine(PART, "rest", "good", found)
 
     def _unrest_s(self) -> float:
-        """Return how long the lengths went on to change after the table had told rest."""
+        """Return how long the lengths went on to change after the table had reported rest."""
         whole = self._seen_m()
         if whole is None or self._seen_s() is None:
             return 0.0
@@ -199,7 +200,7 @@ class TrialMotion:
         todo = "look from above: a positive angle is counter-clockwise"
         seen = self._seen_m()
         if seen is None or beams is None or abs(beams[0] - beams[1]) < 0.5 * max(map(abs, beams)):
-            found = "no instrument tells from here which way round the table turned"
+            found = "no instrument shows from here which way round the table turned"
             return CheckLine(PART, "handedness", "open", found, todo)
         well, wrong = beams
         found = f"the length changed by {seen / MILLIMETRE:+.3f} mm, counter-clockwise makes "
@@ -217,7 +218,7 @@ class TrialMotion:
 def beams_of(calibration: Calibration, motion: TrialMotion) -> tuple[float, float] | None:
     """Return by how much the length should change (m), and by how much if clockwise.
 
-    None where nobody says where the tracer rides, or where the probe is.
+    None where it is not stated where the tracer rides, or where the probe is.
     """
     place, probe = calibration.place_on_table(), motion.probe
     if place is None or probe is None or not all(map(isfinite, probe)):

@@ -34,7 +34,7 @@ class Choice:
     standing: Standing
 
     def same_as(self, other: Choice) -> bool:
-        """Tell whether both choose the same, for the same reason, to the last bit."""
+        """Return whether both choose the same, for the same reason, to the last bit."""
         mine, theirs = self.standing, other.standing
         pairs = ((mine.uncertainty, theirs.uncertainty), (mine.goal, theirs.goal))
         return (

@@ -1,4 +1,4 @@
-"""Tells whether a topic, diagnostics, or their silence stop the cell; without ROS.
+"""Decides whether a topic, diagnostics, or their silence stop the cell; without ROS.
 
 This is not a safety function: it only keeps rotcal from ordering motion.
 """

@@ -190,7 +190,7 @@ class PlannerSettings:
         minimum=0.1,
         maximum=3600.0,
         doc="s, silence of an instrument after which the planner waits for it; it is lost when "
-        "nobody publishes its topic any more, or after health.lost_after_s",
+        "no node publishes its topic any more, or after health.lost_after_s",
     )
     join_steps: int = expert(
         8,

@@ -20,12 +20,12 @@ _FULL_TURN_DEG: Final = 360.0
 
 
 def is_near(angle: float, commanded: float, tolerance: float) -> bool:
-    """Tell whether ``angle`` is within ``tolerance`` (rad); full turns do not count."""
+    """Return whether ``angle`` is within ``tolerance`` (rad); full turns do not count."""
     return isfinite(angle) and abs(remainder(angle - commanded, 2.0 * pi)) <= tolerance
 
 
 def in_degrees(angle: float, commanded: float) -> bool:
-    """Tell whether a feedback ``angle`` is in degrees where the table was commanded to (rad).
+    """Return whether a feedback ``angle`` is in degrees where the table was commanded to (rad).
 
     A small angle near a commanded zero decides nothing: it is near in either unit.
     """

@@ -131,7 +131,7 @@ def solved(measured: Recording | Measurements) -> ResultSource:
 def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
     """Return a bag or a table, ready to be solved together with others.
 
-    Also one that cannot be solved alone: the others may tell what it lacks, or what happened to
+    Also one that cannot be solved alone: the others may determine what it lacks, or what happened to
     it. Where its data contradict each other the result says so, and is suspect at best.
     """
     try:
@@ -142,7 +142,7 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
         model = measured.of_curves()
         if model is None:
             raise
-        untold = measured.calibration.untold(measured.observations, model)
+        untold = measured.calibration.unsolved(measured.observations, model)
         if isinstance(measured, Recording):
             untold = measured.with_warnings(untold)
         if not isinstance(refused, ObservabilityError | GeometryError):

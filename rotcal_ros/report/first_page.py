@@ -1,7 +1,7 @@
 """Page one: what was calibrated and what came out, in one sentence, one figure and one table.
 
 Beside the numbers a certificate states one fact per entry of ISO/IEC 17025, 7.8. ``item`` of a
-fact is the clause of ISO/IEC 17025:2017 that asks for it; a test holds the page against the whole
+fact is the clause of ISO/IEC 17025:2017 that requires it; a test holds the page against the whole
 list.
 """
 

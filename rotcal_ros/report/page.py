@@ -539,7 +539,7 @@ def _harmonics_table(name: str, content: HarmonicContent) -> dict[str, Any]:
 RELIABILITY: Final = phrase("What a single observation could hide")
 TABLES: Final = phrase("Tables")
 MOST_ROWS: Final = 200
-"""Of a table on a page; the files hold all."""
+"""Most rows of a table on a page; the files hold all."""
 _WORST: Final = 8
 
 

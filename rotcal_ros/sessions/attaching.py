@@ -69,7 +69,7 @@ class History:
 class Viewers:
     """The viewers of a session; a context manager that tells them how it ends, even by an error.
 
-    Nothing here waits for a viewer, and nothing fails: without a socket nobody can attach.
+    Nothing here waits for a viewer, and nothing fails: without a socket no viewer can attach.
     """
 
     def __init__(self, session: Session, *, at_once: bool = False) -> None:
@@ -84,7 +84,7 @@ class Viewers:
             address = json.dumps({"socket": self._socket.getsockname()})
             write_atomically(self._meeting_point, address + "\n")
         except OSError as error:
-            say(f"nobody can attach to this calibration: {error}")
+            say(f"no viewer can attach to this calibration: {error}")
 
     def publish(self, event: Event) -> None:
         """Tell all viewers, present and future ones."""
@@ -340,7 +340,7 @@ def _nothing_runs(folder: SessionFolder) -> ConfigurationError:
         )
     if _is_locked(folder):
         return ConfigurationError(
-            f"a calibration still writes in {folder.path}, but nobody can attach to it: its "
+            f"a calibration still writes in {folder.path}, but no viewer can attach to it: its "
             "socket is gone; see its log, or wait for its end"
         )
     return ConfigurationError(

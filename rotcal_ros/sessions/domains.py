@@ -66,7 +66,7 @@ def _hold(domain: int) -> bool:
 
 
 def _is_free(domain: int) -> bool:
-    """Tell whether no port of a domain is taken; the first participant may have left others."""
+    """Return whether no port of a domain is taken; the first participant may have left others."""
     if any(path.exists() for path in _SOCKETS):
         return domain not in domains_in_use()
     with ExitStack() as probes:

@@ -82,7 +82,7 @@ def _place_in_history(session: Session) -> tuple[str, str]:
 
 
 def _since_last_time(session: Session) -> Sequence[tuple[str, str]]:
-    """Return the section of a report on what has changed, if a history tells it."""
+    """Return the section of a report on what has changed, if a history records it."""
     sections: Sequence[tuple[str, str]] = ()
     if _HISTORY in session.configuration.given:
         with suppress(RotcalError):  # said when the result is to be kept

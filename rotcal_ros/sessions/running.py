@@ -224,7 +224,7 @@ def _fail(session: Session, outcome: Event) -> NoReturn:
     bag = session.folder.bag  # a lost planner cannot report it
     if outcome.get("bag_folder") or (bag.is_dir() and any(bag.iterdir())):
         text += f"; everything measured so far is in {outcome.get('bag_folder') or bag}"
-        if session.resume_command not in text:  # the planner may have told it
+        if session.resume_command not in text:  # the planner may have named it
             text += f"; go on with: {session.resume_command}"
     text += f"; logs: {session.log_folder}"
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)

@@ -191,7 +191,7 @@ def require_space(calibration: Calibration, folder: Path, steps: int | None = No
 def expected_bytes(calibration: Calibration, steps: int | None = None) -> float:
     """Return how large the bag of ``steps`` (None: of the whole plan) may become, in bytes.
 
-    0 for a policy that chooses: nobody knows how few of the steps it will take.
+    0 for a policy that chooses: how few of the steps it will take is not known.
     """
     configuration, plan = calibration.configuration, calibration.plan
     if configuration.planner.policy != AS_LISTED or not plan.steps:

@@ -1,7 +1,7 @@
 """A process that records like the recorder does, to be killed: fed by itself instead of by DDS.
 
-Two streams and an "observation" with a receipt after every tenth reading. Every receipt is told
-to the parent, as the recorder tells the planner, which from then on relies on it.
+Two streams and an "observation" with a receipt after every tenth reading. Every receipt is sent
+to the parent, as the recorder sends it to the planner, which from then on relies on it.
 """
 
 from __future__ import annotations

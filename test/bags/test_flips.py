@@ -1,4 +1,4 @@
-"""One flipped bit anywhere costs what that bit covers, is told, and repair saves the rest."""
+"""One flipped bit anywhere costs what that bit covers, is reported, and repair saves the rest."""
 
 from __future__ import annotations
 

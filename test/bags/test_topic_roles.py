@@ -1,4 +1,4 @@
-"""Which topics play which role: names that the nodes tell and the recorder notes."""
+"""Which topics play which role: names that the nodes report and the recorder notes."""
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import CalledOtherwise

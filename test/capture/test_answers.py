@@ -1,4 +1,4 @@
-"""A machine that does not echo its orders is told so at once, live and from the bag."""
+"""A machine that does not echo its orders is reported at once, live and from the bag."""
 
 from dataclasses import replace
 

@@ -71,7 +71,7 @@ def test_a_table_that_is_not_in_position_is_told_long_before_the_attempt_is_give
     ],
 )
 def test_only_what_no_patience_mends_is_hopeless(feedback, since_ns, words):
-    """A table that stands elsewhere may still come; one that is told wrongly never does.
+    """A table that stands elsewhere may still come; one that is reported wrongly never does.
 
     One that had a velocity before has not begun to obey its order, as table_adapter says.
     """

@@ -25,7 +25,7 @@ def observed(shots, settings=ONE, *, single_shot=True, steps=3):
         replace(r, stamp_ns=r.stamp_ns + (PACE - 1) * SECOND * (r.stamp_ns // SECOND))
         for r in scene.by_stamp()
     ]
-    # the table goes on telling where it is
+    # the table goes on reporting where it is
     last = [r for r in scene.table if 0 <= r.stamp_ns // SECOND < steps]
     fill = [
         replace(r, stamp_ns=r.stamp_ns % SECOND + k * PACE * SECOND + s * SECOND)

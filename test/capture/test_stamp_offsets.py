@@ -1,4 +1,4 @@
-"""Clocks that differ are told from the times of arrival; a fast or stalled cell is not blamed."""
+"""Clocks that differ are found from the times of arrival; a fast or stalled cell is not blamed."""
 
 from dataclasses import replace
 
@@ -55,7 +55,7 @@ def test_an_offset_is_told_with_what_to_state(off, setting):
 
 
 def drifting(table, tracer):
-    """Return what is told of a minute whose stamps drift by such shares of the time."""
+    """Return what is reported of a minute whose stamps drift by such shares of the time."""
     offsets, text = StampOffsets(OffsetLimits(1.0)), ""
     for k in range(60 * 50):
         now = START + k * 20 * MS
@@ -79,7 +79,7 @@ def test_a_clock_that_drifts_is_told_with_its_rate():
         {"tracer_s": 0.4},
         {"tracer_s": 3600.0, "table_s": 3600.0},  # one clock, though not that of this machine
         {"scale": 20.0},
-        {"scale": 20.0, "tracer_s": 4.0},  # nobody can tell
+        {"scale": 20.0, "tracer_s": 4.0},  # it cannot be known
         {"stall_s": 1.9},
         {"tracer_s": -4.0, "seconds": 0.4},  # not known yet
     ],

@@ -52,7 +52,7 @@ def run(*arguments: object) -> Result:
 
 
 def stand_in(verdict: str) -> Any:
-    """Return a solver that only tells what it was given."""
+    """Return a solver that only reports what it was given."""
 
     def solve(_configuration: Any, plan: Any, observations: Any) -> Solution:
         if len(observations) < 3:
@@ -136,7 +136,7 @@ def test_a_bag_without_choices_says_so() -> None:
 def test_choices_are_asked_of_the_streams_where_the_observations_differ(
     in_streams: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A killed capture had readings on disk that it never told as an observation."""
+    """A killed capture had readings on disk that it never reported as an observation."""
     made = RecordedChoice(1, 0, 0, Choice(7, "first sweep", Standing(25)))
     found = {"observations": ("run 1, choice 0: 26 left",), "streams": in_streams}
 

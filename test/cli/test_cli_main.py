@@ -106,7 +106,7 @@ def test_version():
     [
         (ConfigurationError("no such method"), 2),
         (BagError("a.mcap: damaged at byte 7"), 2),
-        (ObservabilityError("the angle cannot be told"), 3),
+        (ObservabilityError("the angle cannot be determined"), 3),
     ],
 )
 def test_an_error_is_one_line_and_its_exit_code(verb, error, code):

@@ -157,7 +157,7 @@ def test_the_choice_offers_every_enlargement():
 
 
 def test_two_groups_are_exported_only_when_a_second_result_joins_them(tmp_path):
-    """Six balls leave 4 arcsec between odd and even positions open; twelve tell them."""
+    """Six balls leave 4 arcsec between odd and even positions open; twelve determine them."""
     six, other, best = (tmp_path / name for name in ("six.json", "other.json", "best.json"))
     six.write_text(solve(plate_problem()).to_json())
     other.write_text(solve(plate_problem(range(GRID), seed=2)).to_json())

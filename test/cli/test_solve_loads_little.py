@@ -1,4 +1,4 @@
-"""Solving a small bag, or telling what can be set, loads nothing that only others need."""
+"""Solving a small bag, or showing what can be set, loads nothing that only others need."""
 
 import os
 import subprocess

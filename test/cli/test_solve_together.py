@@ -51,7 +51,7 @@ def test_two_tables_are_solved_together(tables, tmp_path):
 
 
 def test_tables_that_cannot_be_solved_alone_are_solved_together(tmp_path):
-    """Three angles of lengths tell no circle; the two groups of a plate have no common zero."""
+    """Three angles of lengths give no circle; the two groups of a plate have no common zero."""
     six, arc = plate_problem(noise=2e-8), tracer_problem(1, ALTERNATING[:3], ANGLES[:3])
     centres = zip(six.position, six.ball_step, *six.centres.T, strict=True)
     lengths = zip(arc.position, arc.target, arc.length, strict=True)

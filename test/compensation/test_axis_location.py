@@ -29,7 +29,7 @@ def found(names, nominal, value):
 
 
 def measured(tilting=None, verdict="ok", **more):
-    """Return a result that tells C and, with its letter, what tilts it."""
+    """Return a result that gives C and, with its letter, what tilts it."""
     (x, y, z), lean = C
     axes = [found(("XOC", "YOC", "AOC", "BOC"), [0.3, -0.2, z], [x - 0.3, y + 0.2, *lean])]
     if tilting == "A":

@@ -38,7 +38,7 @@ def test_what_a_spline_misses_is_the_sum_over_its_errors():
 def test_size_and_decay_are_found_again(decay):
     """Of 60 random curves; the variance of the whole curve and its share above order 4.
 
-    A few waves tell the size badly: the mean over all that explain them lies above, by up to two.
+    A few waves show the size badly: the mean over all that explain them lies above, by up to two.
     """
     rng, orders, angles = np.random.default_rng(2), np.arange(1, 30), even(72)
     waves = np.exp(1j * np.outer(angles, orders))

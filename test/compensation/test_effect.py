@@ -67,7 +67,7 @@ def test_an_axis_that_has_changed_its_shape_is_no_fault_of_the_table(seed):
 
 @pytest.mark.parametrize("share", [0.01, 0.002])
 def test_a_table_that_corrects_nearly_nothing_is_not_called_wrong(share):
-    """Within the noise nothing can be told, and what is left of the rest may be added."""
+    """Within the noise nothing can be shown, and what is left of the rest may be added."""
 
     def tiny(angles):
         return share * good(angles)

@@ -80,7 +80,7 @@ def by_tracer(
 ) -> TracerProblem:
     """Measure with a laser tracer on the table, at every ``every``-th angle.
 
-    The tracer cannot tell the angle from what moves it sideways: the table's translations, and
+    The tracer cannot separate the angle from what moves it sideways: the table's translations, and
     its tilts times the height at which the tracer stands.
     """
     own = instruments or Instruments()

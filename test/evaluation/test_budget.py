@@ -1,4 +1,4 @@
-"""The budget of a result adds up to its uncertainty, whatever the method tells."""
+"""The budget of a result adds up to its uncertainty, whatever the method states."""
 
 import numpy as np
 

@@ -102,7 +102,7 @@ def test_what_was_measured_of_two_tables_is_not_combined(ours, theirs, words):
     ],
 )
 def test_nor_is_it_compared_or_checked(ours, theirs, words, tmp_path):
-    """The numbers agree: nothing but what the results say of themselves can tell."""
+    """The numbers agree: only what the results say of themselves can show it."""
     rng = np.random.default_rng(33)
     grid = np.arange(12) * TAU / 12
     first, second, bare = (campaign(grid, 0.2 * ARCSEC, rng)[2] for _ in range(3))

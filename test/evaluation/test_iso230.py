@@ -134,6 +134,6 @@ def test_fewer_runs_or_targets_than_the_standard_asks_for_are_named():
     good = hand_checked_runs()
     got = iso230(BidirectionalRuns(good.targets[:4], good.forward[:4, :3], good.reverse[:4, :3]))
     assert got.warnings == (
-        "3 runs in each direction, the standard asks for 5",
-        "4 targets over 135 deg, the standard asks for 5",
+        "3 runs in each direction, the standard requires 5",
+        "4 targets over 135 deg, the standard requires 5",
     )

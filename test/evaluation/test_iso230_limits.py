@@ -1,4 +1,4 @@
-"""ISO 230-2: what the standard asks for, what is refused, and the words and names of figures."""
+"""ISO 230-2: what the standard requires, what is refused, and the words and names of figures."""
 
 import csv
 import io
@@ -42,13 +42,13 @@ def test_targets_the_standard_asks_for_by_travel(targets, wanted):
     if len(targets) >= wanted:
         assert found == ()
     else:
-        words = f"{len(targets)} targets over {travel:g} deg, the standard asks for {wanted}"
+        words = f"{len(targets)} targets over {travel:g} deg, the standard requires {wanted}"
         assert found == (words,)
 
 
 @pytest.mark.parametrize(("n", "few"), [(2, True), (4, True), (5, False), (6, False)])
 def test_five_runs_are_enough(n, few):
-    words = (f"{n} runs in each direction, the standard asks for 5",)
+    words = (f"{n} runs in each direction, the standard requires 5",)
     assert iso230(runs([0, 45, 90], n)).warnings == (words if few else ())
 
 

@@ -83,7 +83,7 @@ def test_it_is_the_combination_where_that_is_exact(stand):
 
 
 def test_readings_join_the_two_groups_of_a_plate():
-    """Six balls leave open by how much the odd positions are off; readings tell."""
+    """Six balls leave open by how much the odd positions are off; readings show it."""
     six = JointInput("six", solve(plate_problem()))
     assert six.result.zeros.of("ECC", GRID).any()
     readings = instrument("polygon", polygon(ALTERNATING, np.random.default_rng(3)))
@@ -93,7 +93,7 @@ def test_readings_join_the_two_groups_of_a_plate():
     assert np.abs(error).max() < 4.0 * found.std["ECC"].max()
     (link,) = found.details["links"]
     assert link["offset"] == pytest.approx(4.0 * ARCSEC, abs=4.0 * link["std"])
-    # what both tell: within the groups better than the polygon alone
+    # what both determine: within the groups better than the polygon alone
     alone = combine([readings.alone]).result
     assert (found.std["ECC"] < 0.95 * alone.std["ECC"]).all()
 
@@ -171,7 +171,7 @@ def test_intervals_hold_the_truth():
 
 @pytest.mark.slow
 def test_what_one_instrument_tells_of_a_component_helps_the_other_with_the_rest():
-    """Two balls mix ECC with EXC, EYC; a polygon tells ECC. No combination of curves knows."""
+    """Two balls mix ECC with EXC, EYC; a polygon gives ECC. No combination of curves knows."""
     inside, gains = [], []
     for seed in range(60 if LONG else 6):
         rng = np.random.default_rng(100 + seed)
@@ -195,7 +195,7 @@ def test_what_one_instrument_tells_of_a_component_helps_the_other_with_the_rest(
 
 @pytest.mark.slow
 def test_a_result_that_agrees_well_keeps_its_uncertainty_where_it_is_alone():
-    """The plate's ECC came out 0.8 of its uncertainty off; EZC no other instrument tells."""
+    """The plate's ECC came out 0.8 of its uncertainty off; no other instrument determines EZC."""
     rng = np.random.default_rng(12)
     world = drawn(rng)
     world.motions[3:5] = 0.0

@@ -77,7 +77,7 @@ def rough_polygon(seed, **more):
 
 
 def few(position, target):
-    """Three lengths at each angle, for four unknowns that nothing else tells."""
+    """Three lengths at each angle, for four unknowns that nothing else determines."""
     return target % 6 == position % 6
 
 
@@ -168,7 +168,7 @@ def test_two_groups_of_a_plate_and_readings_are_one_least_squares():
 
 @pytest.mark.parametrize("keep", [None, few])
 def test_lengths_that_are_no_circle_join_two_groups_of_a_plate(keep):
-    """Neither can be solved alone: three angles tell no circle, three lengths no station."""
+    """Neither can be solved alone: three angles determine no circle, three lengths no station."""
     angles, ecc = (ANGLES[:3], ALTERNATING[:3]) if keep is None else (ANGLES, ALTERNATING)
     lengths = tracer_of(tracer_problem(1, ecc, angles, keep))
     assert lengths.result.method == "a method"

@@ -1,4 +1,4 @@
-"""Results that agree too well: what is the same is told, and what is independent is not accused.
+"""Results that agree too well: what is the same is named, and what is independent is not accused.
 
 Where scatter or error motion is estimated, U is wider than noise alone makes it, and independent
 results of a table that has none of it agree better than their U says.
@@ -86,7 +86,7 @@ def test_independent_results_with_an_estimated_scatter_are_not_too_alike(measure
 
 @pytest.mark.parametrize("measure", [six, one_place])
 def test_the_same_lengths_with_fewer_digits_are(measure):
-    """Nothing tells that they are the same but that they agree."""
+    """Only that they agree shows that they are the same."""
     for seed in (1, 2):
         results = measure(seed), measure(seed, rounded=1e-8)
         found = together(*results)

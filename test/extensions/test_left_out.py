@@ -1,4 +1,4 @@
-"""Without an extension all else works, and a name that it brings is told with what to install."""
+"""Without an extension all else works, and a name that it brings is named with what to install."""
 
 import json
 import os

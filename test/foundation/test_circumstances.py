@@ -30,7 +30,7 @@ def observed(calibration):
 
 @pytest.fixture(scope="module")
 def real():
-    # The machine's own lengths: exact ones would tell that the stated noise is wrong.
+    # The machine's own lengths: exact ones would show that the stated noise is wrong.
     configuration = changed(
         read_configuration(CONFIG / "tracer.yaml"),
         ["identity.serial='0815'", "plan.box_points=[2, 2, 2]"],
@@ -143,6 +143,6 @@ def test_stated_air_gives_way_to_what_was_captured(real):
     found = calibration.solve(seen).circumstances
     assert found.temperature_c.lowest == 20.0
     assert found.pressure_pa == Range(95000.0, 95000.0, 95000.0)
-    untold = calibration.solve(replace(o, temperature_c=None) for o in seen).circumstances
-    assert untold.temperature_c == Range(25.0, 25.0, 25.0)
-    assert untold.humidity == Range(0.4, 0.4, 0.4)
+    unreported = calibration.solve(replace(o, temperature_c=None) for o in seen).circumstances
+    assert unreported.temperature_c == Range(25.0, 25.0, 25.0)
+    assert unreported.humidity == Range(0.4, 0.4, 0.4)

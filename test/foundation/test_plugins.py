@@ -1,4 +1,4 @@
-"""What somebody else's plug-in does wrong is told with its name; the plug-ins are made here."""
+"""What somebody else's plug-in does wrong is said with its name; the plug-ins are made here."""
 
 import sys
 from importlib.metadata import EntryPoint, entry_points

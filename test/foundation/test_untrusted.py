@@ -126,7 +126,7 @@ def test_what_stands_beside_the_parameters_is_refused_with_its_line(added, name)
         parse_configuration(text, "my.yaml")
     assert str(refused.value).startswith(f"my.yaml: line {line}: ")
     assert f"{name}" in str(refused.value)
-    assert "nobody reads it" in str(refused.value)
+    assert "where it is not read" in str(refused.value)
 
 
 def test_the_description_of_a_bag_is_read_as_programs_write_it():

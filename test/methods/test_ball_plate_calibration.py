@@ -164,7 +164,7 @@ def test_a_wrong_set_up_is_rejected_at_the_first_ball(change, text):
     if text:
         assert not observation.accepted
         assert re.search(text, observation.reason)
-    else:  # the tip is told by the machine, so another one is no mistake
+    else:  # the tip is given by the machine, so another one is no mistake
         assert observation.accepted
 
 
@@ -242,7 +242,7 @@ def test_a_stated_drift_is_in_the_budget():
 
 
 def test_touches_tell_which_way_z_points_and_feedback_the_positions(measured):
-    """Captured, both are known; centres in a table tell neither."""
+    """Captured, both are known; centres in a table give neither."""
     calibration, captured = measured
     found = {p.effect: p.treatment for p in calibration.solve(captured).protections}
     assert found["sign of z"] == found["numbering"] == "harmless"

@@ -162,7 +162,7 @@ def test_without_noise_nothing_grows():
          "0.5 K"),
         ("aluminium", -11.8e-6, "shrank by 11.8 +- 0.2 um/m over the run, as aluminium does that "
          "cools by 0.5 K"),
-        ("", 5.75e-6, "grew by 5.75 +- 0.2 um/m over the run, plan.plate.material would tell"),
+        ("", 5.75e-6, "grew by 5.75 +- 0.2 um/m over the run, plan.plate.material would give"),
         ("zerodur", 5.75e-6, "zerodur does not with 20 K: the machine's scales changed"),
     ],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Table positions numbered off by some: what is stated of the tracer's place tells it."""
+"""Table positions numbered off by some: what is stated of the tracer's place shows it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -93,7 +93,7 @@ def test_without_a_stated_place_it_is_named_as_no_length_tells_it(shift):
 
 
 def test_positions_nearer_to_each_other_than_the_stated_place_is_known_are_named():
-    """5 degrees at 65.2 mm are 5.7 mm: a place known to 20 mm tells no neighbours."""
+    """5 degrees at 65.2 mm are 5.7 mm: a place known to 20 mm separates no neighbours."""
     calibration, places = one_place("plan.table_positions=72", "plan.table_step_deg=5.0")
     result = solved(calibration, places, lambda i, n: (i + 1) % n)
     assert "numbering" in result.verdict_line

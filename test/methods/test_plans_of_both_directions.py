@@ -84,7 +84,7 @@ def test_a_linear_drift_is_no_reversal_in_the_mean():
 
 
 def test_both_sides_without_a_side_of_the_approach_are_refused():
-    with pytest.raises(PlanError, match="both directions are told apart by the side"):
+    with pytest.raises(PlanError, match="both directions are distinguished by the side"):
         small(BOTH, "plan.backlash=false")
 
 

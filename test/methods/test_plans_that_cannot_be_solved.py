@@ -59,7 +59,7 @@ def test_it_is_refused_with_its_place(name, changes, words):
     [
         # 4 x 16 = 64 lengths, 16 + 48 unknowns
         ("tracer_paper", [FREE, "plan.table_positions=4", "plan.box_points=[4, 4, 1]"]),
-        # the machine tells the targets: 4 lengths of a station for its place and zero, one more
+        # the machine gives the targets: 4 lengths of a station for its place and zero, one more
         ("tracer_paper", ["plan.table_positions=4", "plan.box_points=[3, 2, 1]"]),
         ("plane_mirror_demo", ["plan.table_positions=3"]),
         ("tracer_six_demo", ["plan.table_positions=3"]),

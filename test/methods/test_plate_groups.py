@@ -97,7 +97,7 @@ def test_findings_are_spelled_with_ranges():
     assert found.sentences() == (
         "all distances between balls share the factor 3 with the grid, which splits the positions "
         "into 3 groups without a connection (Eq. 22)",
-        "cannot be told apart from plate and CMM: harmonics 1-3, 7 of ECC; harmonic 5 of EZC; "
+        "cannot be separated from plate and CMM: harmonics 1-3, 7 of ECC; harmonic 5 of EZC; "
         "choose ball steps without a common factor, or more balls",
         "only weakly separated: harmonics 2-3, 9-10, 12 of EXC, EYC",
     )

@@ -83,7 +83,7 @@ def test_what_two_groups_leave_open_is_what_the_dense_model_does_not_see():
     assert apart.shape[1] == 20
     assert left_of(apart, space) < 1e-9
     assert left_of(space, apart) < 1e-9
-    # a plate that both share would tell what turns, never a constant: six more
+    # a plate that both share would show what turns, never a constant: six more
     together = invisible_curves(balls, own_plate=False)
     assert together.shape[1] == 16
     constants = stated(result)[:, :6]

@@ -79,7 +79,7 @@ def test_a_place_that_the_cell_does_not_have_is_refused():
     configuration = configured(*SMALL, "plan.places=4")
     plan = prepare(configuration).plan
     cell = METHOD.simulated_cell(configuration.simulation)
-    with pytest.raises(ConfigurationError, match=r"places_m has 3 places, the plan asks for.* 3"):
+    with pytest.raises(ConfigurationError, match=r"places_m has 3 places, the plan needs.* 3"):
         read(cell, plan.steps[-1])
 
 

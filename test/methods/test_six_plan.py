@@ -81,10 +81,10 @@ def test_a_person_fixes_the_tracer_at_every_place_and_the_first_lengths_show_it(
     [
         (["plan.places=1"], "1 place"),
         (["plan.places=2"], r"the 2 places: a turn of the table about the line through them "
-         r"\(1.000, 0.000, 0.000\) moves none of them.*no length tells the tilt.*solver.tilt"),
+         r"\(1.000, 0.000, 0.000\) moves none of them.*no length determines the tilt.*r.tilt"),
         (["plan.places_m=[0.15, 0, 0.1, -0.15, 0, 0.1, 0.05, 0, 0.1]"], "3 places lie in a line"),
         (["plan.places_m=[0.1, 0, 0.1, 0.1, 0, 0.2, 0.1, 0, 0.3]"],
-         r"\(0.000, 0.000, 1.000\).*no length tells ECC"),
+         r"\(0.000, 0.000, 1.000\).*no length determines ECC"),
         (["plan.places_m=[0.1, 0, 0.1, 0.1]"], "4 values, expected x y z"),
         (["plan.targets_m=[0.1, 0]"], "2 values, expected x y z"),
         (["plan.arrivals=2", "plan.order=stations_per_target"], "several arrivals need the order"),
@@ -102,5 +102,5 @@ def test_what_loses_a_deviation_is_refused_before_anything_moves(changes, words)
 def test_two_places_are_enough_where_the_tilt_is_stated_and_lost():
     assert made("plan.places=2", "solver.tilt_std_rad=1e-6").plan.steps
     above = "plan.places_m=[0.1, 0, 0.1, 0.1, 0, 0.2]"
-    with pytest.raises(PlanError, match="no length tells ECC"):
+    with pytest.raises(PlanError, match="no length determines ECC"):
         made(above, "solver.tilt_std_rad=1e-6")

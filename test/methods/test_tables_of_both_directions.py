@@ -103,7 +103,7 @@ def test_without_a_plan_the_table_tells_directions_and_runs(tmp_path):
 
 @pytest.mark.parametrize("method", ["tracer", "ball_plate"])
 def test_a_column_tells_the_direction_in_any_order(method, tmp_path):
-    """Rows are missing and stand in the order of their values, which tells nothing."""
+    """Rows are missing and stand in the order of their values, which shows nothing."""
     calibration = planned(method, BOTH)
     observations = sorted(observed(calibration)[1:], key=lambda o: o.mean)
     n = len(calibration.plan.distinct_angles)

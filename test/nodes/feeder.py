@@ -1,4 +1,4 @@
-"""A node that feeds recorders like a cell does and tells the receipts they give.
+"""A node that feeds recorders like a cell does and reports the receipts they give.
 
 usage: feeder.py WINDOW [DEPTH]
 

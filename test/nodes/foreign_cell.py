@@ -70,7 +70,7 @@ class ForeignCell(Node):
 
     def move(self, order):
         self.probe = np.array(order.position)
-        if self.mode["length"] == "shot":  # it tells a place only when it has arrived
+        if self.mode["length"] == "shot":  # it reports a place only when it has arrived
             self.tell_probe()
 
     def length_mm(self):

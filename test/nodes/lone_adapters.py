@@ -20,7 +20,7 @@ CONFIGURATION = """/**:
 ROS = ("--ros-args", "-r", "__ns:=/cell")
 WELL = "at rest at"
 """How a case begins that ends without an error."""
-EARLY = "nobody publishes"
+EARLY = "no node publishes"
 """What is complained of when the order is found before the machine is: no case is about it."""
 
 

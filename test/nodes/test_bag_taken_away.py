@@ -63,7 +63,7 @@ def test_the_recorder_says_so_and_confirms_nothing_more(recorders, medium):
         do(files[name])
     wait_until(lambda: recorders.failures.keys() >= deeds.keys(), "all have given up")
     confirmed = {name: list(recorders.receipts[name]) for name in deeds}
-    for _ in range(3):  # the feeder goes on meanwhile, and tells what still comes
+    for _ in range(3):  # the feeder goes on meanwhile, and reports what still comes
         answers = len(recorders.receipts[""])
         recorders.processes.tell("feeder", "")
         wait_until(lambda n=answers: len(recorders.receipts[""]) > n, "the receipts are here")

@@ -107,7 +107,7 @@ def _wrong(code, out, _error):
     assert "probe_point are constantly 4.0 s behind" in lines["clocks", "stamps"]["found"]
     assert lines["probe", "probe_point"]["stamp_offset_s"] == pytest.approx(-4.0, abs=0.3)
     assert "base in probe_point" in lines["frames", "headers"]["found"]
-    assert "nobody obeys /lab/probe_target" in lines["probe", "probe_target"]["found"]
+    assert "no node obeys /lab/probe_target" in lines["probe", "probe_target"]["found"]
     found = [line["found"] for line in json.loads(out)["lines"] if line["name"] == "table_angle"]
     assert "transient local" in found[0]
     assert "foreign also gives orders on /lab/table_angle" in found[1]
@@ -119,7 +119,7 @@ def _astray(code, out, _error):
     assert any(
         "--namespace /cell" in todo or "--namespace /lab" in todo for todo in report["todo"]
     )
-    assert "nobody publishes /else/joint_states" in _lines(out)["table", "joint_states"]["found"]
+    assert "no node publishes /else/joint_states" in _lines(out)["table", "joint_states"]["found"]
 
 
 @pytest.mark.ros

@@ -1,4 +1,4 @@
-"""The commonest mistakes of those who integrate a cell: a check tells each before a run."""
+"""The commonest mistakes of those who integrate a cell: a check finds each before a run."""
 
 import json
 import os
@@ -34,7 +34,7 @@ ADAPTER = (
 )
 TOLD = {
     "": ("", "", ""),
-    "other namespace": ("joint_states", "missing", "nobody publishes"),
+    "other namespace": ("joint_states", "missing", "no node publishes"),
     "other joint": ("joint", "missing", "no joint 'rotary' (cell.joint), it has arm, C"),
     "degrees": ("joint", "doubt", "turns from zero: is it in deg?"),
     "no velocity": ("joint", "missing", "joint rotary has no velocity"),
@@ -66,14 +66,14 @@ TOLD = {
     "adapter, positions": ("controller", "missing", "hw/table takes positions"),
     "adapter, not active": ("controller", "missing", "no node takes"),
 }
-"""Mistake -> name of the line that tells it, its state, and what it says; empty: there is none."""
+"""Mistake -> name of the line that names it, its state, and what it says; empty: there is none."""
 MOVED = {
     "": ("", "", ""),
     "adapter": ("", "", ""),
     "other sign": ("sign", "missing", "a sign is wrong"),
     "clockwise": ("handedness", "missing", "it turns clockwise"),
     "late feedback": ("lag", "doubt", "s after the lengths"),
-    "rests": ("rest", "missing", "told velocity 0 while the table moved"),
+    "rests": ("rest", "missing", "reported velocity 0 while the table moved"),
     "stands still": ("sign", "missing", "the table has not moved"),
     "degrees": ("", "", ""),
 }
@@ -126,7 +126,7 @@ def checked(folder, mistake, *options):
 
 
 def bad_lines(report, *parts):
-    """Return the lines that tell a mistake, but those of some parts."""
+    """Return the lines that report a mistake, but those of some parts."""
     lines = (line for line in report["lines"] if line["part"] not in parts)
     return [line for line in lines if line["state"] in ("missing", "doubt")]
 

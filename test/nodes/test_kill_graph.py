@@ -34,7 +34,7 @@ def under_way(live, seed):
 
 
 def check(live, accepted, file, before, died_ns=None):
-    """What the planner had told as accepted is in the bag, which only ever grew."""
+    """What the planner had reported as accepted is in the bag, which only ever grew."""
     assert file.read_bytes().startswith(before)
     recording = read_recording(live.bag)
     assert all(v.state in ("complete", "truncated") for v in recording.verdicts)

@@ -44,7 +44,7 @@ def action_of(live):
 
 
 def check_goal(asked, told):
-    """The goal that was asked for is the one that was followed; told from Kilted on."""
+    """The goal that was asked for is the one that was followed; reported from Kilted on."""
     if hasattr(ActionServer, "configure_introspection"):
         (request,) = [message.request[0] for message in asked if len(message.request)]
         assert bytes(request.goal_id.uuid) == bytes(told[-1].goal_id.uuid)
@@ -145,7 +145,7 @@ def test_without_a_cell_the_reason_is_named_a_wrong_configuration_or_what_is_mis
     outcome = live.client("second").result()
     assert outcome["error_code"] == TOPIC_MISSING, outcome["error_msg"]
     for topic in ("tracer_length", "probe_point", "joint_states"):
-        assert f"nobody publishes /cell/{topic}" in outcome["error_msg"]
+        assert f"no node publishes /cell/{topic}" in outcome["error_msg"]
     assert not live.session.exists()
 
 

@@ -22,7 +22,7 @@ SECOND = 1_000_000_000
 
 @dataclass(frozen=True)
 class Kept:
-    """A message in a file; ``channel`` tells channels of one topic apart."""
+    """A message in a file; ``channel`` distinguishes channels of one topic."""
 
     topic: str
     type_name: str

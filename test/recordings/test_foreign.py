@@ -36,7 +36,7 @@ def run():
 
 @pytest.fixture(scope="module")
 def foreign(run, tmp_path_factory):
-    """The run of the simulated cell, told by another one; log times are the stamps."""
+    """The run of the simulated cell, sent by another one; log times are the stamps."""
     folder = tmp_path_factory.mktemp("foreign") / "bag"
     types = {
         "/etalon/distance_mm": "std_msgs/msg/Float64",

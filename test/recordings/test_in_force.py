@@ -1,4 +1,4 @@
-"""Which table was in force, as bag and configuration tell it: known, unknown, contradictory."""
+"""Which table was in force, as bag and configuration state it: known, unknown, contradictory."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ ONE, OTHER = "a" * 64, "b" * 64
     [
         ((), "unknown"),
         (("unknown", ""), "unknown"),
-        (("unknown", "none"), "unknown"),  # who announced it could not tell: no proof of nothing
+        (("unknown", "none"), "unknown"),  # who announced it could not know: no proof of nothing
         (("none", "none", ""), "none"),
         ((ONE, "unknown"), ONE),
         ((ONE, ONE, "unknown"), ONE),

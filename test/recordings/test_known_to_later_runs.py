@@ -19,18 +19,22 @@ def noted(**note):
     return SimpleNamespace(metadata={names.RUN: {key: str(v) for key, v in note.items()}})
 
 
-FIRST, UNTOLD = OBSERVED, replace(OBSERVED, step=1)
+FIRST, UNREPORTED = OBSERVED, replace(OBSERVED, step=1)
 LATER = replace(OBSERVED, step=1, run=1, attempt=1_000_000)
 
 
 def test_what_no_run_of_the_nodes_has_known_does_not_count():
     scans = [noted(number=0), noted(number=1, earlier=names.RECORDED)]
-    assert known_to_later_runs([FIRST, UNTOLD, LATER], [FIRST], scans) == (FIRST, LATER)
+    assert known_to_later_runs([FIRST, UNREPORTED, LATER], [FIRST], scans) == (FIRST, LATER)
 
 
 def test_a_resumed_run_went_on_from_the_streams_and_all_of_them_count():
     scans = [noted(number=0), noted(number=1)]
-    assert known_to_later_runs([FIRST, UNTOLD, LATER], [FIRST], scans) == (FIRST, UNTOLD, LATER)
+    assert known_to_later_runs([FIRST, UNREPORTED, LATER], [FIRST], scans) == (
+        FIRST,
+        UNREPORTED,
+        LATER,
+    )
 
 
 def test_a_bag_of_another_recorder_notes_no_runs():
@@ -39,4 +43,4 @@ def test_a_bag_of_another_recorder_notes_no_runs():
 
 def test_a_number_that_no_recorder_writes_is_no_run():
     scans = [noted(number="9" * 5000, earlier=names.RECORDED)]
-    assert known_to_later_runs([FIRST, UNTOLD], [FIRST], scans) == (FIRST, UNTOLD)
+    assert known_to_later_runs([FIRST, UNREPORTED], [FIRST], scans) == (FIRST, UNREPORTED)

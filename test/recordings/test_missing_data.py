@@ -77,7 +77,7 @@ def test_messages_that_cannot_be_decoded_are_the_reason(tmp_path: Path) -> None:
 @pytest.mark.parametrize("role", sorted(TYPES))
 @pytest.mark.parametrize("definition", ["uint8 x\n", "float64 header\nfloat64 position\n"])
 def test_a_type_with_other_fields_is_named(tmp_path: Path, role: str, definition: str) -> None:
-    """Only the empty definition says nothing of fields; each role tells its own topic and type."""
+    """Only the empty definition says nothing of fields; each role names its own topic and type."""
     folder = bag(tmp_path / "bag", role, b"\0\1\0\0" + bytes(16), definition)
     try:
         recording = read_recording(folder)

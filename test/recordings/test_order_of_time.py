@@ -219,7 +219,7 @@ def test_definitions_of_windows_are_read(begin, end, expected, tmp_path):
 
 
 def test_streams_without_any_true_time_are_told(tmp_path):
-    """Bare numbers have no stamps: nothing tells their order when the log times do not."""
+    """Bare numbers have no stamps: their order is not known when the log times do not."""
     bare = [
         Kept("/cell/joint_states", "std_msgs/msg/Float64", b"\0\1\0\0" + bytes(8), m.log_ns, 0)
         if m.topic.endswith("joint_states")

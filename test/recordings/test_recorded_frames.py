@@ -39,7 +39,7 @@ def test_a_conflict_in_a_bag_is_a_warning_of_its_result(tmp_path, simulated_run)
         tmp_path / "bag",
         simulated_run,
         [("world", "machine", 1.0, 0.0, 0.0), ("machine", "table_base", 0.0, 0.0, 0.0)],
-        [("world", "table_base", 1.2, 0.0, 0.0)],  # told again: 0.2 m off the axis
+        [("world", "table_base", 1.2, 0.0, 0.0)],  # stated again: 0.2 m off the axis
     )
     recording = read_recording(bag)
     assert [frame.child for frame in recording.frames] == ["machine", "table_base"]

@@ -1,4 +1,4 @@
-"""Progress bars: words stand above them, and the time left is told once."""
+"""Progress bars: words stand above them, and the time left is stated once."""
 
 import sys
 

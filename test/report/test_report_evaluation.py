@@ -64,7 +64,7 @@ def test_iso_section_with_figures_and_warnings():
         '<th scope="row">Accuracy A</th><td>5.000</td><td>4.000</td><td>4.000</td>',
     ):
         assert row in text
-    assert "3 runs in each direction, the standard asks for 5" in text
+    assert "3 runs in each direction, the standard requires 5" in text
 
 
 @pytest.mark.parametrize(

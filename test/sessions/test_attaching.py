@@ -138,7 +138,7 @@ def test_without_a_place_for_a_socket_nobody_can_attach_and_all_else_works(
     with Viewers(session) as viewers:
         viewers.publish(feedback(1))
         viewers.end(OUTCOME)
-    assert "nobody can attach" in capsys.readouterr().err
+    assert "no viewer can attach" in capsys.readouterr().err
 
 
 def test_a_folder_with_a_long_path_is_no_hindrance(session, tmp_path):

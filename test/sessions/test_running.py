@@ -194,7 +194,7 @@ def test_a_second_interruption_says_how_to_go_on_too(tmp_path, monkeypatch, reco
 def test_the_error_that_ended_it_says_what_is_left_and_where_the_logs_are(
     tmp_path, monkeypatch, code, recorded, told_bag, kind
 ):
-    """A planner that is lost cannot tell of its bag; the bag is named all the same."""
+    """A planner that is lost cannot report its bag; the bag is named all the same."""
     folder = SessionFolder(tmp_path)
     folder.bag.mkdir()
     if recorded:

@@ -397,7 +397,7 @@ def missing_settings(result: Result) -> dict[str, str]:
             "serial and date of calibration (calibrated) of one instrument or more: traceability"
         )
     if circumstances.days is None:
-        missing["identity.measured"] = "when it was measured: a bag tells it, a table does not"
+        missing["identity.measured"] = "when it was measured: a bag records it, a table does not"
     return missing
 
 

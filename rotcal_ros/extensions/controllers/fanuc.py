@@ -41,7 +41,7 @@ from rotcal_ros.foundation.units import DEGREE
 LARGEST_STEP: Final = 7
 LARGEST_MAGNIFICATION: Final = 100
 PITCH_DATA: Final = 10000
-"""In a punched file the number of a pitch slot is its slot plus this."""
+"""Offset of the number of a pitch slot in a punched file from its slot."""
 MEAN: Final = "mean"
 UNVERIFIED: Final = (
     "the text form of the file (N1xxxxP..; lines for pitch slots, A.. for the axis)",

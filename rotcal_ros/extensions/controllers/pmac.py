@@ -35,7 +35,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 FRACTION: Final = 16
 LARGEST: Final = 8_388_607
-"""Of Ixx85 and Ixx86."""
+"""The largest value of Ixx85 and Ixx86."""
 BLCOMP: Final = "blcomp"
 
 

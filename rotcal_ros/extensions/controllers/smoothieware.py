@@ -88,7 +88,7 @@ class Smoothieware(EveryTurnController):
     one_direction = True
     unverified = (
         "that the firmware of the machine has the module: proposal 221 of January 2026, which "
-        "brings it, was closed without being merged, and the released firmware does not have it",
+        "adds it, was closed without being merged, and the released firmware does not have it",
     )
 
     letter: str = setting(

@@ -162,5 +162,5 @@ def _require_fitting(configuration: Configuration) -> None:
     if not configuration.solver.sigma_centre_m:
         raise ConfigurationError(
             f"{source}: solver.sigma_centre_m is absent, and the few balls of a quick check would "
-            "have to tell it: state what the full calibration has found"
+            "have to determine it: state what the full calibration has found"
         )

@@ -39,7 +39,7 @@ from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
 
 SEED: Final = 0
-"""Of the noise with which orders are judged."""
+"""Seed of the noise with which orders are judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,5 +223,5 @@ def _require_fitting(configuration: Configuration) -> None:
     if solver.error_motion_std_m is None:
         raise ConfigurationError(
             f"{source}: solver.error_motion_std_m is absent, so the few stations of a quick check "
-            "would have to tell it: state what the full calibration has found"
+            "would have to determine it: state what the full calibration has found"
         )

@@ -34,13 +34,13 @@ class TracerDesignSettings(TableAngleSettings):
 
     need_arcsec: float = setting(
         1.2,
-        doc="arcsec, wanted expanded uncertainty U(ECC) (k = 2), root mean square over the "
+        doc="arcsec, required expanded uncertainty U(ECC) (k = 2), root mean square over the "
         "angles, without their mean",
         minimum=1e-6,
     )
     need_largest_arcsec: float | None = setting(
         None,
-        doc="arcsec, wanted U(ECC) at the worst angle; none: 1.1 times need_arcsec",
+        doc="arcsec, required U(ECC) at the worst angle; none: 1.1 times need_arcsec",
         minimum=1e-6,
     )
     mount_m: Triple = setting(
@@ -221,10 +221,10 @@ class TracerDesignSettings(TableAngleSettings):
 
     @property
     def largest_arcsec(self) -> float:
-        """Wanted U at the worst angle, arcsec."""
+        """Required U at the worst angle, arcsec."""
         return self.need_largest_arcsec or 1.1 * self.need_arcsec
 
     @property
     def goal(self) -> tuple[float, float]:
-        """Wanted U, rms over the angles and at the worst one, rad."""
+        """Required U, rms over the angles and at the worst one, rad."""
         return self.need_arcsec * ARCSEC, self.largest_arcsec * ARCSEC

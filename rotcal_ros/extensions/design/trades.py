@@ -175,8 +175,8 @@ def balls_trade(
     return _quickest_first(
         (_with_balls(plan, touch_s, way_s, turn_deg_s) for plan in plans),
         PlanError(
-            f"{configuration.source}: none of these numbers of balls, angles and runs tells the "
-            "axis: allow more angles"
+            f"{configuration.source}: none of these numbers of balls, angles and runs determines "
+            "the axis: allow more angles"
         ),
     )
 

@@ -1,6 +1,6 @@
 """Finds bags in folders, globs, lists and remote places, each of them once.
 
-Remote bags (``s3://...``) are told apart by their last bytes and fetched once.
+Remote bags (``s3://...``) are distinguished by their last bytes and fetched once.
 """
 
 from __future__ import annotations

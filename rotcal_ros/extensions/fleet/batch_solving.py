@@ -118,7 +118,7 @@ def _of_its_table(recording: Recording) -> Result:
 
 
 FORM: Final = 3
-"""Of what the cache keeps."""
+"""Version of what the cache keeps."""
 AGREED: Final = ("tolerance_arcsec", "tolerance_um")
 TAIL_BYTES: Final = 1 << 16
 """Hashed bytes of a file's end: the summary of an MCAP file, the last pages of a database."""

@@ -88,7 +88,7 @@ def command(
 
     Bags may be local or remote (s3://..., through fsspec). A bag that was solved before with the
     same content and configuration is not solved again: an interruption costs only the bags being
-    solved. In the history a result stands in the place of an earlier one of the same measurement.
+    solved. In the history a result takes the place of an earlier one of the same measurement.
     One bad bag does not stop the rest; the exit code is then 1.
     """
     from rotcal_ros.extensions.fleet.bag_search import find_bags
@@ -142,7 +142,7 @@ class _Bag:
     twin_of: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what others are told of it."""
+        """Return what is published of it."""
         own = ("key", "session", "start_ns", "observations")
         return {name: value for name, value in asdict(self).items() if name not in own}
 

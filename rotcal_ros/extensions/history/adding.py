@@ -42,7 +42,7 @@ TITLE = phrase("Since last time")
 AT_ONCE: Final = 50
 """Results in files that are added in one transaction."""
 REFUSALS: Final = (DataError, ConfigurationError)
-"""Of one addition; others are of the history."""
+"""Errors of one addition; all others are errors of the history."""
 LONGEST_NS: Final = 86_400_000_000_000
 """No measurement takes longer."""
 
@@ -109,7 +109,7 @@ def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
 
 
 def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
-    """Add the result of a bag, in the place of an earlier one of the same measurement.
+    """Add the result of a bag, in place of an earlier one of the same measurement.
 
     So a bag that is solved again counts once. The earlier one stays if it had more observations:
     a damaged copy replaces no whole recording. ``serial`` is for a result that states none,
@@ -181,7 +181,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> list[tuple
 def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, float]:
     """Return the ECC that a history expects of a table on a day, and what its tolerance leaves.
 
-    The day is as 2026-03-31, the result suspect, since nobody has measured it. If nowhere the
+    The day is as 2026-03-31, the result suspect, since it was not measured. If nowhere the
     table is further than what is left (rad) from this curve, both about their mean, it is within
     its tolerance; zero or less without a tolerance, or where the curve itself is beyond. Raises
     DataError for a table of which too little is known.

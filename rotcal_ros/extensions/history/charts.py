@@ -29,7 +29,7 @@ REFERENCE: Final = 0.5
 SMOOTHING: Final = 0.2
 """Weight of the newest value of the EWMA."""
 _EXACT: Final = 2e-12
-"""Of a limit: no smaller interval is looked for."""
+"""Precision of a limit: no smaller interval is searched for."""
 _WORDS: Final[dict[Basis, str]] = {
     "stated": "by the stated uncertainties",
     "own": "by the series' own scatter",

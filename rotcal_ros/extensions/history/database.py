@@ -1,4 +1,4 @@
-"""The database of a history: opened, brought to its present form, asked, added to.
+"""The database of a history: opened, converted to its present form, queried, added to.
 
 SQLite (one file, WAL) or PostgreSQL, by one schema. What was added is on the medium when ``add``
 returns, once, whoever adds it at the same time or again. Every row stays as it was written:
@@ -258,7 +258,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         corrects: HistoryEntry | None = None,
         where: str = "the result",
     ) -> Added:
-        """Add a result, or put it in the place of the entry ``corrects``; ``why`` is for people.
+        """Add a result, or put it in place of the entry ``corrects``; ``why`` is for people.
 
         ``serial``, ``axis`` and ``measured_ns`` give what it does not state itself. Raises
         DataError for a result without identity or date, or of another table than it says, and for
@@ -365,7 +365,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
             for row in connection.execute(streamed):
                 facts = row._asdict()
                 if content:
-                    with suppress(zlib.error):  # its hash tells
+                    with suppress(zlib.error):  # its hash shows it
                         facts["content"] = zlib.decompress(facts["content"])
                 yield HistoryEntry(**facts)
 
@@ -449,7 +449,7 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         where: str,
         result: Result | None = None,
     ) -> Added:
-        """Write an entry, in the place of the ``old`` one, and what follows from it: all of it."""
+        """Write an entry, in place of the ``old`` one, and what follows from it: all of it."""
         hashed = entry.hashed(old.sha256 if old else "")
         entry = replace(entry, sha256=hashed, replaces=old.id if old else None)
         row = {name: value for name, value in vars(entry).items() if name in ENTRIES.c}

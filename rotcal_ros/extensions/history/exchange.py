@@ -85,7 +85,7 @@ def letter(outlooks: Sequence[Outlook], before: str) -> str:
 
 
 def metrics(outlooks: Sequence[Outlook]) -> str:
-    """Return what monitoring asks for, in the text format of Prometheus."""
+    """Return what monitoring needs, in the text format of Prometheus."""
     families = (
         ("due_timestamp_seconds", "When the axis is due.", lambda o: o.due_ns / 1e9),
         ("last_timestamp_seconds", "When it was measured last.", lambda o: o.last_ns / 1e9),

@@ -37,7 +37,7 @@ DAY_NS: Final = 86_400_000_000_000
 ENOUGH: Final = 3
 """Fewest campaigns since the last step for a forecast."""
 _DATES: Final = 16
-"""A due date is looked for among so many dates, and then between two of them."""
+"""A due date is searched for among so many dates, and then between two of them."""
 _EXACT_NS: Final = DAY_NS / 2
 _SIGNIFICANT: Final = 3.0
 """Standard uncertainties of a change that is called one."""
@@ -49,7 +49,7 @@ KEPT_AFTER: Final = 100
 _FITS: Final = 0.01
 """A jump goes to another table if that would show more in one of a hundred such curves."""
 _CLEARLY: Final = 10.0
-"""By this logarithm of a likelihood ratio the other table explains it better."""
+"""Logarithm of the likelihood ratio from which another table explains a curve better."""
 Kind = Literal["jump", "drift", "wear", "beyond", "verdict", "event", "swapped"]
 
 

@@ -52,7 +52,7 @@ KELVIN: Final = 10.0
 DRAWS: Final = 4000
 """Curves that are drawn for a probability: one of 0.95 is then known to 0.003."""
 _SEASON_FROM: Final = 6
-"""Fewest campaigns of a series in which a season is looked for; it must span a year, too."""
+"""Fewest campaigns of a series in which a season is searched for; it must span a year, too."""
 _LEAST_KELVIN: Final = 1.0
 
 
@@ -85,7 +85,7 @@ class CampaignSeries:
 
     @property
     def kelvin(self) -> Floats | None:
-        """Temperatures (m,) less their mean; None where they tell nothing."""
+        """Temperatures (m,) less their mean; None where they show nothing."""
         if self.temperature_c is None or np.ptp(self.temperature_c) < _LEAST_KELVIN:
             return None
         return np.asarray(self.temperature_c - np.mean(self.temperature_c), dtype=np.float64)

@@ -125,9 +125,9 @@ def add(
 ) -> int:
     """Add results: result.json, bags, sessions with their reports; none of them twice.
 
-    A result says by identity.serial and cell.axis which table it is of; --serial and --axis tell
+    A result says by identity.serial and cell.axis which table it is of; --serial and --axis state
     it for those that do not. With --as, files of any form are kept beside the results: a quick
-    check, a report, a table in force. Of several the others are added where one is refused; the
+    check, a report, a table in force. If one of several is refused, the others are added; the
     exit code is then 1.
     """
     from rotcal_ros.extensions.history.adding import add_sources
@@ -163,8 +163,8 @@ def add(
 def event(serial: str, what: str, axis: str, day: str, why: str, settings: HistorySettings) -> int:
     """Note what happened to the table SERIAL.
 
-    After another encoder, another bearing or a repair it is another table: earlier results say
-    nothing of it. After a crash, an adjustment or something else its curve may have jumped.
+    After another encoder, another bearing or a repair it is another table: earlier results do not
+    describe it. After a crash, an adjustment or something else its curve may have jumped.
     """
     with _open(settings) as history:
         item = history.item(serial, axis)
@@ -182,7 +182,7 @@ def event(serial: str, what: str, axis: str, day: str, why: str, settings: Histo
 def correct(
     number: int, serial: str, axis: str, withdraw: bool, why: str, settings: HistorySettings
 ) -> int:
-    """Put another entry in the place of ENTRY, which stays: for another table, or for none."""
+    """Put another entry in place of ENTRY, which stays: for another table, or for none."""
     if withdraw == bool(serial or axis):
         raise click.UsageError("give --serial or --axis, or --withdraw")
     with _open(settings) as history:
@@ -276,7 +276,7 @@ def plot(serial: str, axis: str, component: str, output: Path, **asked: Any) -> 
 def due(
     before: str, ics: Path | None, mail: bool, settings: HistorySettings, as_json: bool
 ) -> int:
-    """Tell which tables are due before a day; the exit code is 1 if there are any."""
+    """Show which tables are due before a day; the exit code is 1 if there are any."""
     from rotcal_ros.extensions.history.exchange import calendar, letter
     from rotcal_ros.extensions.history.outlook import DAY_NS
 

@@ -1,7 +1,7 @@
 """The thread that drives an instrument: connects, reads or measures, and reconnects when lost.
 
 A place is measured while the table stands at the ordered angle. Before its driver connects, a
-check of a cell says what the plug-in brings.
+check of a cell says what the plug-in provides.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ class TableRest:
         if latest is None:
             return "no feedback of the table has come"
         if isnan(latest.velocity):
-            return "the feedback tells no velocity"
+            return "the feedback reports no velocity"
         if since is None:
             return "the table moves"
         if self._off(latest, order.table_angle):
@@ -259,7 +259,7 @@ class TableRest:
 
 
 def brings(settings: InstrumentSettings) -> tuple[str, ...]:
-    """Return what the plug-in brings; nothing where it cannot be made, which its line tells."""
+    """Return what the plug-in provides; nothing where it cannot be made, which its line says."""
     try:
         instrument = instrument_of(settings)
     except RotcalError:
@@ -280,7 +280,7 @@ def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLin
     except RotcalError as error:
         todo = "group instrument of the configuration; rotcal settings instrument"
         return CheckLine("instrument", "plug-in", "missing", str(error), todo)
-    does = {Tracer: "tells lengths", Tracker: "finds reflectors"}
+    does = {Tracer: "measures lengths", Tracker: "finds reflectors"}
     found = " and ".join(words for kind, words in does.items() if isinstance(instrument, kind))
     todo = "rotcal run will show whether it answers"
     return CheckLine("instrument", "plug-in", "open", f"{title}: {found}", todo)

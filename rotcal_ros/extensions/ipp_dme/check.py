@@ -28,7 +28,7 @@ def look(settings: DmeSettings, here: bool, simulated: bool) -> CheckLine:
         todo = "start the machine's server, or correct dme.host and dme.port"
         if simulated:
             todo = "start the simulated one: rotcal dme serve CONFIG"
-        found = f"nobody answers at {place}: {getattr(error, 'strerror', '') or error}"
+        found = f"no server answers at {place}: {getattr(error, 'strerror', '') or error}"
         return CheckLine("machine", "I++ DME", "missing", found, todo)
     return CheckLine("machine", "I++ DME", "good", found)
 

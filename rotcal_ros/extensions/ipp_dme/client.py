@@ -158,7 +158,7 @@ class DmeClient:
     def abort(self, why: str) -> None:
         """Stop all motion with AbortE, from any thread; a person goes on with :meth:`clear`.
 
-        A session that is blocked is told too: what blocked it need not have stopped a motion.
+        A blocked session gets it too: what blocked it need not have stopped a motion.
         """
         link = self._link
         self.blocked = self.blocked or why
@@ -296,7 +296,7 @@ class DmeClient:
             self._tell(standing_of(text, "OnMoveReportE"))
 
     def _concern(self, fault: DmeFault) -> None:
-        """Take an error that nobody asked for, or that stops nothing."""
+        """Take an error that answers no command, or that stops nothing."""
         if fault.stops:
             self.blocked = self.blocked or f"the server reports, unasked: {fault}"
         self._warn(fault)
@@ -338,13 +338,13 @@ def standing_of(text: str, asked_by: str) -> MachinePosition:
 
 
 FIRST_WITH_R: Final = 2
-"""From this major version on R is an ordinary argument of GoTo."""
+"""Major version from which R is an ordinary argument of GoTo."""
 FAR_OFF_DEG: Final = 1.0
 """A table that is farther from its order than this has misunderstood it."""
 
 
 def way_to_turn(version: str) -> str:
-    """Return how a server of this version wants its table turned; DmeError if unreadable."""
+    """Return how a server of this version turns its table; DmeError if unreadable."""
     found = re.match(r"\s*(\d+)(\.|$)", version)
     if found is None:
         raise DmeError(
@@ -444,7 +444,7 @@ class DmeLink:
 
     ``on_report(tag, text)`` gets the data of daemons and unasked reports of the server (tag
     E0000), ``on_warning(fault)`` errors that stop nothing or belong to no command; the reading
-    thread calls both. Raises ConnectionLostError when nobody answers at ``host``.
+    thread calls both. Raises ConnectionLostError when no server answers at ``host``.
     """
 
     def __init__(

@@ -91,7 +91,7 @@ class Driver:
         self._wanted = None
 
     def clear(self) -> Future[str]:
-        """Clear the machine's errors for a person; the future tells the outcome.
+        """Clear the machine's errors for a person; the future holds the outcome.
 
         It has the DmeError of a failed attempt.
         """
@@ -102,7 +102,7 @@ class Driver:
     def abort(self, why: str) -> None:
         """Stop all motion now; nothing moves again before :meth:`clear`.
 
-        A machine that does not answer blocks nobody: a thread of its own waits for it.
+        A machine that does not answer blocks no caller: a thread of its own waits for it.
         """
         Thread(target=self._abort, args=(why,), name="AbortE", daemon=True).start()
 
@@ -205,7 +205,7 @@ class Driver:
 
 
 NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
-"""Step of a point that nobody ordered: its kind says so."""
+"""Step of a point that was not ordered: its kind says so."""
 
 
 class OrderRunner:
@@ -228,12 +228,12 @@ class OrderRunner:
         if order.kind == PointKind.REFLECTOR:
             return self._stands(order, given_up)
         raise DmeError(
-            f"step {order.step} asks for a point of kind {order.kind.name}: through I++ DME there "
+            f"step {order.step} requests a point of kind {order.kind.name}: through I++ DME there "
             "are touch points (plan.measure: surface) and positions of a reflector"
         )
 
     def unasked(self, position: Point) -> ProbeSample:
-        """Return where the machine stands (m) as a point that nobody ordered."""
+        """Return where the machine stands (m) as a point that was not ordered."""
         return self._sample(NO_ORDER, self._now_ns(), position)
 
     def _touches(

@@ -144,7 +144,7 @@ _TOKEN: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """A name that stands for itself, such as ``MachineCsy`` or the event tag ``E0553``."""
+    """A name that represents itself, such as ``MachineCsy`` or the event tag ``E0553``."""
 
     name: str
 

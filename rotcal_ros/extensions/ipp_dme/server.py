@@ -328,7 +328,7 @@ class Conversation:
             if argument.name == "Time" and argument.arguments:
                 period_s = min(max(period_s, argument.number()), LONGEST_PERIOD_S)
         positions = [a for a in asked if a.name not in ("Time", "Dis")]
-        self._methods.standing(positions, order.name)  # MethodError when it cannot be told
+        self._methods.standing(positions, order.name)  # MethodError when it cannot be reported
         self._daemons[tag] = asyncio.create_task(self._report(tag, period_s, positions))
 
     async def _report(self, tag: str, period_s: float, positions: list[Call]) -> None:

@@ -130,7 +130,7 @@ async def _application_uri(certificate: Path) -> str:
 
 NODE_ID: Final = re.compile(r"(ns=\d+;)?[isgb]=.+")
 CHUNK_BYTES: Final = 8192
-"""Of one write: below the smallest message that a server must take."""
+"""Bytes of one write: below the smallest message that a server must take."""
 OVERWRITE: Final = ua.OpenFileMode.Write | ua.OpenFileMode.EraseExisting
 READING: Final = ua.Variant(ua.OpenFileMode.Read.value, ua.VariantType.Byte)
 PART: Final = ua.Variant(CHUNK_BYTES, ua.VariantType.Int32)

@@ -1,7 +1,7 @@
 """What is done with a table that was dropped on the page: it is explained, solved, written about.
 
 All of it is work for a process of its own. The page names no file: the folder has one place for
-each, and errors tell the names that people know.
+each, and errors use the names that people know.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ SHOWN_ROWS: Final = 6
 TITLES: Final = {method.name: phrase(method.title) for method in usable_methods()}
 """Of the methods, which are loaded here: the processes are copies of one that has done so."""
 Reply = dict[str, Any]
-"""What the page is told: all that JSON can hold."""
+"""What the page is given: all that JSON can hold."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Asked:
 
 
 def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
-    """Do some work in a process of its own and send what it brings, or the error."""
+    """Do some work in a process of its own and send its outcome, or the error."""
     signal(SIGINT, SIG_IGN)  # the page ends this process itself
     try:
         reply = work(asked)

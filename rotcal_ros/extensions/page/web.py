@@ -93,7 +93,7 @@ class Worker:
         self._lock = asyncio.Lock()
 
     async def __call__(self, work: Callable[[Asked], Reply], asked: Asked) -> Reply:
-        """Return what the work brings; its errors are told too."""
+        """Return what the work produces; its errors are reported too."""
         async with self._lock:
             receiver, sender = self._context.Pipe(duplex=False)
             process = self._context.Process(

@@ -54,9 +54,9 @@ STANDS: Final = tracker_stands(SETTINGS)
 STEP: Final = SETTINGS.table_step_deg * DEGREE
 MIRROR: Final = nominal_mirror(SETTINGS)
 NORMAL_STD: Final = 1.0 * ARCSEC
-"""Of a normal about each of its axes, for the spread of the recipes."""
+"""Noise (k = 1) of a normal about each of its axes, for the spread of the recipes."""
 NEST_STD: Final = 5e-6
-"""Of a nest along each axis, m, for the same."""
+"""Noise (k = 1) of a nest along each axis, m, for the same spread."""
 RUNS: Final = 2000
 OURS: Final[tuple[Way, ...]] = ("stitching", "registration", "joint")
 SEED: Final = 11
@@ -158,7 +158,7 @@ def cone_axis(normals: Floats, height: Floats) -> Floats:
     """Return the upward axes (t, 3) that two ``normals`` (t, 2, 3) have ``height`` (t,) along.
 
     The cure for a station of two normals: the mirror makes the same angle with the axis at every
-    station, so that the others tell it.
+    station, so that the others determine it.
     """
     first, second = normals[:, 0], normals[:, 1]
     alike = 1.0 + np.einsum("ti,ti->t", first, second)

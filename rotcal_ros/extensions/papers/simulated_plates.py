@@ -22,9 +22,9 @@ from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.figures import style
 
 RADIUS: Final = 0.185
-"""Of the circle of the balls in both papers, m."""
+"""Radius of the circle of the balls in both papers, m."""
 CENTRE_STD: Final = 0.05e-6
-"""Of a ball centre along each axis, m: U = 0.1 um (k = 2), first paper, section 5."""
+"""Noise of a ball centre along each axis, m: U = 0.1 um (k = 2), first paper, section 5."""
 MANUFACTURE_STD: Final = 5e-6
 MACHINE_STD: Final = 0.8e-6
 HARMONICS: Final[Mapping[str, Mapping[int, tuple[float, float]]]] = {
@@ -36,9 +36,9 @@ HARMONICS: Final[Mapping[str, Mapping[int, tuple[float, float]]]] = {
     "ECC": {1: (2.0, 20.0), 2: (0.9, -75.0), 4: (0.3, 140.0), 7: (0.2, 60.0)},
 }
 """The table's errors: harmonic, amplitude (um, arcsec) and phase in degrees. What turns with the
-table, the first of the radial ones, no plate can tell from its own place."""
+table, the first of the radial ones, no plate can separate from its own place."""
 MARKERS: Final = ("o", "s", "^", "D", "x", "+")
-"""Curves that are drawn together can be told apart without colours."""
+"""Curves that are drawn together can be distinguished without colours."""
 
 
 def true_deviations(angles: Floats) -> dict[str, Floats]:

@@ -124,7 +124,7 @@ def _variance(result: Result) -> float:
 def largest_apart(first: Result, second: Result) -> tuple[float, float]:
     """Return by how much two results differ at most at their common angles, m and rad.
 
-    The mean of each component over these angles is nobody's: both lose it.
+    The mean of each component over these angles is undetermined: both lose it.
     """
     near = np.abs(first.angles[:, None] - second.angles) < 1e-9
     here, there = np.nonzero(near)

@@ -1,7 +1,7 @@
 """The laser tracer paper: its printed numbers, and what follows from them.
 
 Tables 1 to 3 and Eq. 37 and 38 are all that is printed of the experiment; its 704 lengths are not.
-So the stations of Table 1 are solved as they are, and what the lengths could have told follows
+So the stations of Table 1 are solved as they are, and what the lengths could have shown follows
 from the plan, to first order. The words stand in ``templates/tracer.yaml``.
 """
 

@@ -32,7 +32,7 @@ SIX: Final = tuple(range(0, GRID, 2))
 REPEATS: Final = 3
 """Times that the plate is set up and measured anew; the paper draws their mean."""
 AUTOCOLLIMATOR_STD: Final = 0.1 * ARCSEC
-"""Of a reading on a calibrated face; the paper states none."""
+"""Noise of a reading on a calibrated face; the paper states none."""
 
 
 def reproduce() -> Reproduction:
@@ -147,7 +147,7 @@ def lost_in_groups() -> float:
 
 
 def lost_offset(name: str) -> float:
-    """Return the true offset between even and odd positions, which no group of balls tells."""
+    """Return the true offset between even and odd positions, which no group of balls shows."""
     truth = true_deviations(grid_angles(GRID))[name]
     return abs(float(truth[::2].mean() - truth[1::2].mean()))
 

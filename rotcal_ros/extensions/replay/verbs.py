@@ -30,7 +30,7 @@ LEAST_RATE, LARGEST_RATE = 0.01, 100.0
 PLAYER: Final = "player"
 """The process that replays."""
 _ERRORS: Final = {2: ConfigurationError, 3: DataError}
-"""The exit code of the process tells the kind of its error."""
+"""The exit code of the process shows the kind of its error."""
 
 
 def _rate(_context: click.Context, _option: click.Parameter, value: float) -> float:
@@ -80,7 +80,7 @@ def command(
     """Publish BAG as it was recorded, so that nodes and viewers work without a machine.
 
     The plan, the orders and the streams of the instruments are published, with their recorded
-    quality of service. What nodes had made of them is not: a live capture and a live solver make
+    quality of service. What nodes derived from them is not: a live capture and a live solver make
     it again, equal to the last bit. A live solver is asked for its result at the end. Nothing is
     replayed where a machine listens to orders. Ctrl-C ends it.
     """

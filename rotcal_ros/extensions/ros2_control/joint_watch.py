@@ -58,7 +58,7 @@ class JointWatch:
             return None
         angle = self.latest.angle
         return (
-            f"the table tells {angle:.6g} rad before its first order, {angle / TURN:.1f} turns: "
+            f"the table reports {angle:.6g} rad before its first order, {angle / TURN:.1f} turns: "
             f"if these are degrees, let joint_states be in rad; if they are turns, set "
             "table_adapter.many_turns: true"
         )
@@ -93,7 +93,7 @@ class JointWatch:
 
         A joint that has an order and has not begun to move is not at rest at its goal: it may
         stand there by chance, before it comes again from the other side. Its velocity is then
-        unknown (NaN), which nobody takes for rest.
+        unknown (NaN), which is not taken for rest.
         """
         self.latest, self._heard_s = sample, now_s
         if not isfinite(sample.angle):
@@ -138,7 +138,7 @@ class JointWatch:
         if now_s - self._heard_s > patience:
             return f"no feedback of the table for {now_s - self._heard_s:.1f} s"
         if now_s - self._heard_s > 0.5 * patience:
-            return None  # soon it is silent, or tells more
+            return None  # soon it is silent, or reports more
         if not isfinite(self.latest.angle):
             return "the feedback of the table is not a number"
         order = self.order
@@ -148,8 +148,8 @@ class JointWatch:
         still_s = now_s - self._moved_s
         if still_s > _REST_S and in_degrees(angle, goal):
             return (
-                f"the table tells {angle:.6g} where {goal:.6g} rad were ordered: its feedback is "
-                "in degrees, joint_states must be in rad"
+                f"the table reports {angle:.6g} where {goal:.6g} rad were ordered: its feedback "
+                "is in degrees, joint_states must be in rad"
             )
         if not order.moved and still_s > patience:
             return (

@@ -134,7 +134,7 @@ def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
     The best linear unbiased estimate for values with ``covariance`` (n, n). A variance common to
     all values is added first: the constant term absorbs it, the other coefficients do not change,
     and a covariance that is exactly zero at the reference angle becomes regular. Raises DataError
-    when the nodes cannot tell so many harmonics apart.
+    when the nodes cannot separate so many harmonics.
     """
     size = 2 * order + 1
     if order < 0 or size > len(nodes):

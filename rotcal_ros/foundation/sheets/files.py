@@ -22,7 +22,7 @@ Cell: TypeAlias = "str | float"
 
 _MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _OLDER: Final = ("cp1252", "cp850", "gb18030", "cp932")
-"""Encodings that any bytes may be in: which one it is, the names of the columns tell."""
+"""Encodings that any bytes may be in: the names of the columns show which one it is."""
 _GAP: Final = re.compile(r"\s{2,}|\t")
 _COMMENT: Final = re.compile(r"\s*(?:[#%]|//)")
 _RULE: Final = re.compile(r"[-=:+_ ]*")

@@ -38,7 +38,7 @@ CORNER: Final = re.compile(r"[\\|/]")
 _NO_UNIT: Final = ("", "-", "1")
 """What stands for none in a line of units."""
 _LOOKED_AT: Final = 100
-"""Rows in which the head of a table is looked for."""
+"""Rows in which the head of a table is searched for."""
 _ALL_IN: Final = re.compile(
     r"(?:units?|einheit(?:en)?|unites?|单位|單位|単位)\s*[:=]\s*(\S+)|"
     r"(?:all|alle|toutes?|tous)\b.*\b(?:in|en)\s+(\S+)",
@@ -84,7 +84,7 @@ class Layout:
     """How a grid is understood: the ``header`` of ours that its columns fill, and from where.
 
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
-    the cells of a matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``:
+    the cells of a matrix, empty for a list. ``aside``: headings that are not needed; ``missing``:
     columns without any; ``doubled``: a column and two headings that mean it. ``first``: index of
     the first row of values. ``length_unit``: stated above the table.
     """

@@ -69,7 +69,7 @@ def parse(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
 def decimal_marks(cells: Iterable[Cell]) -> frozenset[str]:
     """Return the decimal marks, point or comma, in which all numbers of ``cells`` can be read.
 
-    Both where nothing tells, as for 1,234 alone; none where some contradict each other.
+    Both where it is open, as for 1,234 alone; none where some contradict each other.
     """
     marks = {".", ","}
     for cell in cells:

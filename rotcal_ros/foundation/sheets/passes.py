@@ -1,6 +1,6 @@
 """Which pass through the table angles a row belongs to, where a table comes to an angle again.
 
-A pass goes through the angles in one direction. Columns of directions and runs tell it, or the
+A pass goes through the angles in one direction. Columns of directions and runs state it, or the
 order of the rows: the angles at which the same thing was measured, one after the other.
 """
 
@@ -24,7 +24,7 @@ Pass: TypeAlias = "tuple[int, bool]"
 class Halt:
     """The table stood at ``angle`` (rad), which has a ``number``, when a ``row`` was measured.
 
-    ``what`` was measured, as its target and station. ``run`` and ``down`` are what columns tell,
+    ``what`` was measured, as its target and station. ``run`` and ``down`` are what columns state,
     empty and None where there are none.
     """
 
@@ -74,7 +74,7 @@ def passes(halts: Sequence[Halt], where: str, *, both: bool = False) -> list[Pas
         parts = _parts(halts, group)
         shape = [len(part) for part in parts]
         if not _are_whole(halts, parts) or shapes.setdefault((numbers, run, down), shape) != shape:
-            raise _untold(halts, group, where)
+            raise _ambiguous(halts, group, where)
         if len(group) == 1 and down is None:
             alone.append(group)
         count = Counter[bool]()
@@ -86,9 +86,9 @@ def passes(halts: Sequence[Halt], where: str, *, both: bool = False) -> list[Pas
             found |= dict.fromkeys(part, (runs[run] if run else count[side], side))
             count[side] += 1
             if run and count[side] > 1:
-                raise _untold(halts, group, where)
+                raise _ambiguous(halts, group, where)
     if alone and (both or any(down for _, down in found.values())):
-        raise _untold(halts, alone[0], where)
+        raise _ambiguous(halts, alone[0], where)
     for k, count in again.items():
         side = next(found[n][1] for n in sorted(found) if halts[n].number == halts[k].number)
         found[k] = count[side], side
@@ -150,14 +150,14 @@ def _are_whole(halts: Sequence[Halt], parts: Sequence[Sequence[int]]) -> bool:
     return True
 
 
-def _untold(halts: Sequence[Halt], group: Sequence[int], where: str) -> DataError:
+def _ambiguous(halts: Sequence[Halt], group: Sequence[int], where: str) -> DataError:
     visits = Counter(halts[k].number for k in group)
     number, _ = visits.most_common(1)[0]
     at = [halts[k] for k in group if halts[k].number == number]
     rows = f"row{'s' * (len(at) > 1)} " + " and ".join(str(halt.row) for halt in at)
     return DataError(
         f"{where}: the table angle {at[0].angle / DEGREE:g} degrees, {rows}: the order of the "
-        "rows tells the run, and the way up or down, only where all was measured equally often. "
+        "rows shows the run, and the way up or down, only where all was measured equally often. "
         "Add a column 'direction' (up or down) and, for several runs, a column 'run', or keep one "
         "row"
     )

@@ -61,7 +61,7 @@ _LOOKED_AT: Final = 100
 _Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
 """Its number, and its cells by column."""
 _NO_KEYS: Final = frozenset({"position", "segment"})
-"""Columns of numbers that do not tell what was measured."""
+"""Columns of numbers that do not identify what was measured."""
 _NEAR: Final = 0.25
 """Share of the smallest step of the table within which an angle is the planned one."""
 _SAME_ANGLE: Final = 1e-9
@@ -70,7 +70,7 @@ _SAME_ANGLE: Final = 1e-9
 
 @dataclass(frozen=True)
 class SheetSettings:
-    """How a table of numbers is read, where the table does not tell it itself."""
+    """How a table of numbers is read, where the table does not say so itself."""
 
     length_unit: str = setting(
         "", doc="unit of lengths whose column states none", choices=("", *UNITS[LENGTH])
@@ -82,15 +82,15 @@ class SheetSettings:
         "", doc="unit of times whose column states none", choices=("", *UNITS[TIME])
     )
     decimal: str = expert(
-        "", doc="decimal mark, a point or a comma; empty: as the numbers tell",
+        "", doc="decimal mark, a point or a comma; empty: as the numbers show",
         choices=("", ".", ","),
     )  # fmt: skip
     counted_from: str = expert(
-        "", doc="number of the first position and of the first target; empty: as the numbers tell",
+        "", doc="number of the first position and of the first target; empty: as the numbers show",
         choices=("", "0", "1"),
     )  # fmt: skip
     columns: tuple[str, ...] = setting(
-        (), doc="columns by the text at their head where that tells nothing, as length=Messwert"
+        (), doc="columns by the text at their head where that says nothing, as length=Messwert"
     )
     name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
 
@@ -108,7 +108,7 @@ class SheetSettings:
 
 
 AS_IT_STANDS: Final = SheetSettings()
-"""For a table that tells everything itself."""
+"""For a table that states everything itself."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def read_any(
 ) -> Reading:
     """Return a table, or that in a file, with one of our ``headers``, and how it was understood.
 
-    ``known`` tells the numbers that a column may have, by the name of the column; it is asked only
+    ``known`` gives the numbers that a column may have, by the name of the column; it is asked only
     for a table that is not of our own form. Raises BagError for a file that is no table,
     DataError, with what to do, where something can be read in two ways or not at all.
     """
@@ -225,7 +225,7 @@ def read_any(
 def _require_named(
     path: Path, headers: Sequence[Header], named: Mapping[str, str], head: Sequence[str]
 ) -> None:
-    """Raise ConfigurationError for a column that nobody knows, BagError for a heading too few."""
+    """Raise ConfigurationError for a column that is not known, BagError for a heading too few."""
     ours = {TableColumn.of(name).name for header in headers for name in header}
     ours |= BESIDE if "position" in ours else set()
     there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
@@ -260,7 +260,7 @@ def _not_understood(
     name = TableColumn.of(layout.missing[0]).name
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
-        f"'{','.join(layout.header)}', in any unit and order. Tell a column with another name by "
+        f"'{','.join(layout.header)}', in any unit and order. State a column with another name by "
         f"{answer(name, 'ITS NAME')}",
         question=_which_column(layout.missing[0], layout.aside),
     )
@@ -395,7 +395,7 @@ class _Rows:
                 yield own | label | values
 
     def _mark(self, rows: Sequence[Mapping[str, tuple[Cell, Use]]]) -> str:
-        """Return the decimal mark; DataError where nothing tells it, or some tell another."""
+        """Return the decimal mark; DataError where no number shows it, or some show another."""
         if self._settings.decimal:
             return self._settings.decimal
         measured = {c.name for c in self._columns if c.quantity} | {TABLE_ANGLE}
@@ -445,7 +445,7 @@ class _Rows:
         return numbers
 
     def _by_angles(self, name: str) -> bool:
-        """Return whether a column of table angles tells positions, and no plan their numbers."""
+        """Return whether a column of table angles gives positions, and no plan their numbers."""
         uses, known = self._layout.uses, self._known
         return name == "position" and TABLE_ANGLE in uses and not (name in uses and name in known)
 
@@ -481,7 +481,7 @@ class _Rows:
         return str(si)
 
     def _unit(self, use: Use, quantity: str, measure: Measure, name: str) -> str:
-        """Return the unit of a column; DataError, with all readings, if none is told."""
+        """Return the unit of a column; DataError, with all readings, if none is stated."""
         units = use.units
         if len(units) == 1:
             return units[0]
@@ -526,7 +526,7 @@ class _Rows:
     def _in_passes(self, rows: Sequence[_Row], numbers: list[str]) -> list[str]:
         """Return numbers of positions, where those given are of angles that are visited again.
 
-        So it is where columns tell direction or run, and there are no more numbers than angles.
+        So it is where columns state direction or run, and there are no more numbers than angles.
         """
         known, beside = self._known.get("position", Known()), rows[0][1].keys() & {DIRECTION, RUN}
         angles = _distinct(known.angles)

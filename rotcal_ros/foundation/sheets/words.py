@@ -21,7 +21,7 @@ TABLE_ANGLE: Final = "angle"
 """A column of table angles, which stand for numbers of positions."""
 DIRECTION: Final = "direction"
 RUN: Final = "run"
-"""Columns that tell which visit of a table angle it was."""
+"""Columns that say which visit of a table angle it was."""
 SMALL_ANGLES: Final = ("deviation", "u", "expanded", "uncertainty")
 """Columns of reference tables, whose unit is another than that of the table angles."""
 _PI: Final = Decimal("3.14159265358979323846264338327950288")
@@ -83,8 +83,8 @@ def columns_of(head: Heading) -> tuple[str, ...]:
     A nominal length or place is none: it was not measured. A position in degrees is an angle.
     """
     parts = _parts(head.name)
-    telling = "".join(part for part in parts if part not in _fillers() | _nominal())
-    names = ("".join(parts), telling, _without_fillers(telling))
+    specific = "".join(part for part in parts if part not in _fillers() | _nominal())
+    names = ("".join(parts), specific, _without_fillers(specific))
     found = next((_columns()[name] for name in names if name in _columns()), ())
     if _nominal().intersection(parts):
         found = tuple(name for name in found if _QUANTITIES.get(name) in (None, ANGLE))

@@ -1,1 +1,1 @@
-"""Ball plate, reduced three-rosette: everything that this method brings."""
+"""Ball plate, reduced three-rosette: everything that belongs to this method."""

@@ -1,4 +1,4 @@
-"""Of what ball plates are made, and how much these materials grow per kelvin.
+"""What ball plates are made of, and how much these materials grow per kelvin.
 
 Coefficients near 20 degrees Celsius, 1/K. They turn a growth into kelvin, for people: nothing is
 corrected by them. A tenth more or less is usual from one plate to the next (ISO 3650: 11.5 +- 1.0

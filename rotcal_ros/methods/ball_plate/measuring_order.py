@@ -16,7 +16,7 @@ DEFAULT_ORDER: Final[Order] = "interleaved"
 ROUNDS: Final = 4
 """Turns of the table in the interleaved order where none are asked for."""
 CLOSING_BALLS: Final = 3
-"""Balls at a table position below which its repetition tells no motion."""
+"""Balls at a table position below which its repetition shows no motion."""
 _GOLDEN: Final = 0.5 * (np.sqrt(5.0) - 1.0)
 """Steps of this part of a turn never come back near to an earlier one: no period, even spread."""
 
@@ -99,7 +99,7 @@ def plan_measurement(
     """
     if bidirectional and not backlash:
         raise PlanError(
-            "both directions are told apart by the side of the approach: set backlash to true"
+            "both directions are distinguished by the side of the approach: set backlash to true"
         )
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
     _check_steps(grid, balls, cmm)

@@ -92,7 +92,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel | None:
-    """Return what the accepted observations tell of the curves, to be solved with others.
+    """Return what the accepted observations determine of the curves, to be solved with others.
 
     None where an allowance is stated: that has no noise of its own.
     """
@@ -112,7 +112,7 @@ def of_curves(
 def _told_by_touches(
     protections: Sequence[Protection], observations: Sequence[Observation]
 ) -> tuple[Protection, ...]:
-    """Return the protections; balls whose touches were captured tell which way z points."""
+    """Return the protections; balls whose touches were captured show which way z points."""
     if any(o.kind != PointKind.SURFACE or not o.captured for o in observations):
         return tuple(protections)
     touched = Protection(
@@ -128,12 +128,12 @@ def trials(
 ) -> Trials:
     """Prepare Monte Carlo trials about the accepted observations of a ball plate plan.
 
-    Raises ConfigurationError when neither the set-up nor the residuals tell the noise.
+    Raises ConfigurationError when neither the set-up nor the residuals give the noise.
     """
     solution = ball_plate.adjust(_chosen(configuration, plan, observations))
     if not np.max(solution.noise.used * solution.problem.noise_unit) > 1e-12:
         raise ConfigurationError(
-            f"{configuration.source}: exact centres tell no noise; state solver.sigma_centre_m"
+            f"{configuration.source}: exact centres show no noise; state solver.sigma_centre_m"
         )
     prepared = ball_plate.trials_about(solution)
     if not configuration.plan.bidirectional:
@@ -228,7 +228,7 @@ def read(
 ) -> PlannedMeasurements:
     """Return ball centres by table position and ball step, numbered in the order of the rows.
 
-    A plate that moved is looked for in the order of measurement, which is that of the rows.
+    A plate that moved is searched for in the order of measurement, which is that of the rows.
     Standard deviations in the table take the place of those of the set-up.
     """
     stated = table.header[-3:] == STD

@@ -294,7 +294,7 @@ class BallPlatePlanSettings:
         minimum=0,
         maximum=100,
         doc="turns of the table: interleaved, each for a share of the balls; table_once, each "
-        "for a share of the CMM positions; 0: as many as the order asks for (4 and 1)",
+        "for a share of the CMM positions; 0: as many as the order needs (4 and 1)",
     )
     closing: bool = setting(True, doc="measure the first table position again at the end")
     backlash: bool = setting(True, doc="approach all angles in the positive direction")

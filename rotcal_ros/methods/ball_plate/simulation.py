@@ -42,7 +42,7 @@ from rotcal_ros.methods.simulation.table import rotations
 from rotcal_ros.planning.plan import Plan
 
 _PLAY_M = 1e-4
-"""By which a way may come too near to a ball, whose true place the driver does not know."""
+"""How much too near to a ball a path may come: the driver does not know its true place."""
 _WAVES = 12
 """Plane waves that the machine's error is made of."""
 

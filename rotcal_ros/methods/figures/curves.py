@@ -114,7 +114,7 @@ def _draw_band(
 
 
 def injected(truth: Mapping[str, Any] | None, name: str, angles: Floats) -> Floats | None:
-    """Return what a simulation injected at ``angles`` (n,), rad; None where it does not tell."""
+    """Return what a simulation injected at ``angles`` (n,), rad; None where it does not say."""
     if truth is None or name not in truth.get("deviations", {}):
         return None
     known_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)

@@ -1,1 +1,1 @@
-"""Laser tracker and plane mirror: everything that this method brings."""
+"""Laser tracker and plane mirror: everything that belongs to this method."""

@@ -1,4 +1,4 @@
-"""Figures of a result whose details tell of tracker stations, nests and mirror normals.
+"""Figures of a result whose details contain tracker stations, nests and mirror normals.
 
 Like :mod:`~rotcal_ros.methods.figures.curves`: inline SVG, or an empty string where there is
 nothing to show. The details may come from a solution or from its JSON form.

@@ -5,7 +5,7 @@ checked while measuring: points that cannot be (:class:`TrackerCheck`), and nest
 stand where they were seen before (:func:`check`).
 
 A table has the columns ``position,tracker_station,kind,nest,x_m,y_m,z_m``. A last column
-``time_s`` may tell when each row was measured; without it the rows stand in the order in which
+``time_s`` may state when each row was measured; without it the rows stand in the order in which
 they were measured.
 """
 
@@ -89,7 +89,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
-    """Return what the accepted points tell of ECC, to be solved with other instruments."""
+    """Return what the accepted points determine of ECC, to be solved with other instruments."""
     return _of_curves(configuration, _problem(configuration, plan, observations)[0])
 
 
@@ -142,7 +142,7 @@ def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> R
 def check(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> tuple[str, ...]:
-    """Return in words what the nests tell against the newest station.
+    """Return in words what the nests show against the newest station.
 
     They do not stand where they were seen before, or the tracker turned by more than
     ``plan.drift_limit_arcsec`` between two rounds of nests. Raises DataError or GeometryError when
@@ -288,7 +288,7 @@ class TrackerPoints:
         return replace(solve_points(self.configuration, points), raw_data=_raw(points))
 
     def of_curves(self) -> CurveModel:
-        """Return what the points tell of ECC, to be solved with other instruments."""
+        """Return what the points determine of ECC, to be solved with other instruments."""
         return _of_curves(self.configuration, configured(self._points(), self.configuration))
 
     def trials(self) -> Trials:
@@ -309,7 +309,7 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
 
     Positions count from 0 into ``angles``; nest rows may leave theirs empty. Tracker stations are
     any labels, in the order of their first row: the order in which the tracker was moved. The
-    order of the rows of a station is that of measuring, unless ``time_s`` tells.
+    order of the rows of a station is that of measuring, unless ``time_s`` states another.
     Coordinates are metres in the tracker's own frame. DataError names the row.
     """
     stations: dict[str, int] = {}
@@ -356,7 +356,7 @@ def zero(result: Result) -> tuple[str, ...]:
     """Return what the curve counts from, and how a whole turn closes."""
     first, details = zero_at_the_first(result), result.details
     if "closure_rad" not in details:
-        return (*first, "No whole turn was measured: nothing tells how the curve closes.")
+        return (*first, "No whole turn was measured: how the curve closes is not known.")
     error = float(details["closure_rad"]) / ARCSEC
     expanded = COVERAGE_FACTOR * float(details["closure_std_rad"]) / ARCSEC
     closes = f"The whole turn closes to {value_with_uncertainty(error, expanded)} arcsec (k = 2)."

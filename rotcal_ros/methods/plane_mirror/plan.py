@@ -269,7 +269,7 @@ def _check_incidence(
 
 
 def _check_nests(nests: tuple[Point, ...]) -> None:
-    """Refuse nests that could not tell how the tracker was turned; none at all are allowed."""
+    """Refuse nests that could not show how the tracker was turned; none at all are allowed."""
     if not nests:
         return
     if len(nests) < 3:

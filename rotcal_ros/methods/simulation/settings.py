@@ -47,7 +47,7 @@ class CompensationSettings:
             raise ConfigurationError(
                 f"{len(self.angles_deg)} angles with "
                 f"{len(self.forward_arcsec)} forward and {len(self.reverse_arcsec)} reverse "
-                "corrections: expected ascending angles and one of both for each"
+                "corrections: expected ascending angles and one of each for every angle"
             )
 
 
@@ -63,7 +63,7 @@ class TableSettings:
     ecc: AngularHarmonics = group(AngularHarmonics)
     compensation: CompensationSettings = group(CompensationSettings, expert=True)
     external: bool = expert(
-        False, doc="another program moves the table and tells its actual angle on table_actual"
+        False, doc="another program moves the table and publishes its actual angle on table_actual"
     )
     backlash_arcsec: float = expert(
         0.0, doc="arcsec, by which the angle stays larger when approached from above"
@@ -143,7 +143,7 @@ class SimulatedAirSettings:
     humidity: float = setting(0.5, doc="relative humidity, 0 to 1", minimum=0.0, maximum=1.0)
     noise_pa: float = setting(1.0, doc="Pa, noise of one reading", minimum=0.0)
     vacuum_lengths: bool = setting(
-        False, doc="the tracer counts vacuum wavelengths: nobody has corrected its lengths"
+        False, doc="the tracer counts vacuum wavelengths: its lengths are not corrected"
     )
     vacuum_wavelength_nm: float = setting(
         632.8, doc="nm, its wavelength in vacuum", minimum=300.0, maximum=1700.0

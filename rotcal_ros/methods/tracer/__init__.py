@@ -1,1 +1,1 @@
-"""Laser tracer, multi-station: everything that this method brings."""
+"""Laser tracer, multi-station: everything that belongs to this method."""

@@ -159,7 +159,7 @@ def compare(
 ) -> Compared:
     """Return the figures of ``steps`` of ``plan`` and of the paper's plan at the same angles.
 
-    Steps that gave no length (``lost``) take time and tell nothing.
+    Steps that gave no length (``lost``) take time and give no information.
 
     Both with the planned noise of a length (``planner.expected_std_m``), and with the times that
     the policy reckons with. Raises ConfigurationError where the tracer's place is not known.

@@ -23,7 +23,7 @@ _FACTOR: Final = 10.0
 _SLACK: Final = 1e-3
 """Distance (m) that is added to that of two targets, which may be at the same place."""
 _RESET: Final = 1.0
-"""By how much (m) a zero may change when the beam was broken."""
+"""How much (m) a zero may change when the beam was broken."""
 
 
 def reported_positions(observations: Sequence[Observation]) -> Floats:

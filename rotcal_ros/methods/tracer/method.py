@@ -91,7 +91,7 @@ def trials(
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
-    """Return what the accepted lengths tell of ECC, to be solved with other instruments.
+    """Return what the accepted lengths determine of ECC, to be solved with other instruments.
 
     Of the mean where the table comes to its angles more than once. What is uncertain of the zero
     of a joined run is an error that its lengths share.

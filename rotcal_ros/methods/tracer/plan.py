@@ -102,7 +102,8 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     if settings.repeated and settings.order != TARGETS_PER_STATION:
         raise PlanError(
             f"repeated runs need the order {TARGETS_PER_STATION}: with {settings.order} the table "
-            "would arrive anew for every target, and no arrival could be told from another"
+            "would arrive anew for every target, and no arrival could be distinguished from "
+            "another"
         )
     angles = table_angles(settings)
     arrivals = visits(len(angles), settings.runs, settings.bidirectional)
@@ -170,12 +171,12 @@ def explicit_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) -
     if settings.repeated:
         raise PlanError(
             "runs and bidirectional repeat all lengths: they do not go with explicit pairs; leave "
-            "out one of both"
+            "out one of the two"
         )
     if settings.limited:
         raise PlanError(
             "min_elevation_deg and min_distance_m leave out pairs: they do not go with explicit "
-            "ones; remove one of both"
+            "ones; remove one of the two"
         )
     angles, targets = table_angles(settings), tuple(targets) or targets_of(settings)
     pairs = settings.listed

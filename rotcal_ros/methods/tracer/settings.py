@@ -310,7 +310,7 @@ class TracerPlanSettings(BlockSettings):
         1,
         minimum=1,
         maximum=100,
-        doc="how often all table angles are measured; ISO 230-2 asks for 5",
+        doc="how often all table angles are measured; ISO 230-2 requires 5",
     )
     bidirectional: bool = setting(
         False, doc="measure every run on the way up and, from the other side, on the way down"

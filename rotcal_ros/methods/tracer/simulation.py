@@ -478,8 +478,8 @@ def cell_time(configuration: Configuration) -> TimeModel:
     """Return the time model of the simulated cell of ``configuration``, in machine time.
 
     The capture takes the table for at rest when its lag has decayed to the tolerances of place
-    and speed; the feedback tells it half a period later. Then come the settle time and the window,
-    which begins half a period of the tracer late, and the feedback that confirms the rest.
+    and speed; the feedback reports it half a period later. Then come the settle time and the
+    window, which begins half a period of the tracer late, and the feedback that confirms the rest.
     """
     simulation, capture = configuration.simulation, configuration.capture
     table, probe, tracer = simulation.table, simulation.probe, simulation.tracer

@@ -3,7 +3,7 @@
 A fourth column ``segment`` numbers the unbroken beams. Beside a table of lengths stands
 ``targets.csv`` with ``target,x_m,y_m,z_m``; an explicit plan lists ``step,table_position,target``.
 A table of stations, ``position,x_m,y_m,z_m``, holds what somebody else has made of such lengths;
-``d_m`` may tell how far each is from the first target.
+``d_m`` may state how far each is from the first target.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ HEADERS: Final[tuple[Header, ...]] = (
     ("position", "target", "length_m", SEGMENT),
 )
 COLUMNS: Final = {"position": "table_position", "target": "target"}
-"""Columns of numbers, with the field of a step that each tells."""
+"""Columns of numbers, with the field of a step that each holds."""
 DISTANCE: Final = "d_m"
 STATIONS: Final[tuple[Header, ...]] = (
     ("position", "x_m", "y_m", "z_m"),
@@ -119,7 +119,7 @@ def read_stations(configuration: Configuration, table: Table) -> StationTable:
 def _read_lengths(
     configuration: Configuration, table: Table, targets: Table | None
 ) -> PlannedMeasurements:
-    """Return lengths by table position and target; a table tells no scatter, so there is none.
+    """Return lengths by table position and target; a table shows no scatter, so there is none.
 
     Segments that the table names have a zero each, unless the set-up asks
     for one per station.
@@ -131,7 +131,7 @@ def _read_lengths(
 
     def replanned(planned: Plan, targets: tuple[Point, ...]) -> Plan:
         listed, angles = configuration.plan.listed, planned.table_angles
-        if len(set(listed)) < len(listed):  # only the plan tells which pairs come again
+        if len(set(listed)) < len(listed):  # only the plan shows which pairs come again
             return explicit_plan(configuration.plan, targets)
         return plan_of(angles, targets, [Approach.UNKNOWN] * len(angles))
 
@@ -145,7 +145,7 @@ def read_lengths(
     columns: Mapping[str, str],
     replanned: Callable[[Plan, tuple[Point, ...]], Plan],
 ) -> PlannedMeasurements:
-    """Return the lengths of ``table``, each as the one step of the plan that its row tells.
+    """Return the lengths of ``table``, each as the one step of the plan that its row names.
 
     By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan of the set-up
     to the targets of the table ``targets``, or to its own without it. Raises ConfigurationError

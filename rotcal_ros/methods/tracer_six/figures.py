@@ -22,8 +22,8 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
         Figure(
             "Places and targets",
             "Solved places of the tracer with the table at angle zero, and the targets, from "
-            "above (left) and from the side (right). Tilts and heights are told by beams in many "
-            "directions, the turns by places far from each other.",
+            "above (left) and from the side (right). Tilts and heights are determined by beams in "
+            "many directions, the turns by places far from each other.",
             places_and_targets(result),
             "set-up",
         ),

@@ -92,7 +92,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
-    """Return what the accepted lengths tell of the curves, to be solved with other instruments."""
+    """Return what the accepted lengths determine of the curves, to be solved with other instruments."""
     from rotcal_ros.methods.tracer_six.solver.curve_model import curve_model
 
     solution = _at_equal_places(configuration, plan, observations).solution
@@ -263,7 +263,7 @@ def _located(plan: Plan, observations: Sequence[Observation], planned: Floats) -
 
 
 def read(configuration: Configuration, table: Table, targets: Table | None) -> PlannedMeasurements:
-    """Return lengths by place, table position and target; a table tells no scatter.
+    """Return lengths by place, table position and target; a table shows no scatter.
 
     What the plan measures several times may stand in the table as often, in the order of time.
     """

@@ -1,8 +1,8 @@
 """The plan of the six-deviations method: places of the tracer, table angles, targets.
 
 The tracer stands at one place of the table after the other. From each it measures lengths to the
-same targets while the table turns; between two places a person fixes it anew. Places tell all six
-deviations, or do not: those in a line lose one (:func:`_require_six`).
+same targets while the table turns; between two places a person fixes it anew. Places determine all
+six deviations, or do not: those in a line lose one (:func:`_require_six`).
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from rotcal_ros.planning.table_angles import table_angles, visits
 LOCATING: Final = 6
 """Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""
 LEAST_ANGLES: Final = 3
-"""Below it what turns with the table is not told from what stands still."""
+"""Below it what turns with the table is not separated from what stands still."""
 LEAST_PLACES: Final = 3
 """Two leave a turn about the line through them."""
 _UPRIGHT: Final = 0.7
-"""From this vertical part on, what is lost about a line is mostly ECC."""
+"""Vertical part from which the turn that is lost about a line is mostly ECC."""
 
 
 def plan(configuration: Configuration) -> Plan:
@@ -57,7 +57,8 @@ def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
     if settings.arrivals > 1 and settings.order != TARGETS_PER_STATION:
         raise PlanError(
             f"plan: several arrivals need the order {TARGETS_PER_STATION}: with {settings.order} "
-            "the table arrives anew for every target, and no arrival could be told from another"
+            "the table arrives anew for every target, and no arrival could be distinguished from "
+            "another"
         )
     places = places_of(settings)
     _require_six(places, tilt_known=tilt_known)
@@ -120,8 +121,8 @@ def check_plan(_configuration: Configuration, planned: Plan) -> None:
         )
     if len(planned.distinct_angles) < LEAST_ANGLES:
         raise PlanError(
-            f"{len(planned.distinct_angles)} table angles: to tell what turns with the table from "
-            f"what stands still, give at least {LEAST_ANGLES}"
+            f"{len(planned.distinct_angles)} table angles: to separate what turns with the table "
+            f"from what stands still, give at least {LEAST_ANGLES}"
         )
 
 
@@ -168,7 +169,7 @@ def around(
 
 
 def _require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
-    """Raise PlanError, with the direction that is lost, unless the places tell six deviations.
+    """Raise PlanError, with the lost direction, unless the places determine six deviations.
 
     ``tilt_known``: a lost tilt is tolerated, because it is stated beforehand.
     """
@@ -190,8 +191,8 @@ def _require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None
     stated = "" if upright else ", or state solver.tilt_std_rad"
     raise PlanError(
         f"plan: {lie} a turn of the table about the line through them ({x:.3f}, {y:.3f}, {z:.3f}) "
-        f"moves none of them, so that no length tells {what}; take {LEAST_PLACES} places that do "
-        f"not lie in a line, at best 120 degrees apart{stated}"
+        f"moves none of them, so that no length determines {what}; take {LEAST_PLACES} places "
+        f"that do not lie in a line, at best 120 degrees apart{stated}"
     )
 
 

@@ -154,7 +154,7 @@ class TracerSixSolverSettings(LengthNoiseSettings):
         "auto",
         doc="which lengths share the unknown zero of the counter: all from one place (per_run: a "
         "beam that never broke), those of an angle and place (per_station), or those of one "
-        "unbroken beam (per_segment); auto: per segment where the measurement tells the "
+        "unbroken beam (per_segment); auto: per segment where the measurement names the "
         "segments, else per run",
     )
     scatter_translation_std_m: float | None = expert(

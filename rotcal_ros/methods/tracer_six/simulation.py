@@ -95,7 +95,7 @@ class CarriedTracer(TracerAndReflector):
         """Fix the tracer at ``place``, with the errors of this mounting."""
         if place >= len(self._places):
             raise ConfigurationError(
-                f"simulation.tracer.places_m has {len(self._places)} places, the plan asks for "
+                f"simulation.tracer.places_m has {len(self._places)} places, the plan needs "
                 f"place {place}: list as many as the plan has"
             )
         count = self._mountings.get(place, 0)

@@ -164,7 +164,7 @@ def main() -> None:
     parser.add_argument("--actual", default="", help="HAL pin of the actual angle in degrees")
     parser.add_argument("--rate", type=float, default=100.0, help="Hz, lines on standard output")
     parser.add_argument("--start", action="store_true", help="switch on and home all")
-    parser.add_argument("--busy", action="store_true", help="tell whether it is at work, and end")
+    parser.add_argument("--busy", action="store_true", help="say whether it is at work, and end")
     arguments = parser.parse_args()
     os.environ["INI_FILE_NAME"] = arguments.ini
     import linuxcnc

@@ -178,10 +178,10 @@ def _is_valid(record: Any) -> bool:
 class InstrumentTopics:
     """Subscribes to instruments, and to other topics when a goal names them.
 
-    ``settings`` are the group ``topics`` in force: what a goal gives, told by the planner's beat
-    before the preflight, else by the plan. Units and clocks are then those of the goal alone, as
-    for every reader of the bag; of the node's own parameters only the names of topics still count.
-    ``switched`` is called with the role of a stream that has another source now, or is read
+    ``settings`` are the group ``topics`` in force: what a goal gives, announced by the planner's
+    beat before the preflight, else by the plan. Units and clocks are then those of the goal alone,
+    as for every reader of the bag; of the node's own parameters only the names of topics still
+    count. ``switched`` is called with the role of a stream that has another source now, or is read
     differently.
     ``refused`` maps each role whose type cannot be used to the reason.
     """

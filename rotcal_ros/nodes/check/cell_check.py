@@ -284,11 +284,11 @@ def _topic_line(snapshot: CellSnapshot) -> CheckLine:
         return CheckLine("safety", "emergency_stop", "good", f"node {nodes} publishes {name}")
     todo = "start the safety controller's node, or correct safety.emergency_stop"
     if settings.silent_s:
-        found = f"nobody publishes {name}, and its silence stops the cell (safety.silent_s)"
+        found = f"no node publishes {name}, and its silence stops the cell (safety.silent_s)"
         return CheckLine("safety", "emergency_stop", "missing", found, todo)
     if "safety.emergency_stop" in snapshot.configuration.given:
-        return CheckLine("safety", "emergency_stop", "doubt", f"nobody publishes {name}", todo)
-    return CheckLine("safety", "emergency_stop", "note", f"nobody publishes {name}")
+        return CheckLine("safety", "emergency_stop", "doubt", f"no node publishes {name}", todo)
+    return CheckLine("safety", "emergency_stop", "note", f"no node publishes {name}")
 
 
 _PARTS: Final = {names.TABLE_ANGLE: "table", names.PROBE_TARGET: "probe"}
@@ -419,7 +419,7 @@ def _line(snapshot: CellSnapshot, topic: str) -> CheckLine:
 
 
 def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
-    """Return the line of a stream that nobody publishes."""
+    """Return the line of a stream without a publisher."""
     part, kind = STREAMS[topic], OWN[topic]
     name = snapshot.name(topic)
     if snapshot.started_by_us:
@@ -434,8 +434,8 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
         return CheckLine(part, topic, "missing", why, todo)
     if topic in wished:
         why = preflight.without_air(topic, name, snapshot.configuration)
-        return CheckLine(part, topic, "doubt", f"nobody publishes {name}", why)
-    return CheckLine(part, topic, "note", "nobody publishes it, and nobody needs it")
+        return CheckLine(part, topic, "doubt", f"no node publishes {name}", why)
+    return CheckLine(part, topic, "note", "no node publishes it, and it is not needed")
 
 
 def _problem(
@@ -446,7 +446,7 @@ def _problem(
     limit_s = snapshot.configuration.planner.stream_timeout_s
     if text := snapshot.values.get(REFUSED + topic):
         return Finding(text, f"publish {kind} on {name}")
-    bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line tells it
+    bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line says so
     if not bad_joint and (why := snapshot.unusable(topic)):
         if topic == names.JOINT_STATES and snapshot.adapter is not None:
             return snapshot.adapter.wrong()

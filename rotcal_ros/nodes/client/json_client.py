@@ -41,7 +41,7 @@ ALIVE_PERIOD_S: Final = 1.0
 LISTEN_S: Final = 0.6
 """A client listens at least this long for nodes of another session: three beats."""
 LAST_BEATS_S: Final = BEAT_PERIOD_S + 2 * HEAR_PERIOD_S
-"""After the end of a goal every node has told its last warnings by then."""
+"""After the end of a goal every node has sent its last warnings by then."""
 RESUME: Final = b"resume"
 STDIN: Final = 0
 

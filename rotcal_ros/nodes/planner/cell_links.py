@@ -182,7 +182,7 @@ class CellLinks:
         return lacking + here + [self._unrecorded(name) for name in unheard]
 
     def elsewhere(self, topics: Iterable[str]) -> list[str]:
-        """Return where instrument topics that nobody publishes may be instead, in words."""
+        """Return where instrument topics without a publisher may be instead, in words."""
         absent = self.unpublished(topics).items()
         hints = ((name, self.graph.elsewhere(role, name)) for role, name in absent)
         return [f"{name}: {hint}" for name, hint in hints if hint]
@@ -272,7 +272,7 @@ class CellLinks:
         ]
 
     def unpublished(self, expected: Iterable[str]) -> dict[str, str]:
-        """Return role -> absolute name of those ``expected`` topics that nobody publishes."""
+        """Return role -> absolute name of those ``expected`` topics without a publisher."""
         called = {role: self.instrument(role) for role in expected}
         return {role: name for role, name in called.items() if not self.graph.publishers(name)}
 

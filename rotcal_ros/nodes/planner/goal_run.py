@@ -378,7 +378,7 @@ def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
         return odd
     needed, _ = expected_air(calibration)
     air = [
-        f"nobody publishes {name}, without which the index of refraction is unknown"
+        f"no node publishes {name}, without which the index of refraction is unknown"
         for name in links.unpublished(needed).values()
     ]
     wrong = faults(links.health.values("capture"), configuration, calibration.plan)

@@ -31,13 +31,13 @@ from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.settings import PlannerSettings
 
 ASTRAY_TIMEOUT_S: Final = 5.0
-"""For this long capture and solver may work on another plan than the goal's."""
+"""How long capture and solver may work on another plan than the goal's."""
 FOUND_S: Final = 5.0
 """Time for two ends to discover each other: lost discovery packets are sent again after 3 s."""
 SETTLED_S: Final = 0.5
 """If no new publisher is discovered for this long, the known ones count as all."""
 LOOK_S: Final = 0.1
-"""To look at the graph takes longer than a turn of the executor."""
+"""Looking at the graph takes longer than a turn of the executor."""
 HOPELESS_S: Final = 0.5
 """The capture must report HOPELESS for this long: late readings may look so for a moment."""
 SOLVER: Final = "solver"
@@ -105,7 +105,7 @@ class RequiredNodes:
         return {name: s for name, s in self._health.slow.items() if name in self.nodes}
 
     def is_another(self, name: str) -> Callable[[], bool]:
-        """Return a function that tells whether a node has become another process since now."""
+        """Return a function that says whether a node has become another process since now."""
         now = self._health.process(name)
         return lambda: self._health.process(name) != now
 
@@ -255,7 +255,7 @@ class GoalWatch:
     ) -> None:
         """Wait until nothing is missing; after the time of a preflight GoalError names what is.
 
-        It does so at once when ``in_vain`` tells why to wait would be in vain.
+        It does so at once when ``in_vain`` says why waiting would be in vain.
         """
         came = await self.wait(_rarely(lambda: not missing() or bool(in_vain())), self.patience_s)
         if why := in_vain() or ([] if came else missing() or ["preflight timed out"]):
@@ -369,7 +369,7 @@ class GoalWatch:
         self._astray = self._astray or Patience(allowed_s)
         if self._astray.is_over(pausing=bool(self.slow)):
             topic = self.links.graph.resolve(names.PLAN)
-            publishers = ", ".join(self.links.graph.publishers(topic)) or "nobody"
+            publishers = ", ".join(self.links.graph.publishers(topic)) or "none"
             raise GoalError(
                 Codes.NODE_LOST,
                 f"{'; '.join(astray)} any more {place}: does another node publish on {topic} (its "
@@ -405,7 +405,7 @@ class GoalWatch:
     def _check_publishers(self, place: str) -> None:
         """Raise GoalError if an instrument was restarted: only the next run hears it.
 
-        Beats tell a restart of required nodes. A restarted machine may no longer know where it is,
+        Beats show a restart of required nodes. A restarted machine may no longer know where it is,
         so a person has to begin again.
         """
         found = started_anew(self.heard, self.links.offered(self.instruments))

@@ -263,7 +263,7 @@ class PlannerParameters:
                 )
         if goal.method and goal.method != configuration.method.name:
             raise ConfigurationError(
-                f"the goal asks for method {goal.method!r}, its configuration describes "
+                f"the goal requests method {goal.method!r}, its configuration describes "
                 f"{configuration.method.name!r}"
             )
         return configuration

@@ -159,10 +159,10 @@ def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
 
 
 def without_air(role: str, topic: str, configuration: Configuration) -> str:
-    """Return what follows if nobody publishes the expected ``topic`` of a quantity of the air."""
+    """Return what follows if no node publishes the expected ``topic`` of a quantity of the air."""
     name = next(name for name, last in _AIR.items() if role == last)
     return (
-        f"nobody publishes {topic}: every observation waits for it for "
+        f"no node publishes {topic}: every observation waits for it for "
         f"{configuration.capture.clock_tolerance_s:g} s (capture.clock_tolerance_s), then does "
         f"without; publish it, or set capture.{name}_expected: false"
     )
@@ -232,7 +232,7 @@ def joint_faults(values: Values, joint: str) -> Iterator[str]:
     """Yield what is wrong with the joint of the table."""
     heard = joints(values)
     chosen, topic = chosen_joint(values, joint), name_in(values, names.JOINT_STATES)
-    if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are told
+    if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are listed
         return
     if chosen not in heard:
         yield (

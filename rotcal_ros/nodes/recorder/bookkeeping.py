@@ -103,7 +103,7 @@ class Silences:
 
 
 JUMP_ON_ITS_WAY_S: Final = 60.0
-"""For this long after a clock was set, messages with older stamps may still arrive."""
+"""How long after a clock was set messages with older stamps may still arrive."""
 
 
 class LogTimes:
@@ -203,7 +203,7 @@ class PendingReceipts:
         """Yield what can be confirmed now that the readings have come to ``reached_ns``.
 
         None: there is no such stream. ``lost`` counts the losses since the bag was opened; each
-        receipt tells those since the previous one, and its point if that is lost. The clock of
+        receipt reports those since the previous one, and its point if that is lost. The clock of
         ``now_s`` stands still while this process does.
         """
         if reached_ns is not None:

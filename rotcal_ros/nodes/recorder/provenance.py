@@ -95,7 +95,7 @@ class NodeParameters:
         self.attach()
 
     async def _ask(self, name: str, remote: str) -> None:
-        """Ask one node until it has answered; who is silent holds up nobody else."""
+        """Ask one node until it has answered; a silent one does not hold up the others."""
         while self._found[name] is None and not self._attached:
             self._found[name] = await _parameters_of(self._node, remote)
 

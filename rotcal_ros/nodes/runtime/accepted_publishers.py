@@ -1,6 +1,6 @@
 """Which publishers a node accepts while a calibration runs: those that the planner names.
 
-When a run begins, the planner fixes the publishers of every topic and tells them in its beat
+When a run begins, the planner fixes the publishers of every topic and lists them in its beat
 (BELIEVED). Each node ignores all others from then on, and answers in its own beat (HEARS) with a
 hash of what it accepts, once it is connected to all of them. Only then does the planner go on.
 """

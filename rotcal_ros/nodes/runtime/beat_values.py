@@ -5,7 +5,7 @@ hold, and appear in /diagnostics too. The capture adds the latest reading of eve
 that people see it without subscribing to a stream of 1 kHz themselves.
 
 A topic has the name of its role below the namespace of the cell, unless it is remapped or the
-group ``topics`` of the configuration names another one; a beat tells such other names.
+group ``topics`` of the configuration names another one; a beat lists such other names.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ class CellGraph:
         """Yield why the cell cannot use an instrument's ``topic``."""
         name, publishers = self.resolve(topic), self.publishers(topic)
         if not publishers:
-            yield f"nobody publishes {name}: start its instrument"
+            yield f"no node publishes {name}: start its instrument"
         elif len(publishers) > 1:
             yield from self.crowded(topic)
         elif not has_delivered:
@@ -129,7 +129,7 @@ class CellGraph:
         """
         machines = self.machines(topic)
         if not machines:
-            yield f"nobody obeys {self.resolve(topic)}: start the machine's node"
+            yield f"no node obeys {self.resolve(topic)}: start the machine's node"
         planners = () if self.publishers(topic) else (PLANNERS,)
         obeys = set(machines).__contains__
         unmatched = [*incompatible_listeners(self.node, self.resolve(topic), obeys, planners)]

@@ -119,9 +119,9 @@ class Health:
     """The health of one node.
 
     ``concerns`` are what a person should look at, ``alarms`` what a person must look at.
-    ``report`` returns (state, values) for every beat; without it the node only listens, and nobody
-    misses it. ``on_lost`` is called with the name of every other node that is lost. ``refused`` is
-    the error with which this node must end, because an older one of its name is there.
+    ``report`` returns (state, values) for every beat; without it the node only listens, and is
+    not missed. ``on_lost`` is called with the name of every other node that is lost. ``refused``
+    is the error with which this node must end, because an older one of its name is there.
     """
 
     def __init__(
@@ -333,7 +333,7 @@ class Health:
         self._diagnostics.publish(array)
 
     def _message(self, state: NodeState, values: Values) -> msg.NodeState:
-        """Return a state with what is to be told besides."""
+        """Return a state with what else is to be reported."""
         trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))

@@ -1,4 +1,4 @@
-"""Finds message types by name, and tells whether a recorded one is the installed one."""
+"""Finds message types by name, and checks whether a recorded one is the installed one."""
 
 from __future__ import annotations
 

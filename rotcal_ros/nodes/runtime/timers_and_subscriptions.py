@@ -37,7 +37,7 @@ from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.nodes.runtime.qos import adapted_qos
 
 UNHEARD_S: Final = 5.0
-"""For as long what is sent may not arrive before a node subscribes anew."""
+"""How long what is sent may fail to arrive before a node subscribes anew."""
 _LOOK_S: Final = 0.1
 _NO_ARGUMENTS: Final = Signature()
 

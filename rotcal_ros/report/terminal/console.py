@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def say(text: str) -> None:
     """Print a line for people on standard error, above a progress bar if there is one."""
     note_told(text)
-    # Not click.echo: it writes past what rich puts in the place of standard error meanwhile.
+    # Not click.echo: it writes past what rich puts in place of standard error meanwhile.
     sys.stderr.write(f"{printable(text)}\n")
 
 

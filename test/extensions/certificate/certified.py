@@ -1,4 +1,4 @@
-"""A result that tells all that a certificate needs."""
+"""A result that states all that a certificate needs."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -170,5 +170,5 @@ def test_a_table_without_a_day_is_told_how_to_state_it(lengths):
     refused = run(lengths, "--setup", setup, "--set", "identity.measured=", "--dcc")
     assert refused.exit_code == 2
     assert refused.output.splitlines()[1:] == [
-        "  identity.measured: when it was measured: a bag tells it, a table does not"
+        "  identity.measured: when it was measured: a bag records it, a table does not"
     ]

@@ -1,4 +1,4 @@
-"""Plans of a tracer of which few simulated runs tell whether they keep their promise.
+"""Plans of a tracer of which few simulated runs show whether they keep their promise.
 
 How many runs a promise takes is tried in test_promise.py; a plan's tests
 ask what is done with them.
@@ -13,6 +13,6 @@ from rotcal_ros.methods.tracer.policy import sequence as sequence_choice
 
 
 def few_runs(monkeypatch: pytest.MonkeyPatch, runs: int) -> None:
-    """Let the promise of a plan be told by so many runs; orders are less polished."""
+    """Let the promise of a plan be tested by so many runs; orders are less polished."""
     monkeypatch.setattr(sequence_choice, "TRADES", 30)
     monkeypatch.setattr(ordering, "promised", partial(ordering.promised, looks=(runs,)))

@@ -26,7 +26,7 @@ SMALL = (
     "--set", "exchanges=6", "--set", "starts=1",
 )  # fmt: skip
 HALF = ("--confidence", "0.5")
-"""A promise that few simulated runs tell, for tests that are about something else."""
+"""A promise that few simulated runs test, for tests that are about something else."""
 
 
 @pytest.fixture(autouse=True)
@@ -73,7 +73,7 @@ def solver_of(folder):
     ],
 )
 def test_results_of_a_plan_state_what_it_promises(tmp_path, motion, confidence, monkeypatch):
-    """The goal is met as often as is promised, and what that assumes is told and written down."""
+    """The goal is met as often as is promised, and what that assumes is said and written down."""
     few_runs(monkeypatch, 150 if confidence < 0.9 else 400)
     stated = () if motion is None else ("--set", f"error_motion_std_m={motion:.1e}")
     command = ("--need", "ECC=2.5", *SMALL, *stated, "--confidence", str(confidence))
@@ -194,9 +194,9 @@ def test_the_plain_minimum_warns():
     ("arguments", "text"),
     [
         (("--need", "EXC=1"), "expected ECC=ARCSEC"),
-        (("--need", "ECC=0.0001", *SMALL), "wanted of them is 0.0001"),
+        (("--need", "ECC=0.0001", *SMALL), "the goal is 0.0001"),
         (("--set", "sigma=3"), "unknown setting 'sigma'"),
-        (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
+        (("--set", "error_motion_std_m=1.0e-6", *SMALL), "more lengths do not help"),
         (("--need", "ECC"), "--need ECC: expected ECC=ARCSEC, e.g. ECC=1.2"),
         (("missing.yaml",), "cannot read the goal missing.yaml: No such file"),
         (("--set", "keep_out_m=[1, 2"), "keep_out_m=[1, 2: not valid YAML"),

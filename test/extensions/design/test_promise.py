@@ -129,7 +129,7 @@ def test_the_same_seed_promises_the_same():
     ("goal", "runs"), [(1.0, 20), (1e-9, 100)], ids=["met by all", "met by none"]
 )
 def test_no_more_runs_are_simulated_than_tell_it(goal, runs):
-    """Of 20 runs with none missed more than half meet it; where none does, 100 tell how far."""
+    """Of 20 runs with none missed more than half meet it; where none does, 100 show how far."""
     found = promised(*posed(error_motion_std=0.0), (goal, goal), 0.5, looks=(20, 160))
     assert found.runs == runs
     assert found.kept(0.5, goal, goal) == (goal == 1.0)

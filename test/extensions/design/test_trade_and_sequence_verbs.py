@@ -61,7 +61,7 @@ def test_stations_that_see_nothing_are_refused():
 
 
 def test_balls_of_a_perfect_table_reach_the_bound_and_take_what_is_stated(tmp_path):
-    """Of one ball that only the noise keeps from telling the axis: a circle is the best plan."""
+    """Of one ball that only the noise keeps from giving the axis: a circle is the best plan."""
     setup = tmp_path / "setup.yaml"
     setup.write_text(
         "method: table_balls\nballs_m: [[0.15, 0.0, 0.08]]\naxis_m: [0.0, 0.0, 0.08]\n"

@@ -1,4 +1,4 @@
-"""What a wanted uncertainty takes: against dense least squares, other plans and known figures."""
+"""What a required uncertainty takes: against dense least squares, plans and figures."""
 
 from dataclasses import replace
 

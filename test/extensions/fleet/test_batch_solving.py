@@ -38,7 +38,7 @@ SEEDS = (5, 6, 7)
 _groups = yaml.safe_load(SAMPLE)["/**"]["ros__parameters"]
 _groups.pop("method")
 PLAN = {**_groups["plan"], "box_points": [2, 2, 2], "table_positions": 5}
-DATED = {"identity": {"measured": "2026-03-31"}}  # simulated clocks tell no date
+DATED = {"identity": {"measured": "2026-03-31"}}  # simulated clocks give no date
 CONFIGURATION = dump_configuration(
     "tracer_multistation", {**_groups, **DATED, "plan": PLAN, "solver": {"variant": "station"}}
 )

@@ -1,4 +1,4 @@
-"""The node that tells a cell how its tables stand."""
+"""The node that reports the state of a cell's tables."""
 
 import os
 
@@ -58,7 +58,7 @@ def test_a_late_listener_hears_the_latched_status(database, cell):
     live = cell()
     arguments = ("-p", f"history.database:={database}", "-p", "serial:=HIT")
     live.start("calibration_status", arguments=arguments)
-    live.wait_for_log("calibration_status", "told: 1 tables")
+    live.wait_for_log("calibration_status", "reported: 1 tables")
     heard, context = [], Context()
     rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
     node = rclpy.create_node("listener", namespace="/cell", context=context)

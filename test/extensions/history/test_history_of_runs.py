@@ -1,4 +1,4 @@
-"""A calibration that is interrupted and resumed comes to its history, which tells the cell."""
+"""A calibration that is interrupted and resumed comes to its history, which informs the cell."""
 
 import re
 import signal
@@ -35,7 +35,7 @@ def test_a_run_is_in_the_history_once_it_is_done(rotcal, cell, tmp_path):
     run = rotcal("--resume", folder, *kept, log=log, changes=own)
     assert run.wait(patient(120)) == 0
     assert "history: entry 1: result of 4711/C" in log.read_text()
-    live.wait_for_log("calibration_status", "told: 1 tables")
+    live.wait_for_log("calibration_status", "reported: 1 tables")
     with ParkHistory(str(database)) as history:
         result, report = history.entries(content=True)
         assert history.check() == []

@@ -170,7 +170,7 @@ def test_an_order_is_measured_when_the_table_rests_and_echoed():
     assert rest.why_not(ORDER) == "no feedback of the table has come"
     for stamp_s, angle, velocity, why in (
         (0.0, 0.4, 0.1, "the table moves"),
-        (0.1, 0.5, math.nan, "the feedback tells no velocity"),
+        (0.1, 0.5, math.nan, "the feedback reports no velocity"),
         (0.2, 0.4, 0.0, "the table rests at 22.9183° and is ordered to 28.6479°"),
         (1.0, 0.5, 0.0, "the table has just come to rest"),
         (1.4, 0.5, 0.0, "the table has just come to rest"),

@@ -140,7 +140,7 @@ def test_what_is_forgotten_while_a_session_begins_is_never_done(serve):
     driver, points, _complaints = driver_of(server)
     driver.order(TARGET, STEP)
     driver.forget()
-    wait_for(lambda: len(points) > 1)  # told unasked, behind the order
+    wait_for(lambda: len(points) > 1)  # reported unasked, behind the order
     assert "GoTo" not in server.names()
     driver.stop()
 

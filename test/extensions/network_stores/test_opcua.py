@@ -278,7 +278,7 @@ def test_a_wrong_password_is_refused_and_not_repeated(machine, monkeypatch):
 
 
 def test_a_channel_without_encryption_is_not_tried(machine):
-    """What goes over the line tells nothing of table, file, user and password."""
+    """What goes over the line shows nothing of table, file, user and password."""
     seen = []
     with opcua_bench.Tap(machine.server.port, seen.append) as tap:
         feed = machine.feed({"endpoint": f"opc.tcp://127.0.0.1:{tap.port}"})

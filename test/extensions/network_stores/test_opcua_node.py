@@ -81,7 +81,7 @@ def test_a_cut_line_puts_nothing_half_in_force(machine):
 
 
 def test_a_server_that_only_shows_files_is_written_in_place(machine):
-    """A killed server leaves half a table: that is told, and the next start repairs it."""
+    """A killed server leaves half a table: that is reported, and the next start repairs it."""
     held = machine.server.work / "fixed" / CSV
     feed = machine.feed({"directory": "1:Machine/1:Fixed"})
     assert held.read_text() == ""

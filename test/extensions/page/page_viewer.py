@@ -23,7 +23,7 @@ def address(live, name="operator_page"):
 
 
 class Viewer:
-    """Holds what the page has told so far."""
+    """Holds what the page has sent so far."""
 
     def __init__(self, url):
         self.url, self.state, self.names = url, {}, []

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 HERE = NodeState(State.CALIBRATING)
 PLACE = place_in_words(5, 34)
-# What a policy tells in its 67th step of 105 expected ones; the plan holds 2344 pairs.
+# What a policy reports in its 67th step of 105 expected ones; the plan holds 2344 pairs.
 MEASURING = {
     "now": now(HeardPlanner(HERE, calibrating=True, doing=Why.MEASURING, activity=PLACE)),
     "steps": StepProgress(step=66, total=105, accepted=64, rejected=6, left=39, end_s=None),

@@ -54,7 +54,7 @@ def test_other_names_are_heard_recorded_read_again_and_replayed(cell, monkeypatc
     # without the group nobody listens there, and that is said by the names in question
     failed = live.client("first").result()
     assert failed["error_code"] == 602, failed["error_msg"]
-    assert "nobody publishes /cell/tracer_length" in failed["error_msg"]
+    assert "no node publishes /cell/tracer_length" in failed["error_msg"]
     assert "/cell/joint_states" not in failed["error_msg"]
 
     outcome = live.client("second", configuration=named).result()

@@ -131,11 +131,11 @@ def test_silence():
 def test_degrees_are_named():
     joint = Joint(0.0)
     joint.order(30 * DEG)
-    joint.angle = 30.0  # the joint went there, and tells it in degrees
+    joint.angle = 30.0  # the joint went there, and reports it in degrees
     joint.stay(0.3)
-    assert joint.complaint() is None  # a table that passes by tells nothing
+    assert joint.complaint() is None  # a table that passes by proves nothing
     joint.stay(0.4)
-    assert "tells 30 where 0.523599 rad were ordered: its feedback is in degrees" in (
+    assert "reports 30 where 0.523599 rad were ordered: its feedback is in degrees" in (
         joint.complaint()
     )
 

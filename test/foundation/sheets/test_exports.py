@@ -136,7 +136,7 @@ def test_a_trackers_points_in_japanese(tmp_path: Path) -> None:
 
 
 def test_a_set_up_of_two_lines_for_a_table_with_angles(tmp_path: Path) -> None:
-    """Without a plan the table itself tells its angles."""
+    """Without a plan the table itself gives its angles."""
     EXPORTS["angles.csv"](tmp_path / "angles.csv")
     shutil.copy(DATA / "targets.csv", tmp_path)
     (tmp_path / "setup.yaml").write_text("method: tracer_multistation\nlength_std_m: 1.2e-7\n")

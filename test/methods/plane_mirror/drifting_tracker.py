@@ -32,7 +32,7 @@ class Creep:
     """What the tracker's zeros do from the start of a station (0) to its end (1).
 
     ``azimuth``, ``tilt_x``, ``tilt_y`` (rad), ``range`` (m) and ``shift`` (3,) (m) of its head
-    are the whole change; ``course`` tells how much of it has come by a share of the time.
+    are the whole change; ``course`` says how much of it has come by a share of the time.
     """
 
     azimuth: float = 0.0

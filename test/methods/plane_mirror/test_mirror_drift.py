@@ -91,7 +91,7 @@ def test_95_percent_intervals_hold_with_three_nests():
 
 @pytest.mark.parametrize("way", WAYS)
 def test_without_closing_nests_the_drift_is_named(way):
-    """Here the intervals do hold too little, and nothing in the data tells."""
+    """Here the intervals do hold too little, and nothing in the data shows it."""
     errors, result = runs(CREEPS["azimuth"], way, closing=False)
     assert coverage(errors, result) < 0.9
     assert effect_of(result)["drift"].treatment == "not protected"
@@ -200,7 +200,7 @@ def test_a_nest_that_moves_while_the_tracker_stands_is_named_and_spoils_nothing(
 
 
 def test_the_live_check_asks_for_what_the_newest_rounds_show():
-    """A nest that moved between the stations is told at the first nests, and not once more."""
+    """A nest that moved between the stations is reported at the first nests, and not once more."""
     found = campaign(moved=(4, 5, (0.15e-3, -0.1e-3, 0.0)))
     whole = found.problem(found.noisy(np.random.default_rng(4), 1)[0])
     rounds = nest_rounds(whole)

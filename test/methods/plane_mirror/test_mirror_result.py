@@ -1,4 +1,4 @@
-"""What a result of the plane mirror tells: counted, placed and normalised as the physics says."""
+"""What a result of the plane mirror states: counted, placed and normalised as the physics says."""
 
 from dataclasses import replace
 

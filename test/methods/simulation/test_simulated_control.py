@@ -87,7 +87,7 @@ def test_iso_runs_of_the_true_angle():
     ],
 )
 def test_a_control_table_that_does_not_fit_is_refused(wrong):
-    with pytest.raises(ConfigurationError, match="expected ascending angles and one of both"):
+    with pytest.raises(ConfigurationError, match="expected ascending angles and one of each"):
         table_settings(compensation=wrong)
 
 

@@ -133,7 +133,7 @@ def test_half_true_reports_are_half_believed():
 def test_the_stated_uncertainty_holds_and_sound_cells_are_not_suspect(move, noise):
     """95 % of the angles within 1.96 u; 1 cell of 60 is suspect without reports.
 
-    Where a part of the reports is noise, some cells cannot tell it from noise of the lengths.
+    Where a part of the reports is noise, some cells cannot separate it from noise of the lengths.
     """
     inside, square, suspect = [], [], 0
     cells = 60 if LONG else 8

@@ -1,4 +1,4 @@
-"""What the result tells of stations, tests and budget, computed anew from its own arrays."""
+"""What the result reports of stations, tests and budget, computed anew from its own arrays."""
 
 import numpy as np
 import pytest

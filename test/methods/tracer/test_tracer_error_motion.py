@@ -1,4 +1,4 @@
-"""Error motion that nobody stated: the circle of the stations tells how much there is."""
+"""Error motion that is not stated: the circle of the stations shows how much there is."""
 
 import numpy as np
 import pytest

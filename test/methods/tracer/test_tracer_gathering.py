@@ -89,7 +89,7 @@ def test_the_warning_names_the_station_and_how_many(one_zero):
 
 
 def test_a_half_against_the_other_half_is_suspect_and_covered():
-    """Which ten of twenty are right no length of a station with a zero of its own can tell."""
+    """No length of a station with a zero of its own can show which ten of twenty are right."""
     for seed in range(4):
         here = world(seed, "half", 2 * UM)
         sound, result = (solve(problem(here, x)) for x in (here.sound, here.disturbed))

@@ -272,13 +272,13 @@ def test_least_that_counting_allows():
     ("layout", "text"),
     [
         # all on one line above the table: the place around that line is free
-        (lambda n, rng: np.outer(np.linspace(0.3, 0.9, n), [0.1, 0.2, 1.0]), "cannot tell"),
+        (lambda n, rng: np.outer(np.linspace(0.3, 0.9, n), [0.1, 0.2, 1.0]), "cannot determine"),
         # level with the tracer: heights are not seen
         (lambda n, rng: low_ring(n, rng) * [1, 1, 0] + [0, 0, 0.12], "mostly z"),
         # a 20 mm cube one metre above: hardly any parallax
         (
             lambda n, rng: rng.uniform([-0.01, -0.01, 0.99], [0.01, 0.01, 1.01], (n, 3)),
-            "cannot tell the angle",
+            "cannot determine the angle",
         ),
     ],
 )

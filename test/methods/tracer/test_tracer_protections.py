@@ -219,7 +219,7 @@ def test_the_bound_holds_no_error_motion_which_would_widen_it():
 def test_an_origin_that_drifts_in_step_with_each_turn_is_named_where_the_table_turns_often():
     """Paper's order, full circle: 5 um per turn displace each station by the same every time.
 
-    No residual grows, and nothing but the closing position, if there is one, tells it.
+    No residual grows, and only the closing position, if there is one, shows it.
     """
     share_of_turn = np.arange(STATIONS) / STATIONS
 

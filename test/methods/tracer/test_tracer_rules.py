@@ -236,7 +236,7 @@ def test_counting_allows_as_many_lengths_as_unknowns():
         ObservabilityError, match="63 usable lengths from 4 stations to 16 targets"
     ):
         check_counts(replace(grid, used=used))
-    check_counts(replace(grid, used=used, free=False))  # the machine tells the targets
+    check_counts(replace(grid, used=used, free=False))  # the machine gives the targets
 
 
 def blocks_of(rng, count, size):
@@ -313,7 +313,7 @@ def joined(disagreement):
 
 @pytest.mark.parametrize("share", [0.95, 1.05])
 def test_pairs_that_contradict_each_other_make_a_good_result_suspect(share):
-    """Their mean is right, so the lengths fit as before: the test of the join alone tells."""
+    """Their mean is right, so the lengths fit as before: the test of the join alone shows it."""
     variance = (1 + 4) * STD**2
     limit = np.sqrt(chi2.isf(0.001, 7) * variance / 8)
     problem, runs = joined(share * limit)

@@ -1,4 +1,4 @@
-"""What cannot be told is refused, and the lost direction named."""
+"""What cannot be determined is refused, and the lost direction named."""
 
 import numpy as np
 import pytest

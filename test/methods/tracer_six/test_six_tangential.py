@@ -1,4 +1,4 @@
-"""A tracer that mount or cable shift along its circle: what no length of any place can tell."""
+"""A tracer that mount or cable shift along its circle: what no length of any place can show."""
 
 import numpy as np
 import pytest

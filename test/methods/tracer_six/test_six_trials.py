@@ -24,7 +24,7 @@ def test_trials_scatter_as_stated(known):
 
 
 def test_trials_hold_what_is_stated_about_the_tilts():
-    """Two places: what the lengths do not tell of the tilts is the prior's."""
+    """Two places: what the lengths do not determine of the tilts is the prior's."""
     known = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
     known |= {"tilt_std": 1e-5, "slip": 0.0}
     rows = scene(np.random.default_rng(1), good_targets()[:14], on_circle(2), m=5).rows

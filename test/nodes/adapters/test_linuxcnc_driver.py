@@ -1,4 +1,4 @@
-"""What the driver tells of the table, from lines of its agent, without ROS nodes."""
+"""What the driver reports of the table, from lines of its agent, without ROS nodes."""
 
 from types import SimpleNamespace
 

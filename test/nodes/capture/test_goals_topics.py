@@ -1,4 +1,4 @@
-"""Units and clocks are those of the goal: a bag tells no others, and its result is the same."""
+"""Units and clocks are those of the goal: a bag records no others, and its result is the same."""
 
 import json
 from types import SimpleNamespace

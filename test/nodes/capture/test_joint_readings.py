@@ -1,4 +1,4 @@
-"""Which joints the capture tells of, and with which angles."""
+"""Which joints the capture reports, and with which angles."""
 
 import pytest
 

@@ -55,7 +55,7 @@ def test_nobody_at_the_address_is_missing_with_what_to_do(server):
     simulated = changed(DME, [f"dme.port={port}"])
     (line,) = driver_lines(heard(simulated))
     assert line.state == "missing"
-    assert line.found.startswith(f"nobody answers at 127.0.0.1:{port}: Connection refused")
+    assert line.found.startswith(f"no server answers at 127.0.0.1:{port}: Connection refused")
     assert line.todo == "start the simulated one: rotcal dme serve CONFIG"
 
 
@@ -72,10 +72,10 @@ def test_a_driver_that_is_here_is_asked_for_nothing():
 @pytest.mark.parametrize(
     ("kinds", "words", "roles"),
     [
-        ((Tracer,), "tells lengths", {"tracer_length"}),
+        ((Tracer,), "measures lengths", {"tracer_length"}),
         ((Tracker,), "finds reflectors", {"probe_point", "probe_target"}),
         (
-            (Tracer, Tracker), "tells lengths and finds reflectors",
+            (Tracer, Tracker), "measures lengths and finds reflectors",
             {"tracer_length", "probe_point", "probe_target"},
         ),
     ],
@@ -117,4 +117,4 @@ def test_two_drivers_for_one_table_are_one_too_many():
 def test_a_host_that_can_have_no_address_is_missing_too():
     (line,) = driver_lines(heard(changed(DME, ["dme.host=cmm..lab"])))
     assert line.state == "missing"
-    assert line.found.startswith("nobody answers at cmm..lab:1294: ")
+    assert line.found.startswith("no server answers at cmm..lab:1294: ")

@@ -31,10 +31,10 @@ def line_of(configuration, *types):
     ("configuration", "types", "state", "words"),
     [
         (STATED, ["std_msgs/msg/Bool"], "good", "node plc publishes /safety/estop"),
-        (STATED, [], "doubt", "nobody publishes /safety/estop"),
+        (STATED, [], "doubt", "no node publishes /safety/estop"),
         (STATED, ["std_msgs/msg/Int8"], "missing", "/safety/estop is of type std_msgs/msg/Int8"),
-        (PLAIN, [], "note", "nobody publishes /cell/emergency_stop"),
-        (SILENT, [], "missing", "nobody publishes /cell/emergency_stop, and its silence stops"),
+        (PLAIN, [], "note", "no node publishes /cell/emergency_stop"),
+        (SILENT, [], "missing", "no node publishes /cell/emergency_stop, and its silence stops"),
         (DRIVE, [], "note", "an ERROR of drive stops the cell"),
     ],
 )

@@ -156,7 +156,7 @@ def test_what_a_goal_was_to_leave_out_is_left_out_after_a_loss_too():
     ("error", "code", "text"),
     [
         (GoalError(Codes.EMERGENCY_STOP, "emergency stop: drive"), Codes.EMERGENCY_STOP, "drive"),
-        (GoalError(Codes.TOPIC_MISSING, "nobody obeys"), Codes.NODE_LOST, "did not come back"),
+        (GoalError(Codes.TOPIC_MISSING, "no node obeys"), Codes.NODE_LOST, "did not come back"),
     ],
 )
 def test_a_stop_in_a_later_preflight_is_told_as_what_it_is(monkeypatch, error, code, text):

@@ -52,10 +52,10 @@ def test_a_stop_that_somebody_publishes_is_recorded_before_anything_moves(
 def test_where_an_instrument_may_be_that_is_not_under_its_name_is_told():
     cell = links(publishers=[], recorded=True)
     cell.instrument = lambda role: f"/cell/{role}"
-    cell.graph.without_instrument = lambda name, _: [f"nobody publishes {name}"]
+    cell.graph.without_instrument = lambda name, _: [f"no node publishes {name}"]
     cell.graph.elsewhere = lambda role, name: f"is it /lab/{role}?" * (role == "tracer_length")
     told, hint, *_ = cell.missing_topics(["tracer_length"])
-    assert told == "nobody publishes /cell/tracer_length"
+    assert told == "no node publishes /cell/tracer_length"
     assert hint == "/cell/tracer_length: is it /lab/tracer_length?"
     assert cell.elsewhere(["joint_states"]) == []
 

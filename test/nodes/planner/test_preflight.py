@@ -105,7 +105,7 @@ def test_the_air_that_is_expected_and_that_without_which_nothing_is_measured():
     none = prepare(configured("capture.temperature_expected=false"))
     assert expected_air(none) == ([], [])
     text = without_air("temperature", "/cell/temperature", TRACER)
-    assert "nobody publishes /cell/temperature: every observation waits for it for" in text
+    assert "no node publishes /cell/temperature: every observation waits for it for" in text
     assert "capture.temperature_expected: false" in text
 
 

@@ -1,4 +1,4 @@
-"""Losses are counted once, whoever tells of them."""
+"""Losses are counted once, whoever reports them."""
 
 from rotcal_ros.nodes.recorder.bookkeeping import TopicLosses
 

@@ -86,7 +86,7 @@ def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
     assert accepted.values() == {APART: f"{SENT}, {POINTS}"}
     node.joined = 1
     assert accepted.values() == {HEARS: digest(RUN)}
-    node.joined = 0  # who leaves later is lost, which others tell
+    node.joined = 0  # who leaves later is lost, which others report
     assert accepted.values() == {HEARS: digest(RUN)}
     node.beat({BELIEVED: Believed({POINTS: (STRAY.hex(),)}).in_a_beat()})
     assert accepted.values() == {APART: f"{SENT}, {POINTS}"}

@@ -1,4 +1,4 @@
-"""When messages came: every message of a batch tells, so that a stall hides none of them."""
+"""When messages came: every message of a batch counts, so that a stall hides none of them."""
 
 import pytest
 

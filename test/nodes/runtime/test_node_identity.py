@@ -23,7 +23,7 @@ def held(*beats):
 
 
 def beat_of(identity, now_s):
-    """Return who sent it, as a beat tells it."""
+    """Return who sent it, as a beat states it."""
     age_ns = identity.age_ns(now_s)
     return SimpleNamespace(session=identity.session, process=identity.process, age=age_ns)
 

@@ -1,4 +1,4 @@
-"""Whether the process of a beat still exists, and what nobody can tell."""
+"""Whether the process of a beat still exists, and what cannot be known."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from rotcal_ros.nodes.runtime.liveness import HostProcess, machine
 
 @pytest.fixture
 def sleeper():
-    """Return a process that does nothing, and how a beat would tell it."""
+    """Return a process that does nothing, and how a beat would report it."""
     code = "import sys; sys.stdin.read()"
     process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE)
     start = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[19]

@@ -1,4 +1,4 @@
-"""Where to put the balls, and what a wanted uncertainty needs of plate, positions and machine.
+"""Where to put the balls, and what a required uncertainty needs of plate, positions and machine.
 
 :func:`plan_plate` finds the layout with the smallest predicted uncertainty. Layouts are judged by
 their mean variances when all CMM positions are measured, in closed form, many at once. With
@@ -106,7 +106,7 @@ def plan_plate(
     ``min_gap`` grid steps lie between neighbours, ``subset_of`` are the steps of an existing
     plate, ``weights`` those of the mean variances of ECC, EXC and EYC, EAC and EBC, EZC (rotations
     times radius). ``steps`` is the layout, ``predicted_std(sigma, radius)`` (m) its standard
-    deviations (m, rad), ``optimal`` tells that none is better. Raises PlanError when no layout
+    deviations (m, rad), ``optimal`` says that none is better. Raises PlanError when no layout
     separates table, plate and machine.
 
     Layouts that differ by a rotation or a reflection are equal, so only one of them is looked at;
@@ -362,7 +362,7 @@ def _variances(sums: Complexes, grid: int, n_balls: int) -> Floats:
     lower, middle, upper = diagonal[:, :-2], diagonal[:, 1:-1], diagonal[:, 2:]
     up_power, down_power = _power(up), _power(down)
     cross_power = _power(across)
-    # singular layouts may divide by zero here: they are told by _singular
+    # singular layouts may divide by zero here: they are found by _singular
     with np.errstate(divide="ignore", invalid="ignore"):
         # PLANE, whose unknowns d+ and d- meet only in rho c_z: by elimination
         up_share, down_share = 0.5 * up_power / upper, 0.5 * down_power / lower
@@ -413,7 +413,7 @@ def _singular(
 
 @dataclass(frozen=True)
 class Effort:
-    """One way to reach the wanted uncertainty.
+    """One way to reach the required uncertainty.
 
     ``layout`` are the balls, ``positions`` (S,) the CMM positions to measure them at;
     ``expanded`` is the worst predicted expanded uncertainty (k = 2) of the wanted component
@@ -451,7 +451,7 @@ def required_effort(
     if component not in COMPONENTS:
         raise PlanError(f"unknown component {component!r}: one of {', '.join(COMPONENTS)}")
     if not limit > 0.0:
-        raise PlanError(f"the wanted uncertainty must be positive, not {limit}")
+        raise PlanError(f"the required uncertainty must be positive, not {limit}")
     ways = []
     most = most_balls or MOST_BALLS
     for n_balls in range(5, min(most, grid // min_gap) + 1):
@@ -515,8 +515,8 @@ class PlateTrade:
     """What a plate of ``balls`` at the steps ``ball_steps`` gives, all positions measured.
 
     ``centres`` are measured in ``seconds``; ``expanded``: U (k = 2) of ECC, rad. ``radius`` and
-    ``sigma`` (m) are what the wanted uncertainty takes, the other one as given. ``saving``: share
-    of the centres that the best of all plans could save.
+    ``sigma`` (m) are what the required uncertainty takes, the other one as given. ``saving``:
+    share of the centres that the best of all plans could save.
     """
 
     balls: int

@@ -21,9 +21,9 @@ from rotcal_ros.planning.table_angles import table_angles
 MOST_PLACES: Final = 20_000
 """Places of the reflector beyond which a plan would take minutes and gigabytes."""
 LEAST_POSITIONS: Final = 3
-"""Of the table, for a circle."""
+"""Positions of the table that a circle needs."""
 LEAST_RADIUS: Final = 1e-3
-"""Of the tracer's circle, m."""
+"""Smallest radius of the tracer's circle, m."""
 
 
 def scene_of(settings: TracerDesignSettings, targets: ArrayLike | None = None) -> Scene:

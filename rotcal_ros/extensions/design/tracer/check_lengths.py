@@ -2,9 +2,9 @@
 
 Wanted is the assurance of :class:`rotcal_ros.planning.check_rule.CheckRule`: a table that has only
 aged as stated shall be found still valid with a probability of 1 - false alarm. Targets that all
-stations see come first, since only they tell the machine's errors from the table's: they are added
-and exchanged as long as that improves, the fewest that suffice are kept, and single lengths are
-taken away from them. It finds a good plan, and proves nothing about the best.
+stations see come first, since only they separate the machine's errors from the table's: they are
+added and exchanged as long as that improves, the fewest that suffice are kept, and single lengths
+are taken away from them. It finds a good plan, and proves nothing about the best.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ BETTER: Final = 1e-3
 """Relative gain for which an exchange is worth its time."""
 
 WAYS: Final = 3
-"""From how many of the smallest sets of targets lengths are taken away, to keep the fewest."""
+"""How many of the smallest sets of targets lengths are taken away from, to keep the fewest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def fewest_lengths(
     """Choose the fewest lengths from the stations to the targets of ``scene`` that suffice.
 
     ``expected_std`` (m,), rad: how far the earlier curve may usually be off, see
-    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver asks for, to
+    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver needs, to
     targets that do not lie in a plane, and every length a redundancy of ``least_redundancy``; with
     0 nothing checks the lengths, and an undetected error of one may turn the verdict.
     ``one_zero``: all lengths share their zero.

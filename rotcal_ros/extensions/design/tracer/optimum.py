@@ -128,8 +128,8 @@ class _MultiplicativeSearch:
         if ceiling.mean_variance > goal:
             raise PlanError(
                 f"out of reach: all {len(candidates)} candidates together leave U(ECC) "
-                f"{_expanded_arcsec(ceiling.mean_variance):.3g} arcsec (k = 2, rms), wanted of "
-                f"them is {_expanded_arcsec(goal):.3g}: widen the volume, allow low targets, or "
+                f"{_expanded_arcsec(ceiling.mean_variance):.3g} arcsec (k = 2, rms), the goal "
+                f"is {_expanded_arcsec(goal):.3g}: widen the volume, allow low targets, or "
                 "allow repeats"
             )
         self.cap = most

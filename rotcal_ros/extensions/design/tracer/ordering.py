@@ -44,9 +44,9 @@ from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, stated_t
 
 LOOKS: Final = (400, 1000, 2500)
 """Runs after which is asked whether the promise is kept. Tests that call 3 % of sound runs suspect
-leave 2 % of the 5 % to U: 400 runs rarely tell that much."""
+leave 2 % of the 5 % to U: 400 runs rarely show that much."""
 FEWEST: Final = 100
-"""Runs that tell how far a plan is from its goal."""
+"""Runs that show how far a plan is from its goal."""
 ASSURANCE: Final = 0.95
 """How sure it is that the probability is what is promised, so few runs being simulated."""
 TRIES: Final = 6
@@ -54,7 +54,7 @@ TRIES: Final = 6
 AIM: Final = 0.97
 """Share of the wanted variance that a search aims at."""
 CLOSE: Final = 0.85
-"""Share of the wanted variance from which fewer lengths are no longer looked for."""
+"""Share of the wanted variance from which fewer lengths are no longer searched for."""
 LEAST_EXCESS: Final = 0.1
 """A plan that needs still less of its wanted variance is taken to need so much: the next search
 may use ten times its variance at most."""
@@ -65,7 +65,7 @@ def most_missed(runs: int, confidence: float) -> int:
 
     More often missed it would be so few times with a probability of (1 - ASSURANCE) / looks, by
     the binomial law: together the LOOKS are wrong with 1 - ASSURANCE at most. -1: they are too few
-    to tell.
+    to decide.
     """
     return binomial_quantile((1.0 - ASSURANCE) / len(LOOKS), runs, 1.0 - confidence) - 1
 
@@ -279,13 +279,13 @@ class OrderedDesign:
 
     @property
     def wanted(self) -> tuple[float, float]:
-        """By what the variances that the lengths make, mean and largest, are to be multiplied."""
+        """Factor on the variances that the lengths cause, mean and largest."""
         least = LEAST_EXCESS if self.kept else 1.0
         mean, largest = (AIM / max(value, least) for value in self.excess())
         return mean, largest
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON, SI but for names that tell a unit."""
+        """Return plain types for JSON, SI but for names that carry a unit."""
         settings, forecast = self.design.settings, self.order.forecast
         hidden = self.quickest.forecast
         stated = dict(zip(("rms", "largest"), self.promise.median, strict=True))

@@ -36,7 +36,7 @@ from rotcal_ros.methods.tracer.solver.problem import station_minimum
 IDEAL_GAP: Final = 0.05
 """Share by which the ideal plan may lie above its bound: what follows rounds to whole lengths."""
 STRICTER: Final = (4.0, 16.0, 64.0)
-"""By which the goal's variance is divided to find targets that check each other."""
+"""Divisors of the goal's variance, to find targets that check each other."""
 POOL_TARGETS: Final = 64
 ENOUGH_TARGETS: Final = 40
 POOL_SPACINGS: Final = 1.8
@@ -58,7 +58,7 @@ noise to show."""
 
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """Of N lengths: ``redundancy`` (N,), ``detectable`` (N,) error in m, ``effect`` (N, m) in rad.
+    """``redundancy`` (N,) of N lengths, ``detectable`` (N,) error in m, ``effect`` (N, m) in rad.
 
     ``effect``: what the smallest detectable error does to the angles less their mean. ``share``
     (N,): the largest effect of each length in expanded uncertainties (k = 2) of the same angle.
@@ -90,7 +90,7 @@ class TracerDesign:
 
     ``lengths`` (N) are ordered by position and target, the latter indices into ``targets`` (n, 3),
     which are those in use. ``bound``: no plan that reaches the goal has fewer lengths, checked or
-    not; ``checked_bound``: none with the wanted redundancy, as far as counting tells.
+    not; ``checked_bound``: none with the wanted redundancy, as far as counting shows.
     """
 
     settings: TracerDesignSettings
@@ -107,7 +107,7 @@ class TracerDesign:
         return ceil(self.ideal.bound - 1e-9)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON, SI but for names that tell a unit."""
+        """Return plain types for JSON, SI but for names that carry a unit."""
         return {
             "lengths": len(self.lengths),
             "targets": len(self.scene.targets),
@@ -239,7 +239,7 @@ def _goal(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> flo
     if demands.mean <= constant:
         raise PlanError(
             f"the error motion alone makes U(ECC) {COVERAGE_FACTOR * constant**0.5 / ARCSEC:.3g} "
-            f"arcsec, wanted is {settings.need_arcsec:g}, and no number of lengths helps: ask for "
+            f"arcsec, the goal is {settings.need_arcsec:g}, and more lengths do not help: ask for "
             "less, or check error_motion_std_m"
         )
     return demands.mean - constant
@@ -275,12 +275,12 @@ def _finished(
 
 
 def _per_station(settings: TracerDesignSettings) -> int:
-    """Return how many lengths the solver asks for at each station."""
+    """Return how many lengths the solver needs at each station."""
     return station_minimum(settings.zero == PER_STATION, settings.circle_std_m is not None)
 
 
 def _checked_bound(settings: TracerDesignSettings, scene: Scene) -> int:
-    """Return how many lengths the redundancy alone asks for.
+    """Return how many lengths the redundancy alone requires.
 
     The leverages of a station's lengths add up to at least its own unknowns, 4 with a zero of its
     own and 3 without; each is at most 1 - redundancy. A circle knows some of them in advance.

@@ -1,9 +1,9 @@
-"""How many lengths, how large a circle, how quiet a tracer: what a wanted uncertainty takes.
+"""How many lengths, how large a circle, how quiet a tracer: what a required uncertainty takes.
 
 For each radius and noise targets are taken from a grid of places in the measuring volume, each
-seen from all table positions, until the wanted uncertainty is reached and every length is checked
-by others, so that no hidden error of one moves an angle by more than the wanted uncertainty.
-Beside it stands what no plan can beat, whatever it measures from where.
+seen from all table positions, until the required uncertainty is reached and every length is
+checked by others, so that no hidden error of one moves an angle by more than the required
+uncertainty. Beside it stands what no plan can beat, whatever it measures from where.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from rotcal_ros.methods.tracer.policy.information import Information, Lengths, S
 from rotcal_ros.planning.sequence_time import TimeModel
 
 MOST_TARGETS: Final = 64
-"""As many as the paper has; a goal that takes more is called out of reach."""
+"""Most targets, as many as the paper has; a goal that needs more is called out of reach."""
 TRIED: Final = 8
 """Targets that are tried exactly before the best is taken."""
 
 
 @dataclass(frozen=True)
 class Trade:
-    """What one radius and noise take; ``lengths`` None: the wanted uncertainty is out of reach.
+    """What one radius and noise take; ``lengths`` None: the required uncertainty is out of reach.
 
     ``radius`` (m) of the tracer's circle, ``sigma`` (m) of one length. ``expanded``: U (k = 2) of
     ECC, rms over the angles about their mean, rad: of the plan, or of all candidates together.
@@ -149,7 +149,7 @@ def _checks(plan: Information, settings: TracerDesignSettings) -> Checks:
 
 
 def _checked(plan: Information, settings: TracerDesignSettings) -> bool:
-    """Whether each length is checked, and none hides an error as large as the wanted U."""
+    """Whether each length is checked, and none hides an error as large as the required U."""
     found = _checks(plan, settings)
     hidden = settings.max_undetected * settings.need_arcsec * ARCSEC
     enough = found.redundancy.min() >= settings.min_redundancy

@@ -42,7 +42,7 @@ EXPECTED: Final = "expected.json"
     "--from-history",
     "database",
     metavar="FILE|URL",
-    help="Check what this history expects of the table SERIAL, in the place of a result.",
+    help="Check what this history expects of the table SERIAL, in place of a result.",
 )
 @click.option("--axis", default="", help="Axis of a table --from-history, such as C.")
 @click.option("--at", "day", metavar="DAY", help="Day of the check --from-history, 2026-03-31.")
@@ -52,7 +52,7 @@ EXPECTED: Final = "expected.json"
     metavar="N",
     default=1,
     show_default=True,
-    help="Check only every N-th angle; nothing is known of the others.",
+    help="Check only every N-th angle; the others stay unknown.",
 )
 @click.option(
     "--candidates",
@@ -100,8 +100,8 @@ def check(
     the risk of a false alarm. The folder of -o is ready for 'rotcal run FOLDER/check.yaml', and
     what it measures for 'rotcal check EARLIER NEW' with the same options.
 
-    With --from-history it is the curve that the results so far let expect on a day, with its
-    covariance: what ages needs no --ageing. It is written beside the plan, as expected.json.
+    With --from-history it is the curve that the history predicts for a day, with its
+    covariance, so that --ageing is not needed. It is written beside the plan, as expected.json.
     Without --within the plan decides whether the table is still within its tolerance.
     """
     expected = None

@@ -127,7 +127,7 @@ def plate(
     "--need",
     metavar="COMPONENT=LIMIT",
     required=True,
-    help="Wanted expanded uncertainty (k = 2), um or arcsec, e.g. ECC=0.05.",
+    help="Required expanded uncertainty (k = 2), um or arcsec, e.g. ECC=0.05.",
 )
 @gap_option
 @click.option("--most-balls", type=click.IntRange(min=5), help="Largest number of balls.")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rotcal_ros.planning.sequence_time import TimeModel
 
 ATTEMPTS: Final = 3
-"""At each step, before it is left."""
+"""Attempts at each step, before it is left."""
 
 
 @click.command("sequence")

@@ -1,4 +1,4 @@
-"""``rotcal plan tracer``: few lengths of a laser tracer that reach a wanted uncertainty."""
+"""``rotcal plan tracer``: few lengths of a laser tracer that reach a required uncertainty."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PLAN_FILE = "plan.yaml"
 
 @click.command("tracer")
 @click.argument("goal", type=path_type, metavar="[GOAL.yaml]", required=False)
-@click.option("--need", metavar="ECC=ARCSEC", help="Wanted U(ECC), k = 2, rms over the angles.")
+@click.option("--need", metavar="ECC=ARCSEC", help="Required U(ECC), k = 2, rms over the angles.")
 @click.option(
     "--like",
     type=path_type,
@@ -56,7 +56,7 @@ def tracer(
     output: Path | None,
     as_json: bool,
 ) -> int:
-    """Find few lengths of a laser tracer that reach a wanted uncertainty of ECC.
+    """Find few lengths of a laser tracer that reach a required uncertainty of ECC.
 
     Prints the uncertainty that results will state (taken from simulated measurements of the plan),
     what it assumes, the bound that no plan can beat, how well the lengths check each other, and
@@ -102,7 +102,7 @@ def _pattern(like: Path | None) -> Configuration | None:
 
 
 def _needed(need: str | None) -> list[str]:
-    """Return the wanted uncertainty as a change of settings."""
+    """Return the required uncertainty as a change of settings."""
     if need is None:
         return []
     name, _, limit = need.partition("=")

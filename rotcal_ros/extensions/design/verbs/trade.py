@@ -1,4 +1,4 @@
-"""``rotcal plan trade``: what a wanted uncertainty takes, for each of the methods."""
+"""``rotcal plan trade``: what a required uncertainty takes, for each of the methods."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _usual(command: click.Command) -> TradeTable:
 @json_option
 @click.pass_context
 def trade(context: click.Context, as_json: bool) -> int:
-    """Show which sizes, noises and numbers reach a wanted U(ECC).
+    """Show which sizes, noises and numbers reach a required U(ECC).
 
     Without a method: the usual case of each.
     """
@@ -92,7 +92,7 @@ SPACING_M = 0.17
 
 
 @trade.command(cls=TradeCommand)
-@shown_option("--need-arcsec", type=positive, default=1.2, help="arcsec, wanted U(ECC), k = 2.")
+@shown_option("--need-arcsec", type=positive, default=1.2, help="arcsec, required U(ECC), k = 2.")
 @shown_option("--radius-m", default="0.065,0.13", help="m, distances of the tracer from the axis.")
 @shown_option("--sigma-um", default="0.1,0.2,0.4", help="um, noise of a length (k = 1).")
 @shown_option("--target-um", type=positive, default=1.0, help="um, error of a target (k = 1).")
@@ -166,7 +166,7 @@ def tracer(
 
 
 @trade.command(cls=TradeCommand)
-@shown_option("--need-arcsec", type=positive, default=0.05, help="arcsec, wanted U(ECC), k = 2.")
+@shown_option("--need-arcsec", type=positive, default=0.05, help="arcsec, required U(ECC), k = 2.")
 @shown_option("--grid", type=click.IntRange(min=5), default=72, help="Table angles in a turn.")
 @shown_option("--balls", default="8,10,12,16", help="Numbers of balls.")
 @shown_option("--radius-m", type=positive, default=0.185, help="m, radius of the ball circle.")
@@ -249,7 +249,7 @@ def mirror(
 
 @trade.command(cls=TradeCommand)
 @click.argument("configuration", type=path_type, metavar="[CONFIG]", required=False)
-@shown_option("--need-um", type=positive, default=1.0, help="um, wanted U of the axis, k = 2.")
+@shown_option("--need-um", type=positive, default=1.0, help="um, required U of the axis, k = 2.")
 @shown_option("--minutes", type=positive, default=15.0, help="min, that it may take.")
 @shown_option("--balls", "numbers", default="1,2,3", help="Numbers of balls, of those of CONFIG.")
 @shown_option("--angles", default="6,8,12,18", help="Table angles in a turn.")

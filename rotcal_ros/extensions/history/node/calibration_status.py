@@ -1,4 +1,4 @@
-"""Tells a cell how its tables stand: one latched status for each axis of the history.
+"""Reports the state of a cell's tables: one latched status for each axis of the history.
 
 It outlives calibrations, needs no other node, and reads the history in a thread of its own.
 """
@@ -74,7 +74,7 @@ class CalibrationStatus(CellNode):
             self._state = NodeState(State.READY)
             if new != self._published:
                 self._published = new
-                self.get_logger().info(f"told: {len(new)} tables")
+                self.get_logger().info(f"reported: {len(new)} tables")
                 self._publisher.publish(DiagnosticArray(header=header(self.now_ns()), status=new))
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:

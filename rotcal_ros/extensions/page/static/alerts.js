@@ -27,12 +27,12 @@ function notify(now) {
   try { new Notification(say(now.headline), { body: say(now.detail), tag: "rotcal" }); } catch { /* phones: sound alone */ }
 }
 
-// Every change to a state that calls for a person is told once; what a page finds at its start is not.
-export function tell(now) {
+// Every change to a state that calls for a person is announced once; what a page finds at its start is not.
+export function announce(now) {
   const call = `${now.kind} ${now.instruction}`;
-  const told = last === null || call === last || !(now.kind in TONES);
+  const known = last === null || call === last || !(now.kind in TONES);
   last = call;
-  if (told || !asked.checked) return;
+  if (known || !asked.checked) return;
   play(TONES[now.kind]);
   notify(now);
 }

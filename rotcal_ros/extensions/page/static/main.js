@@ -1,4 +1,4 @@
-// The connection: one stream of events. What it brings is shown, and so is its silence.
+// The connection: one stream of events. What arrives is shown, and so is its silence.
 import { show } from "./sections.js";
 import { redraw } from "./charts.js";
 import { clock, t, text, translatePage } from "./words.js";
@@ -38,7 +38,7 @@ function take(event) {
   document.body.className = ended ? "ended" : "live";
   text("alive", t("Live {0}", clock(time_s, true)));
   show(sections, state, Boolean(token));
-  alerts.tell(state.now);
+  alerts.announce(state.now);
   if (ended) {
     source.close();
     banner(t("Switched off at {0}", clock(time_s)), t("Below is the last state. Nothing here is live any more."));

@@ -9,7 +9,7 @@ export async function writeFiles(event) {
   nothingWritten();
   const in_force = document.querySelector("[name=in_force]:checked")?.value ?? "";
   const trouble = in_force === "add" ? await sendHeld() : undefined;
-  const told = trouble ? { error: trouble } : await work("controller", {
+  const reply = trouble ? { error: trouble } : await work("controller", {
     in_force,
     controller: by("controller").value,
     settings: by("controller_settings").value,
@@ -18,19 +18,19 @@ export async function writeFiles(event) {
     serial: by("serial").value.trim(),
     accept: accepted(),
   });
-  if (told.error) {
-    failed("controller_error", told.error);
-    if (told.error.question?.setting === "accept") offer(told.error.question.answers);
+  if (reply.error) {
+    failed("controller_error", reply.error);
+    if (reply.error.question?.setting === "accept") offer(reply.error.question.answers);
     return;
   }
-  by("controller_words").replaceChildren(...told.words.map((words) => element("li", words)));
-  by("controller_links").replaceChildren(...told.files.map(link));
+  by("controller_words").replaceChildren(...reply.words.map((words) => element("li", words)));
+  by("controller_links").replaceChildren(...reply.files.map(link));
 }
 async function sendHeld() {
   await ask("/files/in_force", undefined, "DELETE");
   for (const file of by("held").files) {
-    const told = await ask(`/files/in_force?name=${encodeURIComponent(file.name)}`, file);
-    if (told.error) return told.error;
+    const reply = await ask(`/files/in_force?name=${encodeURIComponent(file.name)}`, file);
+    if (reply.error) return reply.error;
   }
 }
 export function nothingWritten() {

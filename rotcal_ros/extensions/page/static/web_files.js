@@ -34,9 +34,9 @@ function away(role, words) {
 
 async function send(role, file) {
   text("file_trouble", "");
-  const told = await ask(`/files/${role}?name=${encodeURIComponent(file?.name ?? "")}`, file ?? undefined, file ? "POST" : "DELETE");
-  if (told.error) { text("file_trouble", told.error.text); return; }
-  desk.names = told.names;
+  const reply = await ask(`/files/${role}?name=${encodeURIComponent(file?.name ?? "")}`, file ?? undefined, file ? "POST" : "DELETE");
+  if (reply.error) { text("file_trouble", reply.error.text); return; }
+  desk.names = reply.names;
   if (role === "table") asTold();
   files();
   withSetup();

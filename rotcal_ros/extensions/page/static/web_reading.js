@@ -5,8 +5,8 @@ import { element, say, t, text } from "./words.js";
 
 const OURS = { position: t("table position"), angle: t("table angle"), target: t("target"), length: t("length"), place: t("place of the tracer") };
 const READING = { // settings of the group sheet that hold for all columns
-  "sheet.decimal": [t("decimal mark"), [["", t("as the numbers tell")], [".", t("point")], [",", t("comma")]]],
-  "sheet.counted_from": [t("first number of positions and targets"), [["", t("as the numbers tell")], ["0", "0"], ["1", "1"]]],
+  "sheet.decimal": [t("decimal mark"), [["", t("as the numbers show")], [".", t("point")], [",", t("comma")]]],
+  "sheet.counted_from": [t("first number of positions and targets"), [["", t("as the numbers show")], ["0", "0"], ["1", "1"]]],
 };
 const nameOf = (name) => OURS[name] ?? name;
 let waiting = 0, asked = 0;
@@ -19,13 +19,13 @@ export async function understand() {
   if (!desk.names.table) return;
   const mine = ++asked;
   by("understood").setAttribute("aria-busy", "true");
-  const told = await work("explain");
+  const reply = await work("explain");
   if (mine !== asked) return; // asked again meanwhile
   by("understood").setAttribute("aria-busy", "false");
-  trouble(told.error);
+  trouble(reply.error);
   corrections();
-  by("tables").replaceChildren(...(told.tables ?? []).map((table, place) => shown(table, place === 0)));
-  by("solve").disabled = Boolean(told.error);
+  by("tables").replaceChildren(...(reply.tables ?? []).map((table, place) => shown(table, place === 0)));
+  by("solve").disabled = Boolean(reply.error);
 }
 export function trouble(error) {
   by("error").hidden = !error;
@@ -134,7 +134,7 @@ function theirs({ name, text: chosen, theirs: words }, head, main) {
 }
 function unitOf({ setting, units, name }, main) {
   if (!setting || !main) return units.length === 1 ? units[0] : "";
-  const options = [["", t("as the table tells")], ...units.map((unit) => [unit, unit])];
+  const options = [["", t("as the table states")], ...units.map((unit) => [unit, unit])];
   return correcting(options, desk.stated.get(setting) ?? "", t("unit of {0}", nameOf(name)), (unit) => correct(setting, unit));
 }
 function correcting(options, value, label, chosen) {

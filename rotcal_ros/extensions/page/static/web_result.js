@@ -11,14 +11,14 @@ export async function solve() {
   atOnce();
   by("made_error").hidden = true;
   by("solve").disabled = true;
-  const told = await busy(t("Solving …"), "solve");
+  const reply = await busy(t("Solving …"), "solve");
   by("solve").disabled = false;
-  by("result").hidden = Boolean(told.error);
-  trouble(told.error);
-  if (told.error) { by("error").scrollIntoView(); return; }
-  showResult(told);
+  by("result").hidden = Boolean(reply.error);
+  trouble(reply.error);
+  if (reply.error) { by("error").scrollIntoView(); return; }
+  showResult(reply);
   const links = by("links");
-  links.replaceChildren(...told.files.map(link), order(t("PDF"), "pdf"), order(t("Digital certificate (DCC)"), "dcc"));
+  links.replaceChildren(...reply.files.map(link), order(t("PDF"), "pdf"), order(t("Digital certificate (DCC)"), "dcc"));
   by("marks").focus();
   const report = await busy(t("The report is being written …"), "report");
   if (report.error) failed("made_error", report.error);
@@ -26,15 +26,15 @@ export async function solve() {
 }
 async function busy(words, what) {
   text("busy", words);
-  const told = await work(what);
+  const reply = await work(what);
   text("busy", "");
-  return told;
+  return reply;
 }
-function showResult(told) {
-  by("simulated").hidden = !told.simulated;
-  showDeviations(told.deviations);
-  by("warnings").replaceChildren(...told.warnings.map((words) => element("li", say(words))));
-  const facts = [[t("observations"), told.deviations.observations], [t("rejected"), told.rejected], [t("degrees of freedom"), told.dof], ["sigma0", number(told.sigma0, 3)]];
+function showResult(reply) {
+  by("simulated").hidden = !reply.simulated;
+  showDeviations(reply.deviations);
+  by("warnings").replaceChildren(...reply.warnings.map((words) => element("li", say(words))));
+  const facts = [[t("observations"), reply.deviations.observations], [t("rejected"), reply.rejected], [t("degrees of freedom"), reply.dof], ["sigma0", number(reply.sigma0, 3)]];
   by("facts").replaceChildren(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", String(value))]));
   text("command", command());
 }
@@ -55,10 +55,10 @@ function order(words, what) {
   button.addEventListener("click", async () => {
     button.disabled = true;
     by("made_error").hidden = true;
-    const told = await busy(t("Writing …"), what);
+    const reply = await busy(t("Writing …"), what);
     button.disabled = false;
-    if (told.error) { failed("made_error", told.error); return; }
-    const made = link(told.files[0]);
+    if (reply.error) { failed("made_error", reply.error); return; }
+    const made = link(reply.files[0]);
     button.replaceWith(made);
     made.focus();
   });

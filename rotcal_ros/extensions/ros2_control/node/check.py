@@ -52,7 +52,7 @@ class TableBehindAdapter:
             return Finding("cell.joint is not set", todo)
         if not self._node.get_publishers_info_by_topic(topic):
             todo = "start joint_state_broadcaster, or correct table_adapter.feedback"
-            return Finding(f"nobody publishes {topic}", todo)
+            return Finding(f"no node publishes {topic}", todo)
         if not self._tellers:
             there = ", ".join(self._names())
             found = f"{topic} has no joint {joint!r} (cell.joint)"

@@ -1,4 +1,4 @@
-"""Tells controllers of ros2_control where a joint has to go: by topics, or by goals."""
+"""Sends controllers of ros2_control where a joint has to go: by topics, or by goals."""
 
 from __future__ import annotations
 

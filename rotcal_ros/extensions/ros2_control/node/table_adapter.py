@@ -184,7 +184,7 @@ class TableAdapter(CellNode):
         if self.health.awake.now_s() <= self._waiting_s + self._settings.silence_s:
             return None
         if self._watch.latest is None:
-            return f"nobody publishes {self._settings.feedback}: nothing can be moved"
+            return f"no node publishes {self._settings.feedback}: nothing can be moved"
         if not self._controller.heard():
             return (
                 f"no node listens to {self._settings.controller}: is the controller active, and "

@@ -12,7 +12,7 @@ To read in this order:
 * :mod:`.estimate`: the way to solve, gaps, drift, the exact model
 * :mod:`.screening`, :mod:`.rejection`, :mod:`.gathering`: rows that are not fitted, before the
   first fit, one by one, and together in one place
-* :mod:`.noise`, :mod:`.order_effects`, :mod:`.repeated_stops`: what the residuals tell
+* :mod:`.noise`, :mod:`.order_effects`, :mod:`.repeated_stops`: what the residuals show
 * :mod:`.solution`: all of this for each group of table positions; :mod:`.result`: the result, what
   may be wrong with it all the same, and trials of it
 * :mod:`.curve_model`: the centres beside other instruments

@@ -138,7 +138,7 @@ def gap_cells(problem: BallPlateProblem) -> Ints | None:
 
 
 class _Bordered(LinearFit):
-    """A ``plain`` fit with m further unknowns, which its residuals tell.
+    """A ``plain`` fit with m further unknowns, which its residuals determine.
 
     A unit of each moves the ``parameters`` (m as last axis) and the residuals, ``remains``
     (n, 3, m); ``inverse`` (m, m) is the unit covariance of the unknowns.
@@ -266,8 +266,8 @@ class WithDrift(_Bordered):
         seen = drift_seen(problem, self.columns, information)
         if seen < VISIBLE:
             raise ObservabilityError(
-                f"a drift cannot be told from errors of the table and the CMM in this order of "
-                f"measurement: the residuals keep {max(seen, 0.0):.2g} of it, {VISIBLE:g} "
+                "a drift cannot be separated from errors of the table and the CMM in this order "
+                f"of measurement: the residuals keep {max(seen, 0.0):.2g} of it, {VISIBLE:g} "
                 "are needed; measure in the order interleaved, or leave solver.drift at none"
             )
         self.inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)

@@ -145,7 +145,7 @@ def gathered(
 
 
 def _can_judge(problem: BallPlateProblem) -> bool:
-    """Tell whether a problem is small enough to be judged place by place."""
+    """Return whether a problem is small enough to be judged place by place."""
     return model.n_unknowns(problem) <= MOST_UNKNOWNS
 
 

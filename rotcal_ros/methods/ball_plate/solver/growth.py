@@ -32,7 +32,7 @@ from rotcal_ros.methods.ball_plate.solver.order_effects import (
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle, places_of
 
 LARGEST: Final = 5e-4
-"""Growth over a run that nobody would overlook: 20 K of aluminium."""
+"""Growth over a run that could not be overlooked: 20 K of aluminium."""
 PLAUSIBLE_K: Final = 20.0
 """Kelvin from which on a growth is not laid to the plate's temperature."""
 
@@ -66,7 +66,7 @@ class GrowthTest:
         size, band = abs(self.amount) / MICROMETRE, 2.0 * self.std / MICROMETRE
         found = f"the plate {grew} by {size:.3g} +- {band:.2g} um/m over the run"
         if self.kelvin is None:
-            cause = "plan.plate.material would tell it in kelvin"
+            cause = "plan.plate.material would give it in kelvin"
         elif abs(self.kelvin) > PLAUSIBLE_K:
             cause = (
                 f"{self.material} does not with {PLAUSIBLE_K:g} K: the machine's scales changed"

@@ -41,8 +41,8 @@ TABLE_COMPONENTS = {
     "ECC": ("rotation", 2),
 }
 PARTS = ([0, 1, 5], [2, 3, 4])
-"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z; of
-the deviations, EXC to ECC: those that these move. The one part knows nothing of the other."""
+"""Two independent parts of a motion (shift x, y, z and turn about x, y, z): what moves centres in
+x and y, and what moves them in z. Of the deviations, EXC to ECC, each moves its own."""
 
 
 @dataclass(frozen=True)

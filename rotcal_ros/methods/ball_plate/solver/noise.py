@@ -102,7 +102,7 @@ class CentreNoise:
         """Say which axis is noisier, and what of the statement does not hold.
 
         ``own_std``: the rows have standard deviations of their own, so there are only factors.
-        ``explained``: why the axes differ is known, and told.
+        ``explained``: why the axes differ is known, and reported.
         """
         found = [] if explained else self._differences(own_std)
         if not self.contradicts or self.p_axes is None:

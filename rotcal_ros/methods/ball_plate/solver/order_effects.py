@@ -2,7 +2,7 @@
 
 A drift of the CMM's origin and a knock, a motion of the plate on the table from some moment on,
 displace the centres by known patterns, and the estimate is linear. So the error per unit is exact,
-and what the residuals keep of the pattern tells the size at which a test finds it with a
+and what the residuals keep of the pattern gives the size at which a test finds it with a
 probability of POWER: :func:`order_effects` needs no measured values. :func:`find_drift` and
 :func:`find_motion` look for the same patterns in the residuals of a fit. :func:`find_knock`
 looks between any two rows, by itself, and has the last word on a plate that jumped; the test of a

@@ -1,6 +1,6 @@
 """What the ball plate method is given: centres of balls at table positions.
 
-Of a ball j at the table position i the method knows the CMM position k = i + j (mod N) where it
+For a ball j at the table position i the method knows the CMM position k = i + j (mod N) where it
 stands, when it was measured, and how far it was found from its nominal place.
 """
 
@@ -43,7 +43,7 @@ class BallPlateProblem:
     ``sigma`` is the standard deviation of a centre coordinate in metres, None when it shall be
     taken from the residuals. ``std`` (n, 3), in metres, gives every coordinate its own standard
     deviation instead. ``row`` (n,) numbers the rows in the order of measurement: the numbers
-    appear in every message, and a plate that moved is looked for along them.
+    appear in every message, and a plate that moved is searched for along them.
     ``time`` (n,), s, says when each was measured; without it the rows count as equally long. A
     drift of the CMM's origin, ``drift`` of 0 (none), 1 (linear) or 2 (quadratic in time), is
     estimated along; a drift within +- ``drift_allowance``, m over the run along each axis, is
@@ -209,7 +209,7 @@ class BallPlateProblem:
 class RowLayout:
     """What of a problem does not depend on the measured values, to remember by.
 
-    ``key`` tells layouts apart; ``problem`` is one of this layout, whichever was met first.
+    ``key`` distinguishes layouts; ``problem`` is one of this layout, whichever was met first.
     """
 
     key: tuple[object, ...]

@@ -41,7 +41,7 @@ MISNAMED = 1e-4
 LEAK = 0.3
 """Part of the worst normalised residual below which a row may only follow a worse one."""
 MOST_OPEN = 0.25
-"""Part of the table positions that may be left out for want of balls."""
+"""Part of the table positions that may be left out for lack of balls."""
 DETERMINED = 1e-8
 """Residual cofactors below this part of the largest belong to coordinates without a check."""
 
@@ -172,7 +172,7 @@ def _without_poor_positions(
 
 
 def _more_than_one_centre(knock: PlateMotion, test: CentreTest, dof: int) -> bool:
-    """Tell whether a jump (six parameters) explains more than the worst centre alone (three).
+    """Return whether a jump (six parameters) explains more than the worst centre alone (three).
 
     One bad centre at the end of a series looks like a jump of its own row, and the jump takes some
     noise of a second row on top: the difference is tested by F with three parameters.

@@ -37,16 +37,16 @@ MOST_REPEATED: Final = 0.2
 GROSS: Final = 1e-3
 """A repetition farther from its first measurement than this, m, is a wrong row."""
 MIN_STOPS: Final = 10
-"""Repeated stops needed to tell a scatter."""
+"""Repeated stops needed to estimate a scatter."""
 MIN_BALLS_PER_STOP: Final = 1.4
-"""Balls per stop, in the mean, below which stops cannot be told from noise."""
+"""Balls per stop, in the mean, below which stops cannot be separated from noise."""
 DRAWS: Final = 10
 NOISE_DRAWS: Final = 30
 """Random patterns for each motion, and for noise."""
 MOST_CENTRES: Final = 10_000
 """Centres up to which the patterns are drawn: a fit of the whole problem for each."""
 CONDITION: Final = 1e6
-"""Condition number of the expectations from which on the variances cannot be told apart."""
+"""Condition number of the expectations from which on the variances cannot be separated."""
 SIGNIFICANT: Final = 3.3
 """Standard deviations above zero from which on a scatter counts."""
 

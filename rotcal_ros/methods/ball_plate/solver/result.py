@@ -6,7 +6,7 @@ what is probable, or allowed for by a statement, enlarges the covariances. What 
 measurement would not show is said by the protections: one sentence for each effect that could
 spoil a ball plate measurement.
 
-The estimate is linear in the centres. So one matrix tells what errors of the centres do to the
+The estimate is linear in the centres. So one matrix shows what errors of the centres do to the
 curves, and makes Monte Carlo trials without solving each.
 """
 
@@ -87,8 +87,8 @@ def solve(problem: BallPlateProblem) -> Result:
     rejects centres that do not fit and looks for a moved plate. Standard deviations belong to
     the stated noise when its chi-square test passes, else to the one found in the residuals.
     Centres measured again at the end are compared with the first time instead of fitted; drift
-    and motions of the plate are looked for in the order of the rows, and ``protections`` tell what
-    this order cannot show. Raises DataError for a table that is not what it says and
+    and motions of the plate are searched for in the order of the rows, and ``protections`` state
+    what this order cannot show. Raises DataError for a table that is not what it says and
     ObservabilityError, with the harmonics that are lost, when balls and positions do not separate
     the errors.
     """
@@ -133,8 +133,8 @@ class Findings:
     """What the tests in the order of measurement found in one group of table positions.
 
     ``effects`` are what drift and knocks do in this order, in the frame of the group; all else is
-    told in the frame and the numbers of the whole. Drift, motion and growth of the plate and
-    repeatability (``scatter``) are None where they cannot be told.
+    stated in the frame and the numbers of the whole. Drift, motion and growth of the plate and
+    repeatability (``scatter``) are None where they cannot be estimated.
     """
 
     effects: OrderEffects
@@ -231,7 +231,7 @@ def _doubts(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
     """Return in words what the result takes no account of.
 
     A drift looks like a small motion, and either a little like a growth: only the likeliest of
-    them is told.
+    them is reported.
     """
     tests: list[DriftTest | PlateMotion | GrowthTest] = [
         *(f.growth for f in found if f.growth is not None),
@@ -421,7 +421,7 @@ def _turned(response: Floats, turn: float) -> Floats:
 def _protections(
     result: Result, solution: PlateSolution, found: Sequence[Findings]
 ) -> tuple[Protection, ...]:
-    """Return all protections, of centres that do not tell which way is up."""
+    """Return all protections, of centres that do not show which way is up."""
     drift, knock, growth = _unseen_in_order(result, solution, found)
     return ordered(
         [
@@ -469,7 +469,7 @@ def _protections(
                 "not protected",
                 "that z points away from the table is taken from the frame: a z column of the "
                 "other sign fits every centre as well and turns the signs of EZC, EAC and EBC; "
-                "touch points on the upper half of the balls would tell",
+                "touch points on the upper half of the balls would show which",
             ),
         ]
     )
@@ -536,7 +536,7 @@ def _repeatability(solution: PlateSolution, found: Sequence[Findings]) -> Protec
     return Protection(
         "repeatability",
         "not protected",
-        "not included: the table came to each position once, or too seldom to tell",
+        "not included: the table came to each position once, or too seldom to estimate it",
     )
 
 

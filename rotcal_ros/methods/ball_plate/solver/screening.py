@@ -2,7 +2,7 @@
 
 Every centre must lie near the place that its ball and its table position give it, once the plate's
 place on the table and the axis's place in the frame are allowed for: the fit takes them exactly.
-Where most do not, the pattern tells the mistake; where a few do not, those rows are set aside.
+Where most do not, the pattern shows the mistake; where a few do not, those rows are set aside.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def _turning_otherwise(problem: BallPlateProblem, mirrored: Floats) -> str:
 
 
 def _reversed(problem: BallPlateProblem, found: Ints) -> str:
-    """Tell a plate numbered the other way round from one mounted upside down."""
+    """Distinguish a plate numbered the other way round from one mounted upside down."""
     grid, balls = problem.grid, problem.balls
     mirrored = len(np.unique((found + balls) % grid)) == 1
     renumbered = any(

@@ -1,8 +1,8 @@
 """Whether balls and positions separate table, plate and CMM; if not, what is lost, in words.
 
-Three balls at every table position and a common divisor of 1 (Eq. 22) are necessary; whether they
-are enough the eigenvalues of each harmonic tell, of incomplete measurements the null space of the
-whole model.
+Three balls at every table position and a common divisor of 1 (Eq. 22) are necessary; the
+eigenvalues of each harmonic show whether they are enough, and for incomplete measurements the null
+space of the whole model.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Separability:
             )
         if self.lost:
             found.append(
-                f"cannot be told apart from plate and CMM: {_spell(self.lost)}; choose ball steps "
+                f"cannot be separated from plate and CMM: {_spell(self.lost)}; choose ball steps "
                 "without a common factor, or more balls"
             )
         if self.weak:

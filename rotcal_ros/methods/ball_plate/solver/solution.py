@@ -289,7 +289,7 @@ def allowed(solution: PlateSolution, component: str) -> Floats:
     if len(solution.parts) == 1 or not problem.group_allowance:
         return np.zeros((count, 0))
     size = problem.group_allowance / (problem.radius if component in ROTATIONS else 1.0)
-    # what all groups have in common is nobody's zero
+    # what all groups have in common is no zero of a group
     columns = constant = [own - np.mean(own) for own in solution.members()]
     if any(component in pair for pair in PAIRS):
         angles = problem.angles[solution.table_positions]

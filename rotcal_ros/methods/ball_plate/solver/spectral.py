@@ -82,7 +82,7 @@ from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_
 
 PLANE, AXIS = 0, 1
 POSE = ((1, PLANE), (0, AXIS))
-"""Rows that tell the pose of the axis at q = 1: w- (shift) and z (tilt)."""
+"""Rows that determine the pose of the axis at q = 1: w- (shift) and z (tilt)."""
 ROOT_HALF = np.sqrt(0.5)
 TO_PLANE = ROOT_HALF * np.array([[1.0, 1.0], [-1j, 1j]])  # (w+, w-) to (w_x, w_y)
 RANK_TOLERANCE = 1e-9
@@ -396,7 +396,7 @@ class SpectralFit(LinearFit):
 
         Where the plate is a motion of it is the same for a ball at all table positions, in the
         frame that turns with the table: so one transform of ``there`` serves all six. What the
-        residuals keep is told by their spectra (Parseval), nobody asks for each residual.
+        residuals keep follows from their spectra (Parseval); no single residual is needed.
         """
         problem, system = self.problem, self._system
         present = np.fft.rfft(there.reshape(len(system.balls), -1)).T  # (Q + 1, R)
@@ -611,7 +611,7 @@ def closed_form(problem: BallPlateProblem, *, nominal_radius: bool = False) -> C
 
 
 class ClosedFormFit(SpectralFit):
-    """All N x N centres by the means of the closed form, in the place of the harmonics.
+    """All N x N centres by the means of the closed form, in place of the harmonics.
 
     The answer is the same but for rounding; plate and CMM errors, residuals and covariances are
     those of :class:`SpectralFit`. Raises PlanError when the grid is not complete.

@@ -7,9 +7,9 @@ and its range grows by r (m), so that a point seen at x later appears at
     x + c (w x x + s + r x / |x|),
 
 with a course c that is linear in time from round to round. Only differences between readings of
-one nest tell (w, s, r); their means tell where the station stands, and the two are independent.
-So the drift is estimated first, station by station, and counted from the mean of the station's
-nests (:func:`find_drift`); what its uncertainty does to the deviations is added to their
+one nest determine (w, s, r); their means show where the station stands, and the two are
+independent. So the drift is estimated first, station by station, and counted from the mean of the
+station's nests (:func:`find_drift`); what its uncertainty does to the deviations is added to their
 covariance (:class:`DriftCorrection`).
 
 Two rounds of nests show that the frame moved, not how: slowly, or by a knock. The correction
@@ -57,7 +57,7 @@ _MIN_NESTS: Final = 3
 _REACH: Final = 3.0
 """A round reaches so many times as far to one side of its median as to the other, not more."""
 _WEAKEST: Final = 1e-3
-"""Smallest singular value of the scaled equations, to the largest: below, nests tell no drift."""
+"""Smallest singular value of the scaled equations, to the largest: below, nests show no drift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +291,7 @@ def swings(problem: PlaneMirrorProblem, drift: NestDrift) -> Floats:
 
 
 def _station_drift(problem: PlaneMirrorProblem, station: int) -> StationDrift | None:
-    """Return the drift of a station; None when nests do not tell it."""
+    """Return the drift of a station; None when nests do not determine it."""
     own = problem.station == station
     rows = np.flatnonzero(own & (problem.kind == PointKind.NEST))
     others = problem.moment[own & (problem.kind != PointKind.NEST)]
@@ -387,7 +387,7 @@ def _fit(
 
 
 def _inverse(design: Floats) -> Floats | None:
-    """Return the pseudo-inverse of a design; None when it does not tell all its columns."""
+    """Return the pseudo-inverse of a design; None when it does not determine all its columns."""
     scale = np.linalg.norm(design, axis=0)
     if not np.all(scale > 0.0):
         return None

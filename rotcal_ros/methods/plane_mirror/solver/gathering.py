@@ -57,7 +57,7 @@ MINORITY: Final = 0.4
 MOST_TIMES: Final = 6
 """Subsets that are left out one after the other; of more, the data are beyond help."""
 LARGEST: Final = 1e-3
-"""Error (m) of several readings that nobody would overlook."""
+"""Error (m) of several readings that could not be overlooked."""
 
 
 class Settled(NamedTuple):
@@ -282,7 +282,7 @@ def protection(gathering: Gathering, prepared: PreparedWay, std: Floats) -> tupl
     ]
     worst = hidden(groups, std, SUSPECTED, POWER, LARGEST)
     if worst is None:
-        why = "one reflector at a position: nothing tells that it is seen in a wrong place"
+        why = "one reflector at a position: there is no check that it is seen in the right place"
         return (Protection("one place", "not protected", why),)
     arrived = (
         "; what spoils all readings of a position is as if the table had arrived elsewhere: see "
@@ -303,7 +303,7 @@ def _minorities(group: Group, prepared: PreparedWay) -> Bools:
 
 
 def _angle_of(prepared: PreparedWay) -> Ints:
-    """Return the normal (P,) that each pair tells, or the position that a reflector does."""
+    """Return the normal (P,) that each pair determines, or the position that a reflector does."""
     if isinstance(prepared, PreparedPoints):
         return prepared.reflectors.position
     return prepared.pairs.group

@@ -1,11 +1,11 @@
-"""The linear view of a mirror's points at a solution: what the engine of adjustment asks for.
+"""The linear view of a mirror's points at a solution: what the engine of adjustment needs.
 
 Whatever way the deviations are found, the points are held against one model, that of
 :mod:`~rotcal_ros.methods.plane_mirror.solver.joint` with the drift of the tracker among its
 unknowns (stitching: without what ties its stations but shared positions). Reflectors on the table
 are held against circles, one of each. A pair of points is one element: its condition
 e = M' - M + 2 (n.M - h) n feels an error of the mirrored point as it is, and one of the direct
-point reflected, so that the two kinds cannot be told apart. A reading of a nest is another. Each
+point reflected, so that the two kinds cannot be separated. A reading of a nest is another. Each
 has three axes: along the beam, level across it, and upwards; whitened by the symmetric root of its
 weight.
 
@@ -59,12 +59,12 @@ _CIRCLE: Final = 7
 _STEP: Final = 0.1
 """Standard deviations by which nests are moved to see what their errors do."""
 _OPEN: Final = 1e-10
-"""Relative eigenvalue of the scaled normal equations below which nothing tells a direction."""
+"""Relative eigenvalue of the scaled normal equations below which a direction is not determined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """What may be wrong as a whole: m pairs, then readings of nests.
+    """What may be wrong as one group: m pairs, then readings of nests.
 
     ``row`` (m,): of the mirrored point or the nest in the problem. ``pairs``: how many are pairs.
     ``station``, ``position`` (-1: a nest), ``nest`` (m,), ``moment`` (m,), ``beam`` (m, 3): unit
@@ -121,7 +121,7 @@ class Linear:
 
     @cached_property
     def view(self) -> SolutionView:
-        """The view by the covariance of the unknowns; what nothing tells stays as it is."""
+        """The view by the covariance of the unknowns; what is not determined stays as it is."""
         return SolutionView(self._inverse[0], self.outputs)
 
     @property
@@ -318,7 +318,7 @@ def _pair_rows(
     planes[each, :, at], planes[each, :, n + at] = local[..., 0], local[..., 1]
     planes[each, :, 2 * n + distance] = local[..., 2]
     planes[:, :, columns.stations : columns.nests] = shared
-    if prepared.problem.way == STITCHING:  # the offset of each group is free, and tells nothing
+    if prepared.problem.way == STITCHING:  # the offset of each group is free, and shows nothing
         planes[:, 2], discrepancy = 0.0, discrepancy * [1.0, 1.0, 0.0]
         planes[each, 2, 2 * n + distance] = 1.0
     elevation, psi = (mirror.beta + mirror.eps)[at], mirror.psi[at]

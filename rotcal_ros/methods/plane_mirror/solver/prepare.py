@@ -336,6 +336,6 @@ def _undecided(problem: PlaneMirrorProblem, pairs: MirrorPairs, group: int) -> s
     return (
         f"{problem.source}: {problem.position_name(int(pairs.position[group]))}, tracker "
         f"station {problem.station_name(int(pairs.station[group]))}: reflectors {names} "
-        "show different mirror planes and nothing tells which is right: reflector on the "
+        "show different mirror planes and neither can be shown to be right: reflector on the "
         "wrong nest, nest or mirror moved in between; measure this position again"
     )

@@ -98,7 +98,7 @@ class PlaneMirrorProblem:
     DIRECT and MIRRORED rows with the same position, station and nest are a pair; these nests
     may be moved between positions. NEST rows are the fixed nests of the registration, known
     by the same number from every station. For the way "direct" the DIRECT rows are reflectors
-    carried by the table. ``time`` (n,) tells when each row was measured, in any unit; without it
+    carried by the table. ``time`` (n,) states when each row was measured, in any unit; without it
     the rows stand in the order in which they were measured. Nests that are measured again before
     the tracker leaves a station show how it drifted there.
 
@@ -107,7 +107,7 @@ class PlaneMirrorProblem:
     straight line between its first and its last look at the nests from one station, see
     :func:`.drift.swings`. ``incidence_limit`` (rad) is the greatest angle between beam and mirror
     normal that is used. ``significance`` is the probability of a false alarm of each test.
-    ``upward`` (N,) tells the side from which the table came to each position, where it came from
+    ``upward`` (N,) is the side from which the table came to each position, where it came from
     both: what differs between them is the table's reversal. ``station_names``, ``source`` and
     ``lines`` (of the file, per row) serve the messages.
     """
@@ -188,7 +188,7 @@ def problem_from_observations(
 
 
 def _stamps(observations: list[Observation]) -> Floats | None:
-    """Return when each was measured, in seconds after the first; None where nothing tells."""
+    """Return when each was measured, in seconds after the first; None where that is not known."""
     stamps = np.array([o.window_start_ns for o in observations], dtype=np.int64)
     if not len(stamps) or np.all(stamps == stamps[0]):
         return None
@@ -287,7 +287,7 @@ class MirrorPairs:
     """Direct and mirrored rows (P,) of one reflector each, sorted by group.
 
     A group is one table position seen from one tracker station: ``position`` and ``station``
-    (G,); ``group`` (P,) tells the group of each pair and ``start`` (G,) its first pair.
+    (G,); ``group`` (P,) is the group of each pair and ``start`` (G,) its first pair.
     """
 
     direct: Ints

@@ -141,8 +141,8 @@ def cone_response(sets: Sets, height: float) -> Floats:
 def cones(normals: Floats, sets: Sets) -> tuple[Floats, Floats]:
     """Return the table axis (..., G, 3) that each normal turns about, and the height (...).
 
-    The height s = sin(elevation of the normals) is the mean over the sets that can tell: those of
-    three or more normals, which have their own plane. Two normals have none: their axis follows
+    The height s = sin(elevation of the normals) is the mean over the sets that determine it: those
+    of three or more normals, which have their own plane. Two normals have none: their axis follows
     from the height that the others find.
     """
     axes, height = np.zeros_like(normals), np.zeros(normals.shape[:-2])

@@ -251,7 +251,7 @@ def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) 
 
 
 def differing(repeats: Sequence[Closure], angles: Floats, significance: float) -> list[str]:
-    """Return a sentence about positions, commanded to the same of ``angles`` (N,), that differ."""
+    """Return a sentence about positions that differ, commanded to the same of ``angles`` (N,)."""
     return [
         f"positions commanded to {angles[c.first] / DEGREE:g} and {angles[c.last] / DEGREE:g} deg "
         f"differ by {c.error / ARCSEC:.2f} arcsec, expected within {2 * c.std / ARCSEC:.2f}: the "
@@ -393,8 +393,8 @@ def _knock(facts: _Evidence) -> Protection:
         return Protection(
             "knock",
             "not protected",
-            f"the closure tells of {carried} that moved, but only nests that are measured again "
-            "tell of a tracker knocked at its station",
+            f"the closure shows {carried} that moved, but only nests that are measured again "
+            "show a tracker knocked at its station",
         )
     found = normal_isf(problem.significance / 2.0) + normal_isf(1.0 - POWER)
     on_table = found * facts.closure_std / float(facts.std[1:].min())
@@ -402,7 +402,7 @@ def _knock(facts: _Evidence) -> Protection:
     return Protection(
         "knock",
         "tested",
-        f"the closure tells of {carried} that moved, nests measured again of the tracker",
+        f"the closure shows {carried} that moved, nests measured again show the tracker",
         error,
     )
 

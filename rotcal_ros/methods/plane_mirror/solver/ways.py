@@ -365,7 +365,7 @@ def _enter(residuals: Residuals, rows: Ints, length: Floats, share: Floats, test
 
 
 def _enter_pairs(residuals: Residuals, prepared: PreparedNormals, normals: Normals) -> None:
-    """Write direct and mirrored rows: distance of each from where its group's plane wants it.
+    """Write direct and mirrored rows: distance of each from where its group's plane puts it.
 
     A single pair fits its plane exactly; it is checked by the cone and the overlaps alone and has
     redundancy 0 here.

@@ -34,7 +34,7 @@ from rotcal_ros.methods.tracer.policy.information import (
 Progress = Callable[[int, int], None]
 
 SMALLEST: Final = 0.02
-"""Redundancy below which effects are no longer told apart, to keep the penalty finite."""
+"""Redundancy below which effects are no longer distinguished, to keep the penalty finite."""
 UNCHECKED: Final = 1e-3
 """Redundancy of a length without which something is undetermined."""
 MISSING: Final = 1.0
@@ -43,7 +43,7 @@ FLAT: Final = 1.0
 """Penalty of a station whose targets lie in a plane."""
 GOAL_WEIGHT: Final = 10.0
 REDUNDANCY_WEIGHT: Final = 40.0
-"""By which a lacking share of the goal, and a squared lack of redundancy, become penalties."""
+"""Factors that make penalties of a lacking share of the goal and a squared lack of redundancy."""
 ENOUGH: Final = 1e-12
 """Penalty that is none."""
 NEARLY: Final = 1e-9

@@ -11,12 +11,12 @@ depends on this estimate alone leaves the final mean independent of it, so that 
 these degrees of freedom holds for the final interval, however many lengths follow. An estimate
 renewed on the way would stop where it happens to be small: intervals that promise too much.
 
-What lengths tell whatever stations and zeros are follows from a linear model:
+What lengths determine, whatever stations and zeros are, follows from a linear model:
 
 y = A x + T p + e: stations, zeros and offsets x are unknown, the errors p of the targets have the
 machine's covariance (T holds it: p ~ N(0, 1)), the lengths' noise e ~ N(0, s^2). With
-V = s^2 + T T' everything that is asked is told by W = V^-1 - V^-1 A (A' V^-1 A)^-1 A' V^-1. Let
-P = 1 - A (A'A)^-1 A' and T' P T = E L E' (eigenvalues L), B = P T E. Then
+V = s^2 + T T' everything that is asked for follows from W = V^-1 - V^-1 A (A' V^-1 A)^-1 A' V^-1.
+Let P = 1 - A (A'A)^-1 A' and T' P T = E L E' (eigenvalues L), B = P T E. Then
 
     W = (P - B D B') / s^2,        D = 1 / (s^2 + L)
 
@@ -350,7 +350,7 @@ class MeasuredLengths:
         return self.beams.index(self._latest or (0, 0))
 
     def of_one_zero(self, a: Observation, b: Observation) -> bool:
-        """Tell whether both count from the same zero, being of one step."""
+        """Return whether both count from the same zero, being of one step."""
         return not self.per_segment or self._beam(a) == self._beam(b)
 
     def _key(self, observation: Observation) -> tuple[int, int]:
@@ -415,7 +415,7 @@ class LengthExperiment:
     def information(
         self, measured: MeasuredLengths, noise: float, further: Collection[int] | Ints = ()
     ) -> Information:
-        """Return what the ``measured`` lengths tell, and those of ``further`` steps."""
+        """Return what the ``measured`` lengths determine, and those of ``further`` steps."""
         zeros = len(measured.beams) if self.per_segment else self.stations
         return Information(self._noisier(noise), self._known(measured, further), zeros)
 
@@ -561,7 +561,7 @@ class LengthExperiment:
 def contrasts(
     scene: Scene, observations: Sequence[Observation], zero: Ints | None
 ) -> LengthContrasts:
-    """Return what the lengths (k,) of ``scene`` tell about their noise.
+    """Return what the lengths (k,) of ``scene`` show about their noise.
 
     ``zero`` (k,): the unknown zero of each length; None: every station has its own, and a later
     run an offset to the first. Times in ns.

@@ -1,4 +1,4 @@
-"""What lengths tell about the table's angles: covariance, and the gain of each candidate.
+"""What lengths determine of the table's angles: covariance, and the gain of each candidate.
 
 A plan starts from a :class:`Scene`: stations, possible targets, how well all is known. A *length*
 is a pair of table position and target, measured within a segment: as long as the beam is not
@@ -17,7 +17,7 @@ angles by |G a|^2 / (m (v + s)), with a = F^-1 g and s = g' F^-1 g; the derivati
 the same without s. Exact to first order; nothing depends on the readings, for the model is linear.
 
 A tracer and its mirror image in the plane of its targets are equally far from all of them: no
-length tells the one from the other. So the targets of a station need some depth
+length distinguishes the two. So the targets of a station need some depth
 (:class:`Spread`).
 """
 
@@ -47,7 +47,7 @@ from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""
 LEAST_DEPTH: Final = 0.1
-"""Of the targets of a station, across the plane they lie nearest to, over their extent."""
+"""Least depth of a station's targets across the plane they lie nearest to, over their extent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +61,9 @@ class Scene:
 
     ``circle_std``: standard deviation (m) by which stations leave one circle, radially and along
     the axis; the circle itself is unknown. None: nothing is said about it.
-    ``error_motion_std`` (m): the table's own radial error motion, which no length can tell from
-    the angle; it joins the predicted covariance. None: the solver estimates it, and nothing is
-    predicted of it.
+    ``error_motion_std`` (m): the table's own radial error motion, which no length can separate
+    from the angle; it joins the predicted covariance. None: the solver estimates it, and nothing
+    is predicted of it.
 
     Raises PlanError where the shapes do not fit each other.
     """
@@ -124,7 +124,7 @@ class Scene:
         return apart / distance[:, None], variance
 
     def circle_information(self) -> Floats:
-        """Return what the circle tells of the stations that stand on it, (3 m, 3 m), 1/m^2.
+        """Return what the circle determines of the stations that stand on it, (3 m, 3 m), 1/m^2.
 
         Centre, radius and axis of the circle are unknown: m - 3 contrasts of the radial and as
         many of the axial distances remain.
@@ -302,7 +302,7 @@ class _Felt(NamedTuple):
 
 
 class Information:
-    """What ``lengths`` tell in a ``scene``; ``segments`` is the number of zeros (q).
+    """What ``lengths`` determine in a ``scene``; ``segments`` is the number of zeros (q).
 
     Nothing here changes: :meth:`with_lengths` and :meth:`without` return another one.
     """

@@ -41,11 +41,11 @@ CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
 """Each further sweep costs the table its way once more."""
 SPARSE: Final = (2, 3)
-"""Of every so many positions one is visited once more by a last sweep, which saves turns."""
+"""A last sweep visits one of every so many positions once more, which saves turns."""
 DRAWS: Final = 8
 """Ways of sharing the lengths among the sweeps of which the best protected one is kept."""
 KICKS: Final = 20
-"""Of the quickest order; sweeps leave the heuristic little to choose."""
+"""Kicks for the quickest order; sweeps leave the heuristic little to choose."""
 AGAIN: Final = 1e4
 """Time (s), longer than any way, of measuring a pair again without having left it."""
 MOST_KICKED: Final = 200
@@ -73,7 +73,7 @@ class Forecast:
 
     @property
     def worst(self) -> float:
-        """The larger one of both."""
+        """The larger one of the two."""
         return max(self.drift, self.knock)
 
     @property
@@ -92,7 +92,7 @@ class Forecast:
 class SequenceForecast:
     """Judges orders of the lengths of one plan; ``problem`` holds lengths with the stated noise.
 
-    Raises ObservabilityError when the plan cannot tell the angle at all.
+    Raises ObservabilityError when the plan cannot determine the angle at all.
     """
 
     def __init__(self, problem: TracerProblem) -> None:
@@ -116,7 +116,7 @@ def ranks(order: Ints) -> Ints:
 
 
 def _unseen(treatment: str, error: float | None) -> float:
-    """Return the error of a statement: none where it is harmless, any where nothing tells it."""
+    """Return the error of a statement: none where it is harmless, any where it cannot be seen."""
     if error is not None:
         return error
     return 0.0 if treatment == "harmless" else inf
@@ -324,7 +324,7 @@ def improved(costs: Floats, order: Ints, kicks: int = 0, seed: int = 0) -> Ints:
 def shortest_possible(costs: Floats) -> float:
     """Return what no path through all lengths can beat, s: the lightest spanning tree.
 
-    Of the smaller one of both directions; each path is a spanning tree.
+    Of the smaller of the two directions; each path is a spanning tree.
     """
     both = np.minimum(costs, costs.T)
     least = both.min()

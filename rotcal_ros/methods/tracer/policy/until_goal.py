@@ -4,14 +4,14 @@ With known noise the uncertainty of a set of lengths is known before any is take
 is the set that reaches the goal with the planned noise. What is not known is learnt on the way:
 
 * the noise, from the residuals of the first sweep; further steps are as many as Student's t then
-  asks for (Stein's two stages, see :mod:`.experiment`), where they pay most for their time;
+  requires (Stein's two stages, see :mod:`.experiment`), where they pay most for their time;
 * blocked beams: a step that was given up is replaced by the best at the same station, and beams
   nearby are held to be blocked too until better is known;
 * suspect lengths are measured again, then all lengths of their station; a length that stays
   suspect is replaced by another target;
 * a drift: the first step and the middle step are measured again, to close the sweep;
 * what the result states: where that misses the goal, although what is planned reaches it, further
-  steps follow. The goal is reached when both do: the U of the result is the one that is told.
+  steps follow. The goal is reached when both do: the U of the result is the one that is reported.
 
 Where all steps together would miss the goal with the noise as it is, it ends at once: hours of
 lengths would lead to nothing.
@@ -76,14 +76,14 @@ EXCHANGES: Final = 300
 CHECKED_EXCHANGES: Final = 40
 """So long the first sweep is sought by exchange, before anything moves: about a second."""
 LEAST_REDUNDANCY: Final = 0.02
-"""Of each length of the first sweep: an error of 33 standard deviations shows."""
+"""Redundancy of each length of the first sweep: an error of 33 standard deviations shows."""
 HIDDEN: Final = 0.9 * TOLERABLE
 """What a drift or knock may do unseen (std); below the limit, as the noise is not known yet."""
 NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
 """No larger set is measured for what is nearly as little."""
 SHARES: Final = (1.0, 0.93)
-"""Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
-the quickest of both is taken."""
+"""Shares of the required uncertainty: some lengths more may need a sweep less to be protected, and
+the quicker of the two is taken."""
 TRIES: Final = 3
 """Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
 BLOCKED_WIDTH: Final = 15.0 * DEGREE
@@ -94,7 +94,7 @@ FEW_SUSPECTS: Final = 4
 SUSPECT_SHARE: Final = 0.1
 """When more lengths than either are suspect, that is no error of single lengths but noise."""
 ROUNDS: Final = 6
-"""In about so many rounds further steps are put together."""
+"""Rounds, about, in which further steps are put together."""
 SHORTLIST: Final = 700
 """Only so many of the best candidates are looked at again in every round."""
 MOST_PER_STATION: Final = 3
@@ -138,7 +138,7 @@ class UntilGoal:
         self._beams = FreeBeams(experiment.directions)
         self._at: int | None = None
         self._first_stage: set[int] = set()
-        """The steps whose lengths have told the noise, once they have."""
+        """The steps whose lengths have determined the noise, once they have."""
         self._spoiled = False
         """Whether one of them has become suspect since."""
         self._stated = (1.0, PLANNED_FACTOR)
@@ -235,7 +235,7 @@ class UntilGoal:
         return self._now
 
     def _solved(self) -> Stated | None:
-        """Return what the result states of all that was measured; None where nobody solves it."""
+        """Return what the result states of all that was measured; None where it is not solved."""
         if self._result is None and self._experiment.solved is not None:
             self._result = self._experiment.solved(tuple(self._seen.values()))
         return self._result
@@ -339,12 +339,12 @@ class UntilGoal:
         missed = f"all steps that are left would give {_in_words(best)} > {_in_words(goal)}"
         if self._allowance.floor >= goal:
             missed = (
-                f"the table's error motion alone, as its circle tells it, gives {_in_words(best)}"
+                f"the table's error motion alone, as its circle shows it, gives {_in_words(best)}"
             )
         return f"the goal is out of reach: {missed}, {self._noise_and_doubt}"
 
     def _state(self, noise: LengthNoise) -> None:
-        """State the noise from now on as the first stage tells it, if it does."""
+        """State the noise from now on as the first stage estimates it, if it does."""
         if noise.dof > 0.0:
             share = self._experiment.share_of_noise(self._measured, noise.factor)
             self._stated = (noise.factor, student_factor(noise.dof / share**2))
@@ -352,7 +352,7 @@ class UntilGoal:
             self._doubted, self._best = False, math.nan
 
     def _measure_again(self, suspect: Observation, value: float) -> None:
-        """Queue what a suspect length asks for: the same again, or another target."""
+        """Queue what a suspect length requires: the same again, or another target."""
         self._spoiled = bool(self._first_stage)
         again, why = self._suspects.again(suspect, value, self._measured)
         self._queue.extend((step, why) for step in again)

@@ -4,7 +4,7 @@
 From the problem to the result, each module knowing those before it:
 
 * :mod:`.problem`: lengths as they are given, and in their places on a grid;
-* :mod:`.circle`, :mod:`.observability`: table angles from stations; what cannot be told;
+* :mod:`.circle`, :mod:`.observability`: table angles from stations; what cannot be determined;
 * :mod:`.adjustment`, :mod:`.network`, :mod:`.joint`: station by station, or all together;
 * :mod:`.start`, :mod:`.zeros`: start values; what zeros do while it is measured;
 * :mod:`.screening`: noise, outliers, disturbances in one place;

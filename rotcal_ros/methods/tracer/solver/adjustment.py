@@ -256,7 +256,7 @@ def adjust_stations(grid: Grid, start: Floats, targets: Floats | None = None) ->
             f"station {worst} does not settle in {MAX_ITERATIONS} iterations: its lengths do not "
             "fit the targets; check the order of the targets and the sign of the lengths"
         )
-    # the diagonal of the hat matrix is what each length tells of itself; the rest checks it
+    # the diagonal of the hat matrix is what each length determines of itself; the rest checks it
     whitened = design * np.sqrt(weights)[:, :, None]
     inverse = np.linalg.inv(whitened.swapaxes(1, 2) @ whitened)
     leverage = np.einsum("jia,jia->ji", whitened @ inverse, whitened)

@@ -1,4 +1,4 @@
-"""From tracer stations to table angles: plane, circle, deviations; and what a stated circle tells.
+"""From tracer stations to table angles: plane, circle, deviations; and what a stated circle adds.
 
 Laser tracer paper, sections 3.2 to 3.4. Two kinds of deviation are kept apart everywhere:
 *cumulative* (positioning) deviations are counted from the first station, *adjacent* (interval)
@@ -30,7 +30,7 @@ from rotcal_ros.geometry.rotations import wrap_angle
 ABSORBED: Final = 3
 """Parameters of a circle that take up radial distances (centre, radius), and axial ones."""
 FELT: Final = 1e-6
-"""Share of a contrast that the lengths have to tell for it to be a test."""
+"""Share of a contrast that the lengths have to determine for it to be a test."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,8 +204,8 @@ class Unprejudiced:
     """What the lengths alone say of values that had a prior.
 
     ``seen`` (k,) are independent of each other, with the variances ``noise`` (k,), m^2. ``basis``
-    (c, k) takes adjusted values (c,) to them; k <= c, for some the lengths may not tell at all.
-    ``redundancy``: share of the prior's observations that the lengths check, 0 to 1.
+    (c, k) takes adjusted values (c,) to them; k <= c, for some the lengths may not determine at
+    all. ``redundancy``: share of the prior's observations that the lengths check, 0 to 1.
     """
 
     seen: Floats
@@ -218,7 +218,7 @@ def without_prior(value: Floats, covariance: Floats, std: float) -> Unprejudiced
     """Return what adjusted values (c,) say without their prior, zero with ``std`` (m) each.
 
     ``covariance`` (c, c) of the adjusted values, m^2: with r = 1 - covariance / std^2 the share
-    of each that the lengths tell, the adjusted value is r times what they say.
+    of each that the lengths determine, the adjusted value is r times what they say.
     """
     left, axes = np.linalg.eigh(covariance / std**2)
     share = 1.0 - left

@@ -1,7 +1,7 @@
 """Joining runs: after an interruption the zero of the lengths is another one.
 
 A relative length is the distance less the zero of its run. Steps that were measured in both runs
-tell the difference of the zeros; their scatter tests whether anything else moved in between.
+show the difference of the zeros; their scatter tests whether anything else moved in between.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Join:
 
 
 def join_of(run: int, difference: Floats, std: Floats, earlier: Ints) -> Join:
-    """Return the join that differences (k,) of lengths with standard deviations (k,) tell.
+    """Return the join that differences (k,) of lengths with standard deviations (k,) determine.
 
     ``earlier`` (k,) are the runs of the earlier lengths. The weighted mean; with one pair there
     is nothing left to test, and the probability is 1.
@@ -197,8 +197,8 @@ def _adjusted(runs: Runs) -> WeighedSolution[_Joined]:
     for later in runs.pairs:
         if not len(later.row):
             raise DataError(
-                f"no step of the runs before was measured again in run {later.run}: nothing tells "
-                "its zero of the lengths; resume once more, or measure from the start"
+                f"no step of the runs before was measured again in run {later.run}, so its "
+                "zero of the lengths is not known; resume once more, or measure from the start"
             )
     none = np.zeros((len(runs.run), 3))  # where the stations and so the beams are is not known yet
     first, _ = _solved(replace(runs, shift=none), none, 1.0)
@@ -297,7 +297,7 @@ def _concluded(
         verdict=verdict,
         warnings=(*result.warnings, *(_sentence(join, join in failed) for join in joins)),
         details={**result.details, "joins": [_plain(join) for join in joins]},
-        raw_data=RawData(),  # what a length does by way of its join is not told
+        raw_data=RawData(),  # what a length does by way of its join is not recorded
     )
 
 

@@ -157,7 +157,7 @@ def target_corrections(grid: Grid, fit: Adjustment) -> tuple[Floats, Floats]:
 
 
 def _apart_covariance(network: Network, grid: Grid, dof: float) -> StationCovariance:
-    """Return that of stations which nothing but the targets ties, whose own unknowns they are."""
+    """Return the covariance of stations that were eliminated, tied only by the targets."""
     reduced, std = network.reduced, grid.target_std.ravel()
     kept = reduced.covariance()
     common = np.ascontiguousarray(reduced.transfer[:, network.layout.places].T)

@@ -47,7 +47,7 @@ _UNDETERMINED: Final = (
 CONVERGED: Final = 1e-17
 """Squared length in standard deviations of the step that would follow the last."""
 CONTRACTING: Final = 1e-4
-"""Squared length of a step from which on the ratio of steps tells the next."""
+"""Squared length of a step from which on the ratio of steps predicts the next."""
 STAGNANT: Final = 1e-6
 """Squared length below which a step that no longer shrinks is rounding."""
 FLAT: Final = 1e-4

@@ -1,12 +1,12 @@
-"""What the lengths cannot tell: the angle in a weak geometry, and how the positions are numbered.
+"""What lengths cannot determine: the angle in a weak geometry, and how positions are numbered.
 
 Counting comes first (Eq. 2), then the rank of each station's design, then the size of the
 uncertainty: a station that is known worse than to a hundredth of the circle's radius makes every
 first-order statement about the angle worthless. What is refused names the weak direction.
 
-No length tells which table angle belongs to which station: with all positions renumbered by one
+No length shows which table angle belongs to which station: with all positions renumbered by one
 every length fits as well, and each deviation stands at its neighbour's angle; so it does where the
-table's zero is another one. Where the tracer stands on the table tells it, if that was stated.
+table's zero is another one. Where the tracer stands on the table decides it, if that was stated.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def check_counts(grid: Grid, dropped: Iterable[str] = ()) -> None:
 def what_is_missing(m: int, n: int, lengths: int, free: bool, least: int) -> str | None:
     """Return what m stations and n targets lack; None when they can be solved (Eq. 2).
 
-    A station is one with at least ``least`` usable lengths. Where the machine tells the targets,
+    A station is one with at least ``least`` usable lengths. Where the machine gives the targets,
     three coordinates of each are observed and their unknowns count for nothing: ``least`` m
     lengths are enough.
     """
@@ -100,7 +100,7 @@ def check_station_rank(design: Floats, position_ids: Ints) -> None:
         j = int(np.flatnonzero(weak)[0])
         direction = vectors[j, :3, 0]
         raise ObservabilityError(
-            f"station {position_ids[j]}: the targets cannot tell the tracer's place along "
+            f"station {position_ids[j]}: the targets cannot determine the tracer's place along "
             f"{name_direction(direction)}: {CURE}"
         )
 
@@ -118,7 +118,7 @@ def check_station_spread(
         raise ObservabilityError(
             f"station {position_ids[j]} is known to {std:.3g} m only along "
             f"{name_direction(direction)}, more than {largest:g} of the {radius:.3g} m radius of "
-            "the stations: this geometry cannot tell the angle; "
+            "the stations: this geometry cannot determine the angle; "
             + (NEVER_TURNED if unturned else CURE)
         )
 
@@ -237,7 +237,7 @@ class Numbering:
         )
         if self.bearing is None:
             return Protection(
-                "numbering", "not protected", f"{unseen}: state {self.where}, which would tell"
+                "numbering", "not protected", f"{unseen}: state {self.where}, which would show it"
             )
         if apart <= self.near:
             return Protection(

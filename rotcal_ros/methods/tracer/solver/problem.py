@@ -2,7 +2,7 @@
 
 The flat rows of a problem come in any order and with gaps. On the grid every length has its
 place, so that the order of the rows cannot change a single bit of the result; what has none is
-told, and why.
+reported, and why.
 
 A *strip* is what a station has measured from one zero. Where every station has a zero of its own,
 strips are stations; where zeros belong to segments of unbroken beam, a station has as many strips
@@ -145,8 +145,8 @@ class TracerProblem(LengthProblem):
 
     ``error_motion_std``: standard deviation, per direction in the plane, of the table's own
     radial error motion (EXC, EYC, and tilts times the tracer's height) in metres. One tracer
-    position cannot tell it from the angle; it enters the uncertainty as a type B component. Zero
-    is known to be none; None: it is estimated from what the stations leave their circle by.
+    position cannot separate it from the angle; it enters the uncertainty as a type B component.
+    Zero is known to be none; None: it is estimated from what the stations leave their circle by.
 
     ``circle_std``: standard deviation, m, by which the stations leave one circle about the table's
     axis, radially and along it; the circle is unknown. It is an observation that the lengths may
@@ -156,7 +156,7 @@ class TracerProblem(LengthProblem):
     ``repeated_runs``: equal table angles are separate arrivals, whose differences are the table's
     repeatability and reversal and no closure of the measurement.
 
-    ``order`` tells the arrivals of the table and what a drift does; without it the stations are
+    ``order`` holds the arrivals of the table and what a drift does; without it the stations are
     held to be measured one after the other, each at one arrival.
 
     ``segment``: all lengths of one count from the same unknown zero, at whatever table position;
@@ -170,7 +170,7 @@ class TracerProblem(LengthProblem):
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
-    all targets lie in one plane, and tell how the positions are numbered
+    all targets lie in one plane, and show how the positions are numbered
     (:class:`~.observability.Numbering`).
 
     Lengths may be missing (a blocked beam): leave the row out. A pair (position, target) has one
@@ -244,13 +244,13 @@ class TracerProblem(LengthProblem):
 STATION_MINIMUM: Final = 5
 """Lengths per station that place it by themselves: (X, Y, Z, d), and one to check them."""
 SEVERAL: Final = 4
-"""Lengths of a strip whose median tells something."""
+"""Lengths of a strip whose median is of use."""
 FREE_TARGET_MINIMUM: Final = 4
 """Lengths per target of a free network: three unknowns and one to check them."""
 REACH: Final = 100.0
 """No tracer reaches further (metres): targets that lie further apart are in another unit."""
 IMPOSSIBLE_SHARE: Final = 0.25
-"""From this share of impossible lengths on, it is the unit or the plan that is wrong."""
+"""Share of impossible lengths from which the unit or the plan is wrong."""
 MILLIMETRES: Final = 1e-3
 """Below this spread of the lengths, as a share of that of the targets, the units differ."""
 
@@ -530,7 +530,7 @@ def _drop_impossible(
 
 
 def _check_unit_of_lengths(excess: Floats, span: float) -> None:
-    # Most lengths tell the unit: a few may be spikes, and a few targets lie near the median.
+    # Most lengths show the unit: a few may be spikes, and a few targets lie near the median.
     ratio = float(np.quantile(excess, 0.9)) / span
     if np.mean(excess > span) > IMPOSSIBLE_SHARE:
         raise DataError(
@@ -562,7 +562,7 @@ def _drop_undetermined(problem: TracerProblem, row: Ints, strips: _Strips, absen
             group = strips.position if name == "station" else np.arange(row.shape[1])
             table = row if name == "station" else row.T
             present = np.bincount(group, weights=(table >= 0).sum(axis=1))
-            count = present if name == "target" else _telling(row >= 0, strips)
+            count = present if name == "target" else _determining(row >= 0, strips)
             for index in np.flatnonzero((present > 0) & (count < minimum)):
                 lines = group == index
                 for dropped in table[lines][table[lines] >= 0]:
@@ -578,10 +578,10 @@ def _own_zero(problem: TracerProblem) -> bool:
     return problem.segment is None and (problem.again is None or not problem.again.any())
 
 
-def _telling(present: Bools, strips: _Strips) -> Floats:
-    """Return how many of the ``present`` (p, n) lengths of each position tell something of it.
+def _determining(present: Bools, strips: _Strips) -> Floats:
+    """Return how many of the ``present`` (p, n) lengths of each position help to determine it.
 
-    One that was measured again from the same zero tells nothing of the place.
+    One that was measured again from the same zero adds nothing about the place.
     """
     if strips.segment is None:
         return np.bincount(strips.position, weights=present.sum(axis=1)).astype(np.float64)

@@ -7,7 +7,7 @@ closures. The size at which one of these turns the verdict with a probability of
 *detectable* one.
 
 What does not depend on how a method works this out comes first, for one place of the tracer and
-for several: the sizes up to which an effect is looked for, the largest error that stays unseen,
+for several: the sizes up to which an effect is searched for, the largest error that stays unseen,
 effects of the air, and the statements that both methods make.
 """
 
@@ -48,15 +48,15 @@ from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS
 from rotcal_ros.methods.tracer.solver.zeros import largest_share
 
 LARGEST_MOVE: Final = 1e-4
-"""Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
+"""Drift or knock (m, or rad times the largest reach) that could not be overlooked."""
 LARGEST_RATIO: Final = 1e-3
-"""Error of the scale, or of the air's index per metre of height, that nobody would overlook."""
+"""Error of the scale, or of the air's index per metre of height, that could not be missed."""
 KNOCKED_AT: Final = (0.25, 0.5, 0.75)
 """Shares of a run after which a knock is tried."""
 NOTHING: Final = 1e-150
 """Keeps divisions by what a test does not feel finite; far below any square of a length."""
 MOST_PATTERNS: Final = 4_000_000
-"""Lengths of all patterns together, 32 MB, up to which each length's influence is told."""
+"""Lengths of all patterns together, 32 MB, up to which each length's influence is stated."""
 
 
 def stated(
@@ -290,7 +290,7 @@ def returned(solution: TracerSolution) -> tuple[Returned, ...]:
     covariance = solution.covariance.enlarged(solution.scale).total
     if solution.slips is not None:
         covariance = covariance + LowRank.whole(solution.slips.covariance(), 3)
-    # without the error motion: that is looked for
+    # without the error motion: that is searched for
     measured = bearing_slopes(solution.fit.stations, motion).spread(covariance)
     gathered = solution.evidence.gathering.covariance()
     if gathered is not None:
@@ -375,7 +375,7 @@ def _gone(solution: TracerSolution) -> Floats:
 
 
 def _arrivals(solution: TracerSolution) -> int:
-    """Return how often the table came to the position that it came to least."""
+    """Return how often the table visited the position that it visited least."""
     problem = solution.problem
     at = problem.position[np.argsort(problem.measuring_order, kind="stable")]
     come = np.append(True, np.diff(at) != 0)

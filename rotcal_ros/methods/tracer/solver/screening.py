@@ -12,7 +12,7 @@ targets x, targets y, targets z
 
 They are tested, and estimated where the statement is contradicted, as in ``adjust.noise``.
 The targets' axes are coupled in the prior, so that an axis which the lengths cannot check follows
-the others. While outliers are looked for, large residuals are bent, so that outliers do not pass
+the others. While outliers are searched for, large residuals are bent, so that outliers do not pass
 for noise, and the factors are estimated again after every round.
 
 Rule of rejection: the normalised residual (residual over its own standard deviation, after Baarda)
@@ -79,7 +79,7 @@ from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, Grid
 LEAST_OF_GROUP: Final = 4
 """Lengths that are a group."""
 LARGEST: Final = 1e-4
-"""Error (m) of several lengths that nobody would overlook."""
+"""Error (m) of several lengths that could not be overlooked."""
 WORDS: Final = Words(
     "lengths", "warm air, a person or an obstacle", "in the beams", "in its beams"
 )
@@ -226,13 +226,13 @@ def _stretches(grid: Grid, order: Ints) -> list[Places]:
 
 
 COMPONENTS: Final = ("lengths", "distance", "targets x", "targets y", "targets z")
-"""Of the noise, in the order of all arrays (5,) here."""
+"""Components of the noise, in the order of all arrays (5,) here."""
 PRIOR_AXIS: Final = 0.5
 """Standard deviation of ln s of one axis of the targets against the others."""
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 HARDLY_CHECKED: Final = 0.01
-"""Redundancy of a length below which its residual, next to none, tells nothing of its error."""
+"""Redundancy of a length below which its residual, next to none, shows nothing of its error."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 Grouping = Callable[[Grid, Adjustment], tuple[Group | Undivided, ...]]

@@ -71,7 +71,7 @@ from rotcal_ros.methods.tracer.solver.zeros import (
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
 FREE_CIRCLE: Final = 1e-4
-"""Deviation (m) from the circle that keeps every station near it and tells nothing else."""
+"""Deviation (m) from the circle that keeps every station near it and adds no other knowledge."""
 _COVARIANCE: Final = {"station": stations_covariance, "joint": network_covariance}
 
 
@@ -294,7 +294,7 @@ def _screened_together(
 ) -> tuple[ScreenedLengths, tuple[Jump, ...], Shifts | None]:
     """Do as :func:`_screened` where stations are tied together, and split zeros where they jump.
 
-    The shifts are those of the network that comes out. Large jumps are looked for before large
+    The shifts are those of the network that comes out. Large jumps are searched for before large
     outliers, with their margin: the errors of known targets come in the order of time.
     """
     limits, order = problem.settings, problem.measuring_order
@@ -403,7 +403,7 @@ def check_sense(motion: TableMotion, stations: Floats, commanded: Floats, positi
             "they follow the angles with the opposite sign. Which way does the table turn, seen "
             "from +z, while its angle counts up? Clockwise: negate the table angles. "
             "Counter-clockwise: the frame of the targets is left-handed (an axis turned round, or "
-            "two exchanged), which lengths alone cannot tell"
+            "two exchanged), which lengths alone cannot show"
         )
     off, order = motion.cumulative[worst] / DEGREE, commanded[worst] / DEGREE
     raise DataError(

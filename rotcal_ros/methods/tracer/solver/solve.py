@@ -39,8 +39,8 @@ def solve(problem: TracerProblem) -> Result:
     Method: Laser tracer multi-station paper, Eq. 1-36. The order of the rows of ``problem`` does
     not change a bit of the result.
 
-    Raises ObservabilityError when the geometry cannot tell the angle (it names the weak direction
-    or both sides of Eq. 2), DataError for contradictory or implausible data.
+    Raises ObservabilityError when the geometry cannot determine the angle (it names the weak
+    direction or both sides of Eq. 2), DataError for contradictory or implausible data.
     """
     return result_of(adjust(problem))
 
@@ -152,7 +152,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
 
 
 def circle_details(motion: TableMotion, stations: Floats, angles: Floats) -> dict[str, Any]:
-    """Return what ``stations`` (m, 3), m, at table ``angles`` (m,), rad, tell of their circle."""
+    """Return what ``stations`` (m, 3), m, at table ``angles`` (m,), rad, show of their circle."""
     return {
         "plane": {"normal": motion.plane.normal, "offset": motion.plane.offset},
         "circle": {"centre": motion.centre, "radius": motion.radius},

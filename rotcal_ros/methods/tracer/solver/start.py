@@ -28,11 +28,11 @@ from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
 NEARLY_FLAT: Final = 3e-3
 """Ratio of singular values below which the linear solution alone is not trusted."""
 CHANCE: Final = 25.0
-"""Difference of chi-squared (5 standard deviations) that does not tell two candidates apart."""
+"""Difference of chi-squared (5 standard deviations) that does not distinguish two candidates."""
 MIRROR: Final = 1e-5
 """Distance (m) from which two candidates are two places, not one found twice."""
 DEVIATES: Final = 1e-5
-"""By how much (m) stations may be off their commanded places on the circle."""
+"""How far (m) stations may be off their commanded places on the circle."""
 LOST: Final = 1e-3
 """Root mean square misfit (m) of stations that are not where the commanded angles say."""
 
@@ -70,7 +70,7 @@ def start_candidates(targets: Floats, length: Floats, used: Bools) -> Floats:
 def _without_gaps(targets: Floats, length: Floats) -> Floats | None:
     """Return start values (m, 4) of stations that all see all targets; None if nearly flat.
 
-    The part of l that no linear function of x explains tells d, the rest then tells P.
+    The part of l that no linear function of x explains determines d, the rest then determines P.
     """
     centre = targets.mean(axis=0)
     points = targets - centre

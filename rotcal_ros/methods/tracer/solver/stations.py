@@ -1,8 +1,9 @@
 """Deviations from coordinates of stations alone, as a paper or another program states them.
 
-Without the lengths nothing tells how well the stations are known. What is left is their circle:
-by how much they leave it says how large noise of the stations and error motion of the table are
-together, radially, and along the circle they are taken to be as large (see :mod:`.uncertainty`).
+Without the lengths it is not known how well the stations are determined. What is left is their
+circle: by how much they leave it says how large noise of the stations and error motion of the
+table are together, radially, and along the circle they are taken to be as large (see
+:mod:`.uncertainty`).
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ class StationProblem:
     """Places ``stations`` (m, 3) m of one tracer at ``table_angles`` (m,) rad.
 
     ``positions`` (m,) are their numbers in the plan. ``distances`` (m,) m from each to the first
-    target are told in the details, and used nowhere; empty: not known. ``error_motion_std`` (m) as
-    of a :class:`~.problem.TracerProblem`; ``significance`` of its test.
+    target are reported in the details, and used nowhere; empty: not known. ``error_motion_std``
+    (m) as of a :class:`~.problem.TracerProblem`; ``significance`` of its test.
     """
 
     stations: Floats
@@ -65,7 +66,7 @@ def solve(problem: StationProblem) -> Result:
     if m <= ABSORBED + 1:
         raise ObservabilityError(
             f"{m} stations leave {max(m - ABSORBED, 0)} residuals of their circle, which have to "
-            "tell how well they are known: give at least 5, or the lengths"
+            "show how well they are known: give at least 5, or the lengths"
         )
     motion = table_motion(problem.stations, problem.table_angles)
     check_sense(motion, problem.stations, problem.table_angles, problem.positions)
@@ -139,7 +140,7 @@ def _protections(
     stated = Protection("error motion", "bounded", "the stated error motion is inside U")
     shown = "noise of the stations and error motion together, as the circle's residuals show them"
     rests = Protection("error motion", "estimated", shown) if found.estimated else stated
-    unknown = "coordinates of stations alone do not tell: solve the lengths, in their order"
+    unknown = "coordinates of stations alone do not show it: solve the lengths, in their order"
     return ordered(
         (
             Protection("drift", "not protected", unknown),

@@ -100,7 +100,7 @@ class TracerTrials:
     solver. ``gain`` belongs to its variant; for "station" the inverse normal matrices (m, 4, 4).
     ``scale`` enlarges the stated noise as the solver does, ``wobble`` (2, 3) are standard error
     motions in the plane of the stations, ``zeros`` (r, m, n) standard errors that all lengths of a
-    run have in common (m), ``slips`` those that nobody sees. ``circle``: contrasts of a stated
+    run have in common (m), ``slips`` those that stay unseen. ``circle``: contrasts of a stated
     circle about the solution.
     """
 

@@ -7,8 +7,8 @@ is no t factor for those, for lengths are many. The few residuals of the circle 
 
 A station leaves its circle by the radial part of the table's error motion (EXC, EYC, and tilts
 times the height of the tracer) and by the noise of its own place. The tangential part cannot be
-told from the angle; it is taken to be as large, which is believed and never measured: a tracer
-that mount or cable shift along its circle spoils the angle and leaves no trace
+separated from the angle; it is taken to be as large, which is believed and never measured: a
+tracer that mount or cable shift along its circle spoils the angle and leaves no trace
 (:mod:`.protections` says so). m - 3 residuals do not say much about a standard deviation, so their
 whole posterior is used: the value that goes into the covariance is the one with which an interval
 of +-1.96 standard deviations holds 95 % of what is predicted. From exact stations that is
@@ -20,7 +20,7 @@ across the circle (x = sigma / noise), times y^6 / (1 + y^6) with y = x / 1.5, a
 at all" with the weight of ABSENT natural logarithms of sigma. It was set by the coverage of 8 and
 9 residuals of equal noise, which is an integral over chi-squared: 94 to 97 % for every size. With
 d sigma / sigma alone a round table's intervals held 99 %. With fewer residuals a round table's
-hold more (98.8 % with 4), since so few cannot tell that it is round.
+hold more (98.8 % with 4), since so few cannot show that it is round.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ TINY: Final = 1e-12
 DECADES: Final = np.logspace(-3.0, 3.0, 121)
 """Error motions, in units of the radial residuals, over which the posterior is summed."""
 SPACING: Final = float(np.log(DECADES[1] / DECADES[0]))
-"""Of their natural logarithms: the width that each stands for in the sum."""
+"""Spacing of their natural logarithms: the width that each represents in the sum."""
 ABSENT: Final = 0.8
 """Prior weight of no error motion, in natural logarithms of sigma far above the noise."""
 NOTICED: Final = 1.5
@@ -82,7 +82,7 @@ class CircleResiduals:
 
     @property
     def dof(self) -> int:
-        """The number of free residuals: m - 3, or fewer where lengths do not tell all of them."""
+        """The number of free residuals: m - 3, or fewer where lengths do not determine all."""
         return int(len(self.seen) - self.absorbed.shape[1])
 
     @property
@@ -171,11 +171,11 @@ def circle_tested(
     expected_std: float,
     circle_std: float | None,
 ) -> CircleTest:
-    """Return what tells whether ``stations`` (m, 3) leave their circle by more than expected.
+    """Return the test of whether ``stations`` (m, 3) leave their circle by more than expected.
 
     ``total`` (3 m, 3 m): covariance of the stations, ``expected_std`` (m): of their deviation from
     the circle. Radial distances, with the error motion as expected; where the stations were
-    bound to a circle with ``circle_std`` (m), radial and axial ones as the lengths tell them.
+    bound to a circle with ``circle_std`` (m), radial and axial ones as the lengths determine them.
     """
     if circle_std is not None:
         value, slope = circle_contrasts(stations)
@@ -364,8 +364,8 @@ def circle_test(circle: CircleTest) -> GlobalTest:
 
     What the circle has absorbed (centre and radius) is projected out; m - 3 degrees of freedom
     remain. The table's error motion shows here by its radial part; its tangential part is what
-    the angle cannot be told from. A stated circle has twice as many, the axial ones, or fewer
-    where the lengths do not tell them.
+    cannot be separated from the angle. A stated circle has twice as many, the axial ones, or fewer
+    where the lengths do not determine them.
     """
     residuals = circle.residuals
     if residuals.dof == 0:

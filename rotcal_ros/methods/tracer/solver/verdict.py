@@ -206,8 +206,9 @@ def _doubt_circle(evidence: Evidence, settings: TracerLimits) -> list[str]:
         return []
     return [
         f"the stations leave their circle, radially and axially, {circle.sigma0:.1f} times as far "
-        f"as is expected ({circle.dof} contrasts that the lengths tell): the stated circle_std of "
-        f"{circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its place"
+        f"as is expected ({circle.dof} contrasts that the lengths determine): the stated "
+        f"circle_std of {circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its "
+        "place"
     ]
 
 
@@ -224,8 +225,8 @@ def doubt_jump(where: str, jump: Jump, fringe: float) -> str:
     """Return the sentence about a zero that jumped; ``fringe`` (m) is what a counter slips by."""
     return (
         f"the zero of {where} jumps by {jump.size:+.3g} m (standard deviation {jump.std:.2g} m) "
-        f"at observation {jump.row}, and nothing had said so: {_cause(jump, fringe)}; it was "
-        "split there"
+        f"at observation {jump.row}, although no break was reported: {_cause(jump, fringe)}; it "
+        "was split there"
     )
 
 

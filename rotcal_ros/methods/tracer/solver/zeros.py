@@ -4,10 +4,10 @@ All lengths of a *segment*, one unbroken beam, count from one zero. What can hap
 
 shift
     From some moment on all lengths of the segment are longer by the same amount. To first order
-    about an adjustment: how strongly the lengths speak for it, how well they tell its size, and
-    by how much it moves the stations while nobody sees it.
+    about an adjustment: how strongly the lengths speak for it, how well they determine its size,
+    and by how much it moves the stations unseen.
 jump
-    A shift that nobody reported: a slipped fringe, or a beam that broke unseen. It is tested like
+    A shift that was not reported: a slipped fringe, or a beam that broke unseen. It is tested like
     an outlier: the score of the shift over its standard deviation, with the unexplained scatter of
     the other residuals (externally studentised). It has to stand out more than any single length,
     which would be an outlier itself. The zero is then split there, which costs one unknown. The
@@ -20,7 +20,7 @@ slip
     of it as any other. The probability with which the test for jumps misses a slip follows from
     the geometry, and so does what the slip then does to the stations, or to the curves of a whole
     table; the covariance is the expected square of that. Like any covariance it does not depend on
-    the readings, and can be told in advance.
+    the readings, and can be stated in advance.
 walk
     Dead path and temperature move a zero a little all the time. Every length then gets a zero of
     its own, and the steps from one to the next, in the order of measuring, are observations: zero,
@@ -49,7 +49,7 @@ from rotcal_ros.methods.tracer.solver.problem import Grid
 from rotcal_ros.methods.tracer.solver.start import with_zeros
 
 LEAST_SIDE: Final = 4
-"""Lengths on either side of a shift that is looked for: fewer are outliers."""
+"""Lengths on either side of a shift that is searched for: fewer are outliers."""
 CANDIDATES: Final = 256
 """Moments that stand for all of them."""
 PLACES: Final = 2_000_000
@@ -59,15 +59,15 @@ MOST_FRINGES: Final = 3
 AGREES: Final = 2.58
 """Standard deviations by which the size of a slip may miss a whole number of fringes; 99 %."""
 MOST_JUMPS: Final = 10
-"""Jumps after which no further ones are looked for: such a beam is not unbroken at all."""
+"""Jumps after which no further ones are searched for: such a beam is not unbroken at all."""
 SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""
 MOST_LENGTHS: Final = 3000
 """Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
 LEAST_STD, LARGEST_STD = 1e-9, 1e-6
-"""Walks (m) among which an unknown one is looked for; the least is none."""
+"""Walks (m) among which an unknown one is searched for; the least is none."""
 NEAR: Final = 0.05
-"""Relative precision of an estimated walk: far below what the data tell."""
+"""Relative precision of an estimated walk: far below what the data determine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class Shifts:
 
     @property
     def enough(self) -> Bools:
-        """Whether a shift (t,) has lengths enough on either side to be looked for."""
+        """Whether a shift (t,) has lengths enough on either side to be searched for."""
         return np.asarray(self.moments.side[self.at] >= LEAST_SIDE)
 
     @property
@@ -194,7 +194,7 @@ class ShiftSearch:
 
     ``respond`` says what their network makes of shifts, from the lengths (t, p, n) that each makes
     longer; ``width``: q. ``overlap``: moments that a chunk has in common with the next, whose
-    correlation is then told too.
+    correlation is then given too.
     """
 
     grid: Grid
@@ -409,7 +409,7 @@ def wandering(grid: Grid, order: Ints, std: float) -> tuple[Grid, Ints]:
 
 
 def likely_walk(grid: Grid, start: Floats, order: Ints) -> float:
-    """Return the standard deviation (m) per length that ``grid`` tells best, 0 if it tells none.
+    """Return the standard deviation (m) per length that ``grid`` supports best, 0 for none.
 
     ``start`` (p, 4): state of the strips of ``grid``.
     """
@@ -441,7 +441,7 @@ def segment_report(grid: Grid, fit: Adjustment, order: Ints, scale: float) -> li
 
     ``zero``, ``std``: range at reading zero where the segment begins, m. ``step``, ``step_std``:
     the zero less that at the end of the segment before, as stations and targets that both have
-    measured tell it, m; ``probability``: how likely it would be if the zero had stayed.
+    measured show it, m; ``probability``: how likely it would be if the zero had stayed.
     """
     if grid.zero is None or grid.segment_ids is None:
         return []
@@ -470,7 +470,7 @@ def zeros_in_time(
 
     Each comes with the place where the tracer stood, and its first and last zero. ``value`` (s,),
     m, ``covariance`` (s, s) of all zeros. By how much a zero is larger than the one before it at
-    the same place, and how probable such a step is by chance, is told from the second one on.
+    the same place, and how probable such a step is by chance, is stated from the second one on.
     """
     found, before = [], dict[int, int]()
     for entry, place, first, last in entries:

@@ -12,8 +12,8 @@ whole network may, too. And with free targets, places at one height on one circl
 leave a seventh: targets and circle as in :mod:`rotcal_ros.methods.tracer.solver.joint`. None of
 them is felt by the curves.
 
-Places that cannot tell the table's tilts need a prior: the tilt c_i of each position, less what
-both frames contribute, u + Rz w with four unknowns (u, w), is an observation of zero with the
+Places that cannot determine the table's tilts need a prior: the tilt c_i of each position, less
+what both frames contribute, u + Rz w with four unknowns (u, w), is an observation of zero with the
 standard deviation ``tilt_std``; in a trial it is one of what chance has drawn.
 
 About the minimum follow the covariances of all unknowns, stations and lengths, and to first order
@@ -173,10 +173,10 @@ STAGNANT: Final = 1e-6
 SHRINKING: Final = 1e-4
 """Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 60
-"""Of chord steps, each with the slopes of now."""
+"""Most chord steps, each with the present slopes."""
 FLAT: Final = 1e-4
 """Difference of the places' heights and radii (m) up to which they lie on one circle: what they
-tell then about the flex is below any noise."""
+then show of the flex is below any noise."""
 
 
 class TiltSlopes(NamedTuple):
@@ -560,7 +560,7 @@ def pattern_gradient(network: LengthNetwork, patterns: Floats | Bools) -> Patter
 class Posterior:
     """``covariance`` (T, T) of all unknowns, T = K + 6 m: the kept ones, then the poses.
 
-    ``arrived`` (V, 3): the scatter of each station, as its lengths tell it, m; ``leverage``
+    ``arrived`` (V, 3): the scatter of each station, as its lengths determine it, m; ``leverage``
     (V, n): variance of each computed length, scatter included, m^2.
     """
 

@@ -37,21 +37,21 @@ class SixProblem(LengthProblem):
 
     ``place`` (k,): where the tracer stood, an index into ``places`` (p, 3): where that is on the
     table, m, in the frame that turns with it and coincides with the machine's at angle zero: good
-    to ``place_tolerance``, m; start values, and what tells how the positions are numbered (the
+    to ``place_tolerance``, m; start values, and what shows how the positions are numbered (the
     tracer's ``Numbering``). Targets are the same in all runs. ``upward`` (m,): from which side the
     table came to each position, where it came from both.
     Machine z along the table axis, origin near it (10 mrad and 10 mm are taken exactly); the
     deviations are those of the point of the axis at z = 0.
 
-    ``zero`` tells which lengths share a zero: those of a run ("per_run"), of a station, which is
+    ``zero`` says which lengths share a zero: those of a run ("per_run"), of a station, which is
     a place at a position ("per_station"), or of equal ``segment`` ("per_segment", and only then).
 
     ``scatter_translation_std`` (m) and ``scatter_rotation_std`` (rad): how differently the table
     arrives at the same angle, run by run; zero: known to repeat; None: estimated. ``arrival``
-    (k,): numbers that tell the arrivals at one angle in one run; lengths of different arrivals
-    have their own scatter. ``tilt_std`` (rad): prior knowledge of EAC and EBC, which two
+    (k,): numbers that distinguish the arrivals at one angle in one run; lengths of different
+    arrivals have their own scatter. ``tilt_std`` (rad): prior knowledge of EAC and EBC, which two
     places, or three in a line, need. Without ``order`` run follows run and angle follows angle.
-    ``slip`` 0: no jump of a zero is looked for.
+    ``slip`` 0: no jump of a zero is searched for.
 
     A pair of station and target has one length in each arrival.
     """
@@ -154,7 +154,7 @@ class StationLayout:
 
     @cached_property
     def most(self) -> Bools:
-        """Tells the lengths (V, n) that have the commonest zero of their station."""
+        """The lengths (V, n) that have the commonest zero of their station."""
         if (self.zero == self.zero[:, :1]).all():
             return self.grid.used
         pair = np.arange(len(self.zero))[:, None] * self.n_zeros + self.zero
@@ -281,7 +281,7 @@ def _aligned(problem: SixProblem) -> tuple[SixProblem, Floats]:
     """Return ``problem`` with all segments of a place counted from about the zero of the first.
 
     And by how much each length (k,) has become longer, m. A counter that starts anew may read
-    metres less; the nominal places tell that to the centimetre.
+    metres less; the nominal places show that to the centimetre.
     """
     offset = np.zeros(len(problem.length))
     if problem.segment is None:
@@ -354,7 +354,7 @@ def _poor(problem: SixProblem, grid: Grid, stations: Ints) -> dict[int, str]:
 
 
 def lost_direction(places: Floats) -> Floats | None:
-    """Return the direction (3,) about which lengths from ``places`` (p, 3) tell no turn, or None.
+    """Return the direction (3,) about which lengths from ``places`` (p, 3) show no turn, or None.
 
     c_i = s_i Rz e, with e along the line of the places and the d_i to match, moves no station.
     """
@@ -373,7 +373,7 @@ def _check_places(problem: SixProblem, used: Ints) -> None:
         return
     if len(used) < 2:
         raise ObservabilityError(
-            f"lengths from {len(used)} place on the table tell the path of a point, and no turn "
+            f"lengths from {len(used)} place on the table show the path of a point, and no turn "
             "about it: place the tracer at three places, 120 degrees apart"
         )
     if np.ptp(places, axis=0).max() == 0.0:
@@ -382,7 +382,7 @@ def _check_places(problem: SixProblem, used: Ints) -> None:
         how = "two places" if len(used) == 2 else f"{len(used)} places in a line"
         x, y, z = lost
         raise ObservabilityError(
-            f"{how} never tell the turn of the table about the line through them, along "
+            f"{how} never show the turn of the table about the line through them, along "
             f"({x:.2f}, {y:.2f}, {z:.2f}) in the table's frame: it moves neither; measure from a "
             "third place beside that line, or state the standard deviation of the tilts (tilt_std)"
         )

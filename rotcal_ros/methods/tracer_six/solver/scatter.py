@@ -25,7 +25,7 @@ turns have is hardly known, and weights that rely on it promise more than they k
 weights fixed, the variance of a curve is linear in s_t^2 and s_r^2; its standard deviation is the
 one with which +-1.96 of it hold 95 % of what is predicted, Student's t in spirit.
 
-The same contrasts tell what *moved*: a machine that stands elsewhere in the next run deforms the
+The same contrasts show what *moved*: a machine that stands elsewhere in the next run deforms the
 triangle of the places as a table does that does not repeat; a machine that drifts in all runs
 alike deforms nothing, and shows only where an angle is measured again in the same run. Neither may
 pass for scatter. Both are directions of the contrasts y,
@@ -36,7 +36,7 @@ with the root R of A = R R' and displacements D of the stations: of each later r
 first one; of later arrivals against the first one at the same place and angle, along the machine's
 axes and along the table's; and of a place's stations after a moment along the table's, of all
 moments the one that explains most. u ~ N(0, 1 + s_t^2 Q K_t Q' + s_r^2 Q K_r Q') is tested by
-chi-squared, with the scatter that the contrasts across all of these directions tell, over its
+chi-squared, with the scatter that the contrasts across all of these directions show, over its
 whole posterior.
 """
 
@@ -82,13 +82,13 @@ RANGE: Final = 1e-6
 """Share of the largest eigenvalue of A from which a direction is a contrast."""
 Kind = Literal["between runs", "within runs", "slip"]
 SHOWN: Final = 1e-3
-"""Share of the largest singular value from which a direction is told: heights of runs are not."""
+"""Share of the largest singular value that makes a direction seen: heights of runs are not."""
 LIKELY: Final = 1e-4
 """Share of the largest weight from which a scatter counts."""
 REACH: Final = 1e4
-"""Mean chi-squared up to which, and beginning with its inverse, a size is looked for."""
+"""Mean chi-squared up to which, and beginning with its inverse, a size is searched for."""
 BISECTIONS: Final = 16
-"""Of the logarithm of the size, over eight decades: to 0.03 %."""
+"""Bisections of the logarithm of the size, over eight decades: to 0.03 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ def contrasts(network: LengthNetwork, arms: Floats) -> ScatterContrasts:
 def estimate(
     found: ScatterContrasts, translation: float | None, rotation: float | None, significance: float
 ) -> Scatter:
-    """Return the scatter that ``found`` tells, rms of the posterior; what is stated stands.
+    """Return the scatter that ``found`` gives, rms of the posterior; what is stated stands.
 
     Both stated: they stand unless the contrasts contradict them with ``significance``; then both
     are estimated. Raises ObservabilityError where nothing shows it.
@@ -453,7 +453,7 @@ def _other_scatter(
     known: tuple[float | None, float | None],
     significance: float,
 ) -> Scatter:
-    """Return the scatter that the contrasts across ``shifts`` (d, q) tell."""
+    """Return the scatter that the contrasts across ``shifts`` (d, q) show."""
     _, other = _basis(shifts)
     if len(other):
         spread = other @ found.spread @ other.T

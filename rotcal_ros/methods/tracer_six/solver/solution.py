@@ -5,7 +5,7 @@ arrivals of the table at a position in one run; their scatter from arrival to ar
 beside the unknowns.
 
 Start values: stations by multilateration, then poses by rigid fits. Targets in one plane leave two
-images of each station; the nominal places tell which is meant. A position without three of its
+images of each station; the nominal places show which is meant. A position without three of its
 stations starts at its commanded angle.
 
 Jumps of a zero are searched for as with a single place (:mod:`~..tracer.solver.zeros`). Lengths
@@ -105,7 +105,7 @@ NEAR: Final = 0.05
 ROUNDS: Final = 2
 """Poses from places, then places from poses: each round takes nearly all that nominals lack."""
 NONE: Final = stated(0.0, 0.0)
-"""Of a table that repeats."""
+"""The scatter of a table that repeats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ def _solve_network(
     known: tuple[float | None, float | None],
     significance: float,
 ) -> tuple[LengthNetwork, Scatter]:
-    """Return the network at its minimum with the scatter that it tells, or that is ``known``."""
+    """Return the network at its minimum with the scatter that it shows, or that is ``known``."""
     network = relax(grid, layout, None, state)
     _check_determined(network)
     arms = network.state.arms(layout)
@@ -386,11 +386,11 @@ class SixSolution:
 
     ``table``: curves with their covariance as the network gives it; ``covariance`` (6, m, 6, m),
     in the order of COMPONENTS, what is known of them in the end: enlarged by ``scale`` for what
-    the noise leaves unexplained, and for a scatter that few contrasts tell, and with what unseen
-    ``slips`` of a fringe add. ``closures`` are tested without these: such a slip may open them.
-    ``rejected`` says by row why a length was not used. ``evidence``: its test is with the noise
-    that was used; what gathers in one place may do is in the covariance too; the segment of a jump
-    is a zero of the ``layout``.
+    the noise leaves unexplained, and for a scatter that few contrasts determine, and with what
+    unseen ``slips`` of a fringe add. ``closures`` are tested without these: such a slip may open
+    them. ``rejected`` says by row why a length was not used. ``evidence``: its test is with the
+    noise that was used; what gathers in one place may do is in the covariance too; the segment of
+    a jump is a zero of the ``layout``.
     """
 
     problem: SixProblem

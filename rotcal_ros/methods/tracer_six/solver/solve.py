@@ -88,8 +88,8 @@ def solve(problem: SixProblem) -> Result:
     positions whose places leave a direction open are absent. The order of the rows does not
     change a bit of the result.
 
-    Raises ObservabilityError where the places or the lengths cannot tell all six (it names the
-    lost direction), DataError for contradictory or implausible data.
+    Raises ObservabilityError where the places or the lengths cannot determine all six (it names
+    the lost direction), DataError for contradictory or implausible data.
     """
     return result_of(adjust(problem))
 
@@ -210,12 +210,12 @@ def _scatter(solution: SixSolution) -> dict[str, Any]:
 
 
 def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
-    """Return one entry per segment, in the order of time; none where no segments are told.
+    """Return one entry per segment, in the order of time; none where no segments are given.
 
     ``segment``: its number in the problem; ``place_id``: where the tracer stood; ``zero``,
     ``std``: range at reading zero, m. Behind another segment of the same place also ``step``,
     ``step_std``: the zero less that of the segment before, as the rigid table and all targets
-    tell it, m; ``probability``: how likely it would be if the zero had stayed.
+    show it, m; ``probability``: how likely it would be if the zero had stayed.
     """
     problem, layout, grid = solution.problem, solution.layout, solution.grid
     if problem.segment is None:
@@ -244,7 +244,7 @@ class Upward:
     """The elevations (rad, above the tracer along +z) of the steepest beams both ways.
 
     Targets and places typed in a frame whose z points into the table fit every length as well, and
-    EZC, EAC and EBC change their signs. No length tells that. But a tracer stands on the table: no
+    EZC, EAC and EBC change their signs. No length shows that. But a tracer stands on the table: no
     beam goes through it.
     """
 
@@ -289,7 +289,7 @@ class Upward:
             "sign of z",
             "not protected",
             f"{unseen}; no beam goes up by {STEEP / DEGREE:.0f} degrees or more alone, which "
-            "would tell, for none goes down so steeply, through the table",
+            "would show it, for none goes down so steeply, through the table",
         )
 
 
@@ -307,7 +307,7 @@ def _doubt_motion(solution: SixSolution) -> list[str]:
         doubts.append(
             "the distances between the places change more than the stated scatter of the table "
             f"allows (p = {scatter.probability:.2g}): {scatter.in_words()}, as "
-            f"{scatter.n_contrasts} contrasts tell, are used; look for a tracer that slips, or "
+            f"{scatter.n_contrasts} contrasts show, are used; look for a tracer that slips, or "
             "state a larger scatter"
         )
     for name, found in solution.closures.items():

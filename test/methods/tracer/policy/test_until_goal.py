@@ -74,7 +74,7 @@ def test_what_is_stated_holds_at_any_true_noise_and_costs_little_at_the_planned(
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_goal_reached_is_what_the_result_states(of, factor):
-    """The U of the end is the result's own, to the last bit, and its doubt is told with it."""
+    """The U of the end is the result's own, to the last bit, and its doubt is reported with it."""
     for seed in range(6 if LONG else 2):
         cell = cell_of(of, seed, factor)
         last = measured(UntilGoal(of, GoalLimits(GOAL)), cell)[-1]
@@ -108,7 +108,7 @@ def test_an_error_motion_beyond_the_goal_ends_it_soon():
     assert angles == pytest.approx(angles[0])
     cell.stations[:, :2] += 3e-6 * np.random.default_rng(1).standard_normal((len(angles), 2))
     made = measured(UntilGoal(of, GoalLimits(GOAL)), cell)
-    assert "error motion alone, as its circle tells it, gives" in made[-1].reason
+    assert "error motion alone, as its circle shows it, gives" in made[-1].reason
     assert len(made) < 90
 
 
