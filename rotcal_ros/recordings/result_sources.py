@@ -131,8 +131,8 @@ def solved(measured: Recording | Measurements) -> ResultSource:
 def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
     """Return a bag or a table, ready to be solved together with others.
 
-    Also one that cannot be solved alone: the others may determine what it lacks, or what happened to
-    it. Where its data contradict each other the result says so, and is suspect at best.
+    Also one that cannot be solved alone: the others may determine what it lacks, or what happened
+    to it. Where its data contradict each other the result says so, and is suspect at best.
     """
     try:
         return JointInput(name, measured.solve(), measured.of_curves())

@@ -92,7 +92,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
-    """Return what the accepted lengths determine of the curves, to be solved with other instruments."""
+    """Return what the lengths determine of the curves, to be solved with other instruments."""
     from rotcal_ros.methods.tracer_six.solver.curve_model import curve_model
 
     solution = _at_equal_places(configuration, plan, observations).solution
