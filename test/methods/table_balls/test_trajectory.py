@@ -62,7 +62,7 @@ def test_at_each_tilt_the_ball_is_turned_back_by_both_axes():
     for tilt, degrees in enumerate(plan.tilts_deg):
         here = read.station == tilt
         flat = Rotation.from_euler("x", -degrees, degrees=True).apply(read.points[here] - point)
-        turns = Rotation.from_euler("z", -world.angles[read.position[here]])
+        turns = Rotation.from_euler("z", -world.angles[read.position[here], None])
         on_table = turns.apply(flat + point - foot)
         mean = [
             on_table[read.position[here] == at].mean(axis=0) for at in range(len(world.angles))
