@@ -113,8 +113,14 @@ def way_figures(ways: Mapping[str, Any]) -> list[Figure]:
     """Return the figure of :func:`trajectories`; none of lengths, which have no places."""
     if tuple(ways["directions"]) != OF_CENTRES:
         return []
-    what = "Where the centres were read, deviations from their nominal circles enlarged"
-    return [Figure("Circles of centres", f"{what}; at the first tilt.", _circles(ways))]
+    return [
+        Figure(
+            "Circles of centres",
+            "Where the centres were read at the first tilt, less their mean place on the table; "
+            "deviations from the nominal circles are enlarged.",
+            _circles(ways),
+        )
+    ]
 
 
 @style.styled
