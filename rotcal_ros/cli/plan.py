@@ -175,10 +175,10 @@ def reliability(
 @set_option
 @click.option(
     "--runs",
-    type=click.IntRange(min=5),
+    type=click.IntRange(min=10),
     default=20,
     show_default=True,
-    help="Simulated measurements of each size.",
+    help="Simulated measurements of each size; of few no error may be known (inf).",
 )
 @click.option(
     "--effect", "effects", multiple=True, help="Only this effect; several times for several."

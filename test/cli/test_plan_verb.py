@@ -129,11 +129,13 @@ def test_a_table_may_hold_the_closing_rows_of_its_plan(tmp_path):
 POWER_PLAN = str(CONFIG.parent / "scripts" / "power_plans" / "angle_comparison.yaml")
 
 
+@pytest.mark.slow
 def test_power_tells_what_each_effect_does_before_the_verdict_turns():
     """Angles feel no shift of the axis; noise of 50 times the stated one nobody overlooks."""
-    wanted = ("--effect", "error motion", "--runs", "5")
+    wanted = ("--effect", "error motion", "--runs", "10")
     told = plan("power", POWER_PLAN, *wanted, "--effect", "axis noise")
-    assert (told["runs"], told["false_alarms"]) == (5, 0)
+    assert told["runs"] == 10
+    assert told["false_alarms"] <= 3  # at 5 % each: more, once in 1000
     noise, motion = told["effects"]
     assert (noise["effect"], noise["noticed"], noise["misleads"]) == ("axis noise", True, False)
     assert 1.0 < noise["size"] < 50.0
