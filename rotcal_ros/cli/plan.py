@@ -171,6 +171,55 @@ def reliability(
 
 
 @command.command()
+@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@set_option
+@click.option(
+    "--runs",
+    type=click.IntRange(min=10),
+    default=20,
+    show_default=True,
+    help="Simulated measurements of each size; of few no error may be known (inf).",
+)
+@click.option(
+    "--effect", "effects", multiple=True, help="Only this effect; several times for several."
+)
+@json_option
+def power(
+    configuration: Path,
+    changes: tuple[str, ...],
+    runs: int,
+    effects: tuple[str, ...],
+    as_json: bool,
+) -> int:
+    """Print from which size on the verdict notices each effect, and what it does until then.
+
+    Every effect that could spoil the plan is added to simulated measurements of it, larger and
+    larger, until 95 % of the verdicts are no longer ok: this takes minutes. The exit code is 1
+    where an effect may do more than 2 standard uncertainties unnoticed, and the verdict line does
+    not name it.
+    """
+    from rotcal_ros.evaluation.power import Bench, power_rows
+    from rotcal_ros.methods import changed, prepare_whole, read_configuration
+
+    bench = Bench(prepare_whole(changed(read_configuration(configuration), changes)), runs)
+    rows = power_rows(bench, lambda row: click.echo(", ".join(row.cells()), err=True), effects)
+    line, alarms = bench.plain(0).verdict_line, bench.false_alarms()
+    if as_json:
+        si = {d.effect: d.unit_si for d in bench.listed()}
+        found = [row.to_dict(si[row.effect]) for row in rows]
+        print_json({"runs": runs, "false_alarms": alarms, "verdict_line": line, "effects": found})
+    else:
+        heads = ("effect", "treatment", "size", "error/std", "named")
+        cells = zip(*(row.cells() for row in rows), strict=True)
+        print_table([Column(head, list(c)) for head, c in zip(heads, cells, strict=True)])
+        print_words(
+            *(f"{row.effect}: {row.what}" for row in rows),
+            f"without any effect {alarms} of {runs} verdicts are not ok; verdict line: {line}",
+        )
+    return int(any(row.misleads for row in rows))
+
+
+@command.command()
 @click.argument("additions", nargs=-1, required=True, metavar="METHOD|CONFIG [...]")
 @click.option(
     "--to",

@@ -156,6 +156,7 @@ def reading(path: Path, new: Path) -> list[list[str]]:
         ["plan", "order", x],
         ["plan", "sequence", x],
         ["plan", "reliability", x],
+        ["plan", "power", x],
         ["plan", "check", x, "--setup", setup],
         ["plan", "check", result, "--setup", x],
         ["plan", "tracer", x],

@@ -124,3 +124,30 @@ def test_a_table_may_hold_the_closing_rows_of_its_plan(tmp_path):
     assert again.exit_code == 3
     assert "was measured already" in again.stderr
     assert "measures it 2 times" in again.stderr
+
+
+POWER_PLAN = str(CONFIG.parent / "scripts" / "power_plans" / "angle_comparison.yaml")
+
+
+@pytest.mark.slow
+def test_power_tells_what_each_effect_does_before_the_verdict_turns():
+    """Angles feel no shift of the axis; noise of 50 times the stated one nobody overlooks."""
+    wanted = ("--effect", "error motion", "--runs", "10")
+    told = plan("power", POWER_PLAN, *wanted, "--effect", "axis noise")
+    assert told["runs"] == 10
+    assert told["false_alarms"] <= 3  # at 5 % each: more, once in 1000
+    noise, motion = told["effects"]
+    assert (noise["effect"], noise["noticed"], noise["misleads"]) == ("axis noise", True, False)
+    assert 1.0 < noise["size"] < 50.0
+    assert (motion["effect"], motion["treatment"]) == ("error motion", "harmless")
+    assert (motion["noticed"], motion["error_std"]) == (False, 0.0)
+    done = run("plan", "power", POWER_PLAN, *wanted)
+    assert done.stdout.splitlines() == [
+        "effect,treatment,size,error/std,named", "error motion,harmless,not up to 1 arcsec,0,no",
+    ]  # fmt: skip
+
+
+def test_an_effect_that_a_method_does_not_know_is_refused_with_those_it_knows():
+    done = run("plan", "power", POWER_PLAN, "--effect", "growth")
+    assert done.exit_code == 2
+    assert "has no effect growth; it has axis noise, drift, error motion" in done.stderr

@@ -1,14 +1,11 @@
 """The search for the size that a verdict notices, against tests whose power is known."""
 
-import runpy
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import stats
 
-SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "power_table.py"))
-Trial, search = SCRIPT["Trial"], SCRIPT["search"]
+from rotcal_ros.evaluation.power import Trial, search
+
 ALPHA = 0.001
 
 

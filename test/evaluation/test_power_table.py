@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotcal_ros.evaluation.power import Bench, PowerRow, power_rows
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR, Protection
 from rotcal_ros.foundation.units import MICROMETRE
@@ -17,7 +18,6 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "what_could_be_wrong.md"
 PLANS = ROOT / "scripts" / "power_plans"
 SCRIPT = runpy.run_path(str(ROOT / "scripts" / "power_table.py"))
-Bench, PowerRow, power_rows = (SCRIPT[name] for name in ("Bench", "PowerRow", "power_rows"))
 ROW = PowerRow("drift", "it drifts", "tested", "um", 1.0, True, False, 2.0, False)
 
 

@@ -29,7 +29,7 @@ NAME: Final = "level"
 PARALLEL: Final = 1e-6
 """Sine of the angle between levels that read along one line."""
 ARRIVALS: Final = 1.4
-"""What arrivals that scatter do unseen, per what noise does: as scripts/power_table.py finds."""
+"""What arrivals that scatter do unseen, per what noise does: as `rotcal plan power` finds."""
 FARTHEST_RAD: Final = 0.02
 """No level reads more than a degree."""
 
