@@ -232,3 +232,15 @@ def test_a_nest_that_falls_silent_ends_the_attempt():
     read = [r for r in readings(plan, ((0.0, 0, 0),), 20.0) if r.stamp_ns < START + 500 * MS]
     (found,) = captured(plan, table(20.0), read)
     assert found.reason.startswith("readings beside the table are 2")
+
+
+def test_what_a_nest_still_sends_for_an_earlier_run_begins_nothing():
+    plan, later = turning_plan(), 1_000_000
+    read = readings(plan, ((0.0, 0, 0), (0.3, 0, later), (0.8, 1, later), (2.3, 2, later)), 20.0)
+    records = sorted([*table(20.0), *read], key=lambda r: r.stamp_ns)
+    for heard_from in (0, 150 * MS):
+        capture = Capture(plan, SETTINGS, RULES, run=1, first_attempt=later)
+        found = [o for r in records if r.stamp_ns >= START + heard_from for o in capture.feed(r)]
+        assert [(o.step, o.attempt, o.accepted) for o in found] == [
+            (step, later, True) for step in range(3)
+        ]
