@@ -69,7 +69,8 @@ class Capture:
     further behind rejects the attempt: it is silent, or stamped by another clock. When a clock is
     set back, undecided attempts are rejected and everything before is forgotten.
 
-    ``rules`` are those of the method; ``run`` is the number of the run that is captured;
+    ``rules`` are those of the method; ``run`` is the number of the run that is captured, whose
+    attempts count from ``first_attempt``: what a nest still sends for earlier ones begins none;
     ``required_air`` names the air quantities without which an observation is useless; with
     ``single_shot`` the tracer measures only on request. It does not matter how long before the
     first attempt the capture began to listen. Commands are only compared with the plan: what
@@ -85,6 +86,7 @@ class Capture:
         required_air: Collection[str] = (),
         *,
         single_shot: bool = False,
+        first_attempt: int = 0,
     ) -> None:
         tolerance = nanoseconds(settings.clock_tolerance_s)
         self._plan, self._settings, self._rules, self._run = plan, settings, rules, run
@@ -105,7 +107,7 @@ class Capture:
         self._answers = Answers()
         self._probe_stamp: int | None = None
         self._set_backs = 0
-        self._next_attempt = [0] * len(plan.steps)
+        self._next_attempt = [first_attempt if step.turn is not None else 0 for step in plan.steps]
         self._pending: deque[Attempt] = deque()
         self._newest: Attempt | None = None
         self._had_velocity = False

@@ -6,7 +6,6 @@ which is that of its feedback, interpolated to the stamp of each reading.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from math import fsum, sqrt
 from typing import Final
@@ -31,6 +30,8 @@ from rotcal_ros.foundation.observations import Observation, Turn
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.planning.plan import Step
 
+FAR: Final = 3.0
+"""A table that is so many times as fast as ordered, or as slow, has not begun its turn."""
 LONG_PAUSE: Final = 3.0
 """Readings this many times as far apart as they usually are: some between them were lost."""
 
@@ -78,24 +79,29 @@ class Passage:
             np.interp(stamps - self.stamps[0], self.stamps - self.stamps[0], self.ahead)
         )
 
+    @property
+    def motion(self) -> Line:
+        """The even motion that is nearest to it, over seconds."""
+        return Line.through((self.stamps - self.stamps[0]) * NANOSECOND, self.ahead)
+
     def fault(self, turn: Turn, settings: CaptureSettings) -> str | None:
-        """Return what keeps readings from being taken meanwhile."""
-        line = Line.through((self.stamps - self.stamps[0]) * NANOSECOND, self.ahead)
-        speed, ordered = line.slope / DEGREE, abs(turn.speed) / DEGREE
+        """Return what is wrong with it, so that no reading counts."""
+        speed, ordered = self.motion.slope, abs(turn.speed)
         pause = seconds(int(np.diff(self.stamps).max()))
         if pause > settings.table_silence_s:
             return (
-                f"the feedback paused for {pause:.3g} s, allowed {settings.table_silence_s:g} s "
-                "(capture.table_silence_s)"
+                f"the table's feedback paused for {pause:.3g} s while it passed, allowed "
+                f"{settings.table_silence_s:g} s (capture.table_silence_s)"
             )
         if abs(speed - ordered) > settings.speed_tolerance * ordered:
             return (
-                f"it passed at {speed:.4g} deg/s, allowed are {settings.speed_tolerance:.2%} off "
-                "(capture.speed_tolerance): is plan.run_up_deg long enough to reach that speed?"
+                f"the table passed at {speed / DEGREE:.4g} deg/s, ordered {ordered / DEGREE:g}, "
+                f"allowed {settings.speed_tolerance:.2%} off (capture.speed_tolerance): is "
+                "plan.run_up_deg long enough to reach that speed?"
             )
-        if line.farthest > settings.position_tolerance_arcsec * ARCSEC:
+        if (off := self.motion.farthest) > settings.position_tolerance_arcsec * ARCSEC:
             return (
-                f"it was up to {line.farthest / ARCSEC:.3g} arcsec off even motion, allowed "
+                f"the table passed up to {off / ARCSEC:.3g} arcsec off even motion, allowed "
                 f"{settings.position_tolerance_arcsec:g} (capture.position_tolerance_arcsec)"
             )
         return None
@@ -106,39 +112,52 @@ def decide_passage(
 ) -> Observation | Wait:
     """Return the observation of a step that the table passes, or what is needed to decide.
 
-    The passage is the first at the ordered, constant speed since the table was sent to turn; it
-    may be over when the step is ordered. Raises AttemptRejectedError if there is none before the
-    deadline of the attempt.
+    The passage is the first since the table was sent to turn; it may be over when the step is
+    ordered. Raises AttemptRejectedError if there is none before the deadline of the attempt, or
+    something is wrong with it.
     """
     table, nest, since_ns = streams.table, streams.nest, attempt.search_ns
     if forgotten(table, since_ns) or forgotten(nest, since_ns):
         raise AttemptRejectedError(
             "feedback or readings from the begin of the turn are no longer in memory"
         )
-    deadline, faults = attempt.deadline_ns(settings), list[str]()
-    for passed in passages(table, since_ns, deadline, attempt.step):
-        fault = passed.fault(_turn(attempt.step), settings)
-        if fault is None:
-            end_ns = int(passed.stamps[-1])
-            waits = not nest.knows(end_ns)
-            return Wait(nest, end_ns) if waits else _observe(attempt, streams, settings, passed)
-        faults.append(fault)
+    step, deadline = attempt.step, attempt.deadline_ns(settings)
+    passed = first_passage(table, since_ns, deadline, step)
+    if passed is not None:
+        if fault := passed.fault(_turn(step), settings):
+            raise AttemptRejectedError(fault)
+        end_ns = int(passed.stamps[-1])
+        known = nest.knows(end_ns)
+        return _observe(attempt, streams, settings, passed) if known else Wait(nest, end_ns)
     if not table.knows(deadline):
-        return Wait(table, min(_soonest_ns(table, attempt.step, settings), deadline))
-    raise AttemptRejectedError(_not_passed(attempt, faults, settings))
+        return Wait(table, min(_soonest_ns(table, step, settings), deadline))
+    raise AttemptRejectedError(
+        f"the table did not pass {step.table_angle / DEGREE:.4f} deg at about "
+        f"{_turn(step).speed / DEGREE:g} deg/s within {settings.step_timeout_s:g} s of the order "
+        "(capture.step_timeout_s)"
+    )
 
 
-def passages(table: Stream, since_ns: int, until_ns: int, step: Step) -> Iterator[Passage]:
-    """Yield how the table passed the angle of a step, in the sense of its turn, one by one."""
-    rows = slice(table.index(since_ns), table.index(until_ns + 1))
-    stamps, ahead = table.stamps[rows], _ahead(table.values[rows, ANGLE], step)
+def first_passage(table: Stream, since_ns: int, until_ns: int, step: Step) -> Passage | None:
+    """Return how the table first passed the angle of a step in its turn, if it has.
+
+    One that goes the other way than ordered, or far faster or slower, is still on its way to where
+    the turn begins.
+    """
+    known = slice(table.index(since_ns), table.index(until_ns + 1))
+    stamps, ahead = table.stamps[known], _ahead(table.values[known, ANGLE], step)
     before, behind = np.flatnonzero(ahead <= -step.passing), np.flatnonzero(ahead >= step.passing)
+    ordered = abs(_turn(step).speed)
     # where the angle wraps around, opposite the step, it goes down
     for at in np.flatnonzero((ahead[:-1] < 0.0) & (ahead[1:] >= 0.0)).tolist():
         first, last = np.searchsorted(before, at, "right") - 1, np.searchsorted(behind, at)
-        if first >= 0 and last < len(behind):
-            passed = slice(before[first], behind[last] + 1)
-            yield Passage(stamps[passed], ahead[passed])
+        if first < 0 or last == len(behind):
+            continue
+        rows = slice(before[first], behind[last] + 1)
+        passed = Passage(stamps[rows], ahead[rows])
+        if ordered < FAR * passed.motion.slope < FAR**2 * ordered:
+            return passed
+    return None
 
 
 def _ahead(angles: Floats, step: Step) -> Floats:
@@ -159,15 +178,6 @@ def _soonest_ns(table: Stream, step: Step, settings: CaptureSettings) -> int:
     left = step.passing - ahead if abs(ahead) < step.passing else 2.0 * step.passing
     fastest = abs(_turn(step).speed) * (1.0 + settings.speed_tolerance)
     return table.latest + 1 + nanoseconds(0.9 * left / fastest)
-
-
-def _not_passed(attempt: Attempt, faults: list[str], settings: CaptureSettings) -> str:
-    step = attempt.step
-    found = faults[-1] if faults else "it did not get there (capture.step_timeout_s)"
-    return (
-        f"the table did not pass {step.table_angle / DEGREE:.4f} deg at "
-        f"{_turn(step).speed / DEGREE:g} deg/s within {settings.step_timeout_s:g} s: {found}"
-    )
 
 
 def _observe(

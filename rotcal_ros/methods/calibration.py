@@ -81,8 +81,9 @@ class Calibration:
         required = self.refraction.required(settings)
         single_shot = self.configuration.topics.length_single_shot
         return Capture(
-            self.plan, settings, self.method.capture, run, required, single_shot=single_shot
-        )
+            self.plan, settings, self.method.capture, run, required,
+            single_shot=single_shot, first_attempt=run * ATTEMPTS_PER_RUN,
+        )  # fmt: skip
 
     def solve(
         self,

@@ -89,7 +89,10 @@ def test_a_straight_line_is_read_where_the_table_passes(speed_deg):
         assert np.array(o.mean) == pytest.approx(value_at(o.table_angle), abs=1e-13)
         assert max(o.std) < 1e-13
         assert o.n_used == 20  # 2 deg at 20 deg/s, 200 a second
-        assert abs(o.table_angle_measured - o.table_angle) < 0.05 * DEG
+        times = np.arange(o.window_start_ns, o.window_end_ns + 1, 5 * MS) - START
+        begin = (-10.0 if speed_deg > 0 else 70.0) * DEG
+        mean = np.mean(begin + speed_deg * DEG * times / SECOND)
+        assert o.table_angle_measured == pytest.approx(mean, abs=1e-9)
         middle = 0.5 * (o.window_start_ns + o.window_end_ns)
         passed_s = abs(o.table_angle / DEG - (-10.0 if speed_deg > 0 else 70.0)) / 20.0
         assert (middle - START) / SECOND == pytest.approx(passed_s, abs=0.01)
@@ -160,11 +163,16 @@ def uneven(t):
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        ({"turns_deg": 20.5}, "it passed at 20.5 deg/s, allowed are 1.00% off"),
+        ({"turns_deg": 20.5}, "the table passed at 20.5 deg/s, ordered 20, allowed 1.00% off"),
+        ({"turns_deg": 19.5}, "the table passed at 19.5 deg/s, ordered 20, allowed 1.00% off"),
         ({"shape": uneven}, "arcsec off even motion, allowed 5"),
-        ({"turns_deg": 1.0}, "the table did not pass 0.0000 deg at 20 deg/s within 5 s: it did"),
-        ({"silent": True}, "the feedback paused for 1.11 s, allowed 1 s"),
+        (
+            {"turns_deg": 1.0, "lasting_s": 8.0},
+            "the table did not pass 0.0000 deg at about 20 deg/s within 5 s",
+        ),
+        ({"silent": True}, "the table's feedback paused for 1.11 s while it passed, allowed 1 s"),
         ({"nest_hz": 40.0}, "2 readings before 0.0000 deg and 2 behind it, expected 3"),
+        ({"without": range(102, 110)}, "10 readings before 0.0000 deg and 2 behind it, expected"),
         ({"noise": 5.0}, "unstable: readings scatter by"),
         ({"numbers": (100, 1)}, "1 readings lost while the table passed"),
         ({"without": range(99, 104)}, "readings lost: a pause of 0.03 s, usually they are 0.005"),
@@ -183,7 +191,7 @@ def test_a_passage_that_tells_nothing_is_refused_with_its_reason(spoil, reason):
         read = [replace(r, sequence=k) for k, r in enumerate(read)]
     if "value" in spoil:
         read[100] = replace(read[100], position=(spoil["value"], 0.0, 0.0))
-    feedback = table(turns, lasting_s=8.0, shape=shape)
+    feedback = table(turns, lasting_s=spoil.get("lasting_s", 2.0), shape=shape)
     if spoil.get("silent"):
         feedback = [f for f in feedback if not 200 * MS < f.stamp_ns - START < 1310 * MS]
     (found,) = captured(plan, feedback, read)
@@ -191,11 +199,26 @@ def test_a_passage_that_tells_nothing_is_refused_with_its_reason(spoil, reason):
     assert reason in found.reason
 
 
-def test_a_way_back_to_the_begin_is_no_passage():
-    """The table comes from 20 deg at 45 deg/s, past 0, and then turns as it was ordered."""
+def test_an_angle_is_told_as_soon_as_it_is_passed():
+    """At 1 deg behind it, after 0.55 s, and the next feedback."""
+    plan = turning_plan()
+    capture = Capture(plan, SETTINGS, RULES)
+    records = [*table(20.0), *readings(plan, ((0.0, 0, 0),), 20.0)]
+    told = [
+        record.stamp_ns
+        for record in sorted(records, key=lambda r: r.stamp_ns)
+        if capture.feed(record)
+    ]
+    assert 0.55 <= (told[0] - START) / SECOND < 0.575
+
+
+@pytest.mark.parametrize("rate_deg_s", [-45.0, -20.0, 90.0, 5.0])
+def test_a_way_to_the_begin_is_no_passage(rate_deg_s):
+    """Back past 0, or fast or slowly past it in the sense of the turn: angles may wrap around."""
     plan = turning_plan()
     back = [
-        TableSample(START - SECOND + k * 10 * MS, (35.0 - 0.45 * k) * DEG, 0.0) for k in range(100)
+        TableSample(START - SECOND + k * 10 * MS, rate_deg_s * (k / 100 - 0.5) * DEG, 0.0)
+        for k in range(100)
     ]
     answered = plan.steps[0].command(0).answered(START - 1100 * MS, 0, (0.0, 0.0, 0.0))
     read = [replace(r, sequence=r.sequence + 1) for r in readings(plan, ((0.0, 0, 0),), 20.0)]
@@ -209,3 +232,15 @@ def test_a_nest_that_falls_silent_ends_the_attempt():
     read = [r for r in readings(plan, ((0.0, 0, 0),), 20.0) if r.stamp_ns < START + 500 * MS]
     (found,) = captured(plan, table(20.0), read)
     assert found.reason.startswith("readings beside the table are 2")
+
+
+def test_what_a_nest_still_sends_for_an_earlier_run_begins_nothing():
+    plan, later = turning_plan(), 1_000_000
+    read = readings(plan, ((0.0, 0, 0), (0.3, 0, later), (0.8, 1, later), (2.3, 2, later)), 20.0)
+    records = sorted([*table(20.0), *read], key=lambda r: r.stamp_ns)
+    for heard_from in (0, 150 * MS):
+        capture = Capture(plan, SETTINGS, RULES, run=1, first_attempt=later)
+        found = [o for r in records if r.stamp_ns >= START + heard_from for o in capture.feed(r)]
+        assert [(o.step, o.attempt, o.accepted) for o in found] == [
+            (step, later, True) for step in range(3)
+        ]

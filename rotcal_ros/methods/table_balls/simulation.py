@@ -47,7 +47,8 @@ class TouchedBalls(SimulatedTouchProbe):
 
     The bar sends lengths all the time; the ball in the spindle is where the machine shows it but
     for the machine's error. While the table turns the nest follows a ball, as the control knows
-    the axis and the angle, late by its lag; it reads all the time.
+    the axis and the angle, late by its lag; it reads until the table rests, and once after that
+    for every further order.
     """
 
     streams_lengths = True
@@ -71,6 +72,7 @@ class TouchedBalls(SimulatedTouchProbe):
         self._axis = np.array(balls.axis_m)
         self._scatter = IndexedNoise(settings.noise_seed, NoiseSource.TRACER)
         self._order: Command | None = None
+        self._told = False  # whether the nest has read anything since the order
         self._tilts, self._tilt = tilts(balls), np.eye(3)
         self._foot = np.array(balls.tilting_axis_m)
 
@@ -80,6 +82,7 @@ class TouchedBalls(SimulatedTouchProbe):
         self._order = command
         if command.turn is not None:
             self.pending = None  # what it reads answers the last order, whatever becomes of it
+        self._told = False
         self._tilt = self._tilts[command.station % len(self._tilts)]
 
     def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
@@ -93,7 +96,10 @@ class TouchedBalls(SimulatedTouchProbe):
         _, stamps = self._nest_ticks.until(now_ns)
         if self._order is None or self._order.turn is None:
             return super().report(after_ns, now_ns, table_rest_ns)
-        return tuple(self._followed(self._order, stamps)) if len(stamps) else ()
+        read = stamps <= self._table.rest_ns
+        read[:1] |= not self._told
+        self._told |= bool(read.any())
+        return tuple(self._followed(self._order, stamps[read])) if read.any() else ()
 
     def _followed(self, order: Command, stamps: Stamps) -> Iterator[ProbeSample]:
         """Yield how far the ball of an order is off the nest that follows it, at ``stamps``."""
