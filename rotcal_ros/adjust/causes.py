@@ -58,6 +58,8 @@ NOTHING: Final = 1e-300
 """Chi-squared of exact observations, by which may be divided."""
 TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
+FEW: Final = 0.1
+"""Share of entries that are not zero below which columns are sparse."""
 MOST_RIVALS: Final = 12
 """Other causes that are compared with the best of a kind."""
 WEAK: Final = 1e-4
@@ -287,10 +289,12 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
         best = next((e for e in found if _bearable(diagnosis, e)), None)
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
-        elif bent:
-            bent = False
-        else:
+        elif not bent:
             return diagnosis
+        elif noise.estimated is None and _as_stated(diagnosis, fit, bent=False):
+            return replace(diagnosis, start=diagnosis.fit.x)  # whole squares show the same
+        else:
+            bent = False
 
 
 def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
@@ -513,24 +517,25 @@ def seen_by(fit: Fit, columns: Floats, *, family: bool = False) -> Seen:
     """
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     if family:
-        return _family_seen_by(fit, csr_array(white))
+        few = np.count_nonzero(white) < FEW * white.size
+        return _family_seen_by(fit, csr_array(white) if few else white)
     left = fit.left_of(white)
     return Seen(
         (fit.response @ white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0)
     )
 
 
-def _family_seen_by(fit: Fit, white: csr_array) -> Seen:
-    """Return what a solution makes of whitened columns (n, k), most of them zeros."""
+def _family_seen_by(fit: Fit, white: Floats | csr_array) -> Seen:
+    """Return what a solution makes of whitened columns (n, k), sparse if most of them is zeros."""
     taken = np.asarray(white.T @ fit.basis)  # (k, rank): what the unknowns take up of them
     whole = np.asarray((white * white).sum(axis=0))
     beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
     beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
     own = whole - (taken**2).sum(axis=1)
     weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
-    own[weak] = (fit.left_of(white[:, weak].toarray()) ** 2).sum(axis=0)
+    own[weak] = (fit.left_of(csr_array(white[:, weak]).toarray()) ** 2).sum(axis=0)
     information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
-    moved = np.asarray(white.T @ fit.response.T)
+    moved = taken @ (fit.outputs @ fit.root).T
     return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
 
 
@@ -612,10 +617,9 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     """
     ones = np.ones(len(diagnosis.model.components))
     stated = diagnosis.fitted(ones, diagnosis.start)
-    evidence = _evidence(stated, bent)
-    chance, checked = evidence.probabilities(), evidence.redundancy > LEAST_REDUNDANCY
-    if chance.min() >= diagnosis.limits.significance / len(chance):
+    if _as_stated(diagnosis, stated, bent):
         return Noise(ones), stated
+    checked = _evidence(stated, bent).redundancy > LEAST_REDUNDANCY
     held = np.zeros(len(ones), dtype=np.bool_)
     while True:
         found, fit = _estimated_noise(diagnosis, stated, bent, held)
@@ -625,6 +629,12 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
         held |= exact
         if held[checked].all():
             return Noise(ones), stated
+
+
+def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
+    """Whether a fit with the noise as stated contradicts no component of it."""
+    chance = _evidence(fit, bent).probabilities()
+    return bool(chance.min() >= diagnosis.limits.significance / len(chance))
 
 
 def _estimated_noise(

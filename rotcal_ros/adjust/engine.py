@@ -499,7 +499,7 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     words, unit = found.model.words, found.model.unit
     worst = hidden(
         judgement.groups, found.counting_std, SUSPECTED, POWER,
-        LARGEST * float(found.model.std.max()), freedom=judgement.freedom,
+        LARGEST * float(found.model.std.max()), judgement.gathered, judgement.freedom,
     )  # fmt: skip
     if worst is None:
         return

@@ -31,7 +31,7 @@ from scipy.special import gammaln
 
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.sensitivity import Moment, Sensitivity, total
-from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
+from rotcal_ros.adjust.subsets import LEAST, bounds, distinct, most_of
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 SIZES: Final[Floats] = np.array([0.5, 2.0, 8.0, 32.0, 128.0])
@@ -42,6 +42,8 @@ UNSEEN: Final = -1e-6
 No residual tells of such a shift, so what seems to is nothing."""
 OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
+LARGE: Final = 200
+"""Elements of a group from which on runs are told by leading sums: products cost their square."""
 MOST_STEPS: Final = 60
 """Exchanges after which a search ends anyway."""
 
@@ -53,6 +55,7 @@ class Hypotheses:
     ``values`` (q, d): s, ``along`` (q, d): u. ``mixing``: what a unit of each is on the n rows of
     its group, (n, q, d), worked out when it is asked for; ``sensitivity`` (o, n): what these do
     to the outputs. ``axes`` (q, d, d): V, where d sizes are not their own axes already.
+    ``times``: a matrix (r, n) times the mixing, (r, q, d), where that is quicker without it.
     """
 
     values: Floats
@@ -60,22 +63,32 @@ class Hypotheses:
     mixing: Callable[[], Floats]
     sensitivity: Sensitivity
     axes: Floats | None = None
+    times: Callable[[Floats], Floats] | None = None
 
-    @property
-    def moved(self) -> Floats:
-        """What a unit of each does to the outputs, (o, q, d)."""
-        mix = self.mixing()
-        return self.sensitivity.of(mix.reshape(len(mix), -1)).reshape(-1, *mix.shape[1:])
+    def reach(self, std: Floats) -> Floats:
+        """Return by how much a unit of each (q, d) moves any output at most.
+
+        In the standard uncertainties ``std`` (o,); zero or infinite: one that does not count.
+        """
+        counts = (std > 0.0) & np.isfinite(std)
+        if self.times is not None:
+            felt = self.times(self.sensitivity.dense()[counts] / std[counts, None])
+        else:
+            mix = self.mixing()
+            felt = self.sensitivity.of(mix.reshape(len(mix), -1))[counts] / std[counts, None]
+            felt = felt.reshape(-1, *mix.shape[1:])
+        return np.asarray(np.abs(felt, out=felt).max(axis=0, initial=0.0))
 
     def take(self, which: slice) -> Hypotheses:
         """Return some of them."""
-        axes = None if self.axes is None else self.axes[which]
+        axes, times = (None if self.axes is None else self.axes[which]), self.times
         return Hypotheses(
             self.values[which],
             self.along[which],
             lambda: self.mixing()[:, which],
             self.sensitivity,
             axes,
+            None if times is None else lambda matrix: times(matrix)[:, which],
         )
 
     def log_bayes(self, sizes: Floats = SIZES) -> Floats:
@@ -117,14 +130,43 @@ def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
 
 def shifts(group: Group, subsets: Bools) -> Hypotheses:
     """Return that each of the ``subsets`` (q, e) is off by the same along each axis."""
-    part = subsets.astype(np.float64)
-    values, along, vectors = _own_axes(_squares(group, part)[1], part @ group.score)
+    large = group.residual.shape[1] == 1 and group.size >= LARGE
+    square, score = (_of_runs if large else _of_any)(group, subsets)
+    values, along, vectors = _own_axes(square, score)
 
     def on_rows() -> Floats:
+        part = subsets.astype(np.float64)
         mix = np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors)
         return np.asarray(mix.reshape(group.residual.size, *along.shape))
 
-    return Hypotheses(values, along, on_rows, group.sensitivity, vectors)
+    times = (lambda matrix: _times_runs(group, subsets, matrix)) if large else None
+    return Hypotheses(values, along, on_rows, group.sensitivity, vectors, times)
+
+
+def _of_any(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
+    """Return S (q, c, c) and A'r (q, c) of shifts A of each of the ``subsets`` (q, e)."""
+    part = subsets.astype(np.float64)
+    return _squares(group, part)[1], part @ group.score
+
+
+def _of_runs(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
+    """Return the same of elements with one axis, of runs by differences of leading sums."""
+    (first, end, run), sums = bounds(subsets), group.leading
+    square = sums[end, end] - 2.0 * sums[first, end] + sums[first, first]
+    scores = np.append(0.0, group.score.cumsum())
+    square, score = square[:, None, None], (scores[end] - scores[first])[:, None]
+    square[~run], score[~run] = _of_any(group, subsets[~run])
+    return square, score
+
+
+def _times_runs(group: Group, subsets: Bools, matrix: Floats) -> Floats:
+    """Return a ``matrix`` (r, e) times unit shifts of elements with one axis, (r, q, 1)."""
+    first, end, run = bounds(subsets)
+    unit = matrix * group.relative[:, 0]
+    leading = np.pad(unit.cumsum(axis=1), ((0, 0), (1, 0)))
+    found = leading[:, end] - leading[:, first]
+    found[:, ~run] = unit @ subsets[~run].T
+    return np.asarray(found[:, :, None])
 
 
 def _squares(group: Group, part: Floats) -> tuple[Floats, Floats]:

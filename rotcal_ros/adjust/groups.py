@@ -112,6 +112,11 @@ class Group:
         return np.asarray(self.relative[:, :, None, None] * self.cofactor * self.relative)
 
     @cached_property
+    def leading(self) -> Floats:
+        """Sums (e + 1, e + 1) of ``weight`` over the first 0 to e elements with one axis."""
+        return np.pad(self.weight[:, 0, :, 0].cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+
+    @cached_property
     def together(self) -> tuple[float, int]:
         """T = r'R^+r and its degrees of freedom."""
         values, vectors = self.axes

@@ -83,14 +83,14 @@ def hidden(
     ]
     reach = _Reach.of(unseen[0].found.sensitivity, std)
     most = np.array([reach.most(each) for each in unseen])
-    worst: Hidden | None = None
+    found, reached = dict[int, Hidden](), 0.0
     for k in np.argsort(-most, kind="stable").tolist():
-        if worst is not None and most[k] < worst.error:
+        if SAFELY * most[k] < reached:
             break
-        here = unseen[k].worst(std)
-        if worst is None or here.error > worst.error:
-            worst = here
-    return worst
+        found[k] = unseen[k].worst(std)
+        reached = max(reached, found[k].error)
+    # of equals the first, whatever their rounding
+    return next(here for _, here in sorted(found.items()) if SAFELY * here.error >= reached)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +115,7 @@ class _Unseen:
 
     def worst(self, std: Floats) -> Hidden:
         """Return the worst of the subsets; ``std`` (o,) of the outputs."""
-        uncertain, group = std > 0.0, self.group
-        share = (np.abs(self.found.moved[uncertain]) / std[uncertain, None, None]).max(
-            axis=0, initial=0.0
-        )
-        error = share * self.size
+        group, error = self.group, self.found.reach(std) * self.size
         q, axis = np.unravel_index(int(np.argmax(error)), error.shape)
         return Hidden(
             float(error[q, axis]),
@@ -153,9 +149,10 @@ class _Reach:
 
     def most(self, unseen: _Unseen) -> float:
         """Return what the error of no subset exceeds."""
-        sensitivity, mix = unseen.found.sensitivity, unseen.found.mixing()
+        sensitivity = unseen.found.sensitivity
         if self.root is None or sensitivity.common is None:
             return np.inf
+        mix = unseen.found.mixing()
         flat = mix.reshape(len(mix), -1)
         along = sensitivity.along @ flat
         share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))

@@ -78,6 +78,16 @@ def _runs(e: int, closed: bool) -> Bools:
     return distinct(np.concatenate(found))
 
 
+def bounds(subsets: Bools) -> tuple[Ints, Ints, Bools]:
+    """Return the first element of each of ``subsets`` (q, e), the one after its last, both (q,).
+
+    And whether it is a run of neighbours: all between them.
+    """
+    e = subsets.shape[1]
+    first, end = subsets.argmax(axis=1), e - np.argmax(subsets[:, ::-1], axis=1)
+    return first, end, np.asarray(subsets.sum(axis=1) == end - first)
+
+
 def distinct(*subsets: Bools) -> Bools:
     """Return all ``subsets`` (q, e), each once."""
     together = np.concatenate(subsets)

@@ -9,6 +9,7 @@ from scipy import stats
 from scipy.special import comb, logsumexp
 
 from rotcal_ros.adjust.explanations import (
+    LARGE,
     OWN,
     SIZES,
     _flipped,
@@ -20,7 +21,7 @@ from rotcal_ros.adjust.explanations import (
     without,
 )
 from rotcal_ros.adjust.groups import Dense
-from rotcal_ros.adjust.subsets import neighbourhoods
+from rotcal_ros.adjust.subsets import neighbourhoods, runs
 
 E = 8
 SUBSET = np.isin(np.arange(E), [1, 2, 4])
@@ -101,6 +102,35 @@ def test_shifts_of_all_axes_of_an_element():
     found = shifts(group, subset[None])
     for t, size in enumerate(SIZES):
         assert found.log_bayes()[0, t] == pytest.approx(by_density(view, columns, size), abs=1e-8)
+
+
+def test_long_runs_and_other_subsets_are_summed_up_row_by_row():
+    """Runs in order, round the end and scattered; each as its column by the whole projection."""
+    rng, e = np.random.default_rng(6), LARGE + 20
+    design, unit = rng.standard_normal((e + 5, 4)), rng.uniform(1.0, 3.0, e)
+    view = Dense(
+        design, rng.standard_normal((3, 4)), residuals(design, rng.standard_normal(e + 5))
+    )
+    group = view.group("run", "run 0", np.arange(e), np.arange(e), unit)
+    subsets = np.concatenate([
+        np.eye(e, dtype=bool),
+        runs(np.arange(float(e))),
+        runs(rng.permutation(np.arange(float(e))))[:20],
+        runs(np.arange(float(e)), closed=True)[-20:],
+    ])  # fmt: skip
+    found = shifts(group, subsets)
+    columns = np.zeros((e + 5, len(subsets)))
+    columns[:e] = (unit / np.median(unit))[:, None] * subsets.T
+    left = residuals(design, columns)
+    assert found.values[:, 0] == pytest.approx((left**2).sum(axis=0), rel=1e-9)
+    assert found.along[:, 0] == pytest.approx(columns.T @ view.residual, abs=1e-9)
+    moved = view.outputs @ np.linalg.pinv(design) @ columns
+    std = np.array([0.5, 2.0, np.inf])  # the third does not count
+    assert found.reach(std)[:, 0] == pytest.approx(
+        np.abs(moved[:2] / std[:2, None]).max(axis=0), rel=1e-9
+    )
+    half = found.take(slice(30, 60))
+    assert half.reach(std) == pytest.approx(found.reach(std)[30:60])
 
 
 def test_leaving_a_subset_out_is_adjusting_without_it():

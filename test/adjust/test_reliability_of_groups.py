@@ -1,5 +1,7 @@
 """What may stay unseen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from linear_worlds import lines, outputs, places_on_a_ring, residuals
@@ -45,3 +47,12 @@ def test_what_no_residual_shows_is_not_seen():
     view = Dense(design, np.ones((1, 4)), np.zeros(4))
     group = view.group("position", "p", np.arange(4), np.arange(4), gathered=runs(np.arange(4.0)))
     assert not hidden([group], view.std, 0.01, 0.95, 1e3).seen
+
+
+def test_of_groups_that_hide_the_same_the_first_is_named():
+    """Rounding does not choose: the second is worse by less than that."""
+    view, group = view_of(12)
+    twin = replace(group, name="station 2", sensitivity=group.sensitivity.weighted(1.0 + 1e-12))
+    assert hidden([group, twin], view.std, 0.01, 0.95, 1e3).name == "station 1"
+    worse = replace(twin, sensitivity=group.sensitivity.weighted(1.001))
+    assert hidden([group, worse], view.std, 0.01, 0.95, 1e3).name == "station 2"
