@@ -76,8 +76,6 @@ HELD: Final = 1e-3
 """Standard deviation of a definition in those of a centre: it adds a millionth to a variance."""
 WEAK: Final = 3e-4
 """Singular values below this share of the largest tell nothing that anybody could use."""
-OF_TABLE, OF_MACHINE = 13, 19
-"""Unknowns that a reading feels: of the table's axis, ball and motions; with S."""
 SHARED: Final = 0.01
 """Share of a definition that has to be new, beside those before it; of a variance, to be left."""
 WORDS: Final = {
@@ -274,34 +272,48 @@ class BallsOnTable:
         own |= dict.fromkeys(COMPONENTS, self.stop[:, None])
         if self.tilting is not None:
             own |= dict.fromkeys(self.tilting.motions, self.tilt[:, None])
-        each = {name: own.get(name, np.arange(count)[None]) for name, count in self.blocks.items()}
         rows = [
-            np.broadcast_to(self.first[name] + at, (len(self.tilt), at.shape[1]))
-            for name, at in each.items()
+            np.broadcast_to(first + at, (len(self.tilt), at.shape[1]))
+            for name, first in self.first.items()
+            for at in (own.get(name, np.arange(self.blocks[name])[None]),)
         ]
         return np.concatenate(rows, axis=1)
 
+    def _at(self, kind: str, count: int) -> slice:
+        """Return where ``count`` unknowns from a kind on are among those that a reading feels."""
+        first = int(np.searchsorted(self.columns[0], self.first[kind]))
+        return slice(first, first + count)
+
     def __call__(self, x: Floats) -> tuple[Floats, csr_array]:
-        """Return what is read (3 n,) or (n,) with unknowns ``x`` (u,), and its derivatives."""
-        own, show = x[self.columns], np.eye(3)
-        show[ENTRIES] += own[0, OF_TABLE:OF_MACHINE]
+        """Return what is read (3 n,) or (n,) with unknowns ``x`` (u,), and its derivatives.
+
+        Link by link of the chain: where a ball is from c0, away (n, 3), and what the unknowns that
+        its reading feels, own (n, f), do to it: rows (n, 3, f).
+        """
+        own, show, linear = x[self.columns], np.eye(3), self._at("scale", len(ENTRIES[0]))
         away, rows = self._on_table(own)
         if self.tilting is not None:
             away, rows = self._on_tilting(self.tilting, own, away, rows)
         if "lag" in self.known:
-            gone = self.speed[:, None] * rows[:, :, OF_TABLE - 1]
-            away, rows = _moved(away, rows, own, gone[:, :, None])
+            at = self._at("lag", 1)
+            rows[:, :, at] = self.speed[:, None, None] * rows[:, :, self._at("ECC", 1)]
+            away = away + rows[:, :, at.start] * own[:, at]
         if "tip" in self.known:
-            away, rows = _moved(away, rows, own, np.tile(np.eye(3), (len(own), 1, 1)))
-        if not len(self.bars):
-            read, rows = self.origin + away @ show.T, _shown(rows, show, away)
-        else:
-            spindle = np.linalg.solve(show, self._spindle.T).T
-            arm, by_bar = spindle - away, np.ones((len(own), 1, 1))
+            at = self._at("tip", 3)
+            rows[:, :, at] = np.eye(3)
+            away = away + own[:, at]
+        show[ENTRIES] += own[0, linear]
+        seen = np.linalg.solve(show, self._spindle.T).T if len(self.bars) else away
+        rows = show @ rows
+        rows[:, ENTRIES[0], np.arange(linear.start, linear.stop)] = seen[:, ENTRIES[1]]
+        read = self.origin + away @ show.T
+        if len(self.bars):
+            arm = seen - away
             length = np.linalg.norm(arm, axis=1)
             along = np.linalg.solve(show.T, (arm / length[:, None]).T).T
+            rows = -along[:, None] @ rows
+            rows[:, 0, -1] = 1.0
             read = length + own[:, -1]
-            rows = np.append(-along[:, None] @ _shown(rows, show, spindle), by_bar, axis=2)
         return read.ravel(), csr_array((rows.ravel(), *self._felt), shape=(read.size, len(x)))
 
     @cached_property
@@ -318,25 +330,28 @@ class BallsOnTable:
     def _on_tilting(
         self, axis: Tilting, own: Floats, away: Floats, rows: Floats
     ) -> tuple[Floats, Floats]:
-        """Return the same as :meth:`_on_table` where the table is tilted, (n, 3, 13 + 10)."""
-        from_point, line = self.origin - axis.point, OF_MACHINE + 4
-        away, by_away, *by_others = axis.tilted(
-            away + from_point, self.tilt, own[0, OF_MACHINE:line], own[:, line : line + 6]
+        """Return the same as :meth:`_on_table` where the table is tilted."""
+        line, motions = self._at(axis.line[0], 4), self._at(axis.motions[0], 6)
+        from_point = self.origin - axis.point
+        away, by_away, by_line, by_motions = axis.tilted(
+            away + from_point, self.tilt, own[0, line], own[:, motions]
         )
-        return away - from_point, np.concatenate([by_away @ rows, *by_others], axis=2)
+        rows = by_away @ rows
+        rows[:, :, line], rows[:, :, motions] = by_line, by_motions
+        return away - from_point, rows
 
     def _on_table(self, own: Floats) -> tuple[Floats, Floats]:
         """Return where the balls are (n, 3), from c0, as with a tilt of 0.
 
-        And what unknowns of axis, balls and motions, the first of ``own`` (n, f), do to them.
+        And what the unknowns ``own`` (n, f) do to them: those of axis, balls and motions.
         """
-        places, motions = own[:, 4:7], own[:, 7:OF_TABLE]
+        places, motions = own[:, 4:7], own[:, 7:13]
         turn = rotation_about_z(self.angles[self.position] + motions[:, 5])
         carried = np.einsum("nij,nj->ni", turn, places)
         tilt = np.eye(3) + cross_matrix(motions[:, 3:5] @ np.eye(2, 3))
         moved = np.einsum("nij,nj->ni", tilt, carried) + motions[:, :3]
         direction, *changes = _direction(*own[0, 2:4])
-        rows = np.zeros((len(own), 3, OF_TABLE))
+        rows = np.zeros((len(own), 3, own.shape[1]))
         rows[:, [0, 1], [0, 1]] = 1.0
         for number, change in enumerate(changes, 2):
             rows[:, :, number] = moved @ change.T
@@ -346,21 +361,6 @@ class BallsOnTable:
         rows[:, :, 10:12] = (direction @ -cross_matrix(carried))[:, :, :2]
         rows[:, :, 12] = np.einsum("nij,nj->ni", leaning, np.cross([0, 0, 1], carried))
         return moved @ direction.T + np.append(own[0, :2], 0.0), rows
-
-
-def _moved(away: Floats, rows: Floats, own: Floats, by: Floats) -> tuple[Floats, Floats]:
-    """Return ``away`` (n, 3), and its ``rows`` (n, 3, f), moved ``by`` (n, 3, k) the next own."""
-    count = rows.shape[2] + OF_MACHINE - OF_TABLE
-    unknowns = own[:, count : count + by.shape[2]]
-    return away + np.einsum("nij,nj->ni", by, unknowns), np.concatenate([rows, by], axis=2)
-
-
-def _shown(rows: Floats, show: Floats, place: Floats) -> Floats:
-    """Return what unknowns, and behind those of the table S, do to a ``place`` (n, 3) as shown."""
-    linear = np.zeros((len(rows), 3, OF_MACHINE - OF_TABLE))
-    linear[:, ENTRIES[0], np.arange(len(ENTRIES[0]))] = place[:, ENTRIES[1]]
-    rows = show @ rows
-    return np.concatenate([rows[:, :, :OF_TABLE], linear, rows[:, :, OF_TABLE:]], axis=2)
 
 
 def _around(places: Floats) -> Floats:
@@ -401,38 +401,35 @@ def stated(balls: BallsOnTable, places: Floats) -> Floats:
     (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
     """
     rows = _untold_rows(balls, places)
-    sums = np.array([spread(balls, each) for each in definitions(balls.angles, balls.tilts)])
-    taken = rows @ np.linalg.qr(sums.T)[0]
+    at = slice(balls.first["EXC"], balls.first["scale"])
+    sums = np.array([_row(balls, each)[at] for each in definitions(balls.angles, balls.tilts)])
+    taken = rows[:, at] @ np.linalg.qr(sums.T)[0]
     left, ways = np.linalg.eigh(np.eye(len(rows)) - taken @ taken.T)
     kept = left > SHARED
-    rows = (
-        (ways[:, kept] / np.sqrt(left[kept])).T
-        @ rows
-        / np.repeat(balls.stated, balls.tilts * len(balls.angles))
-    )
-    first, end = balls.first["EXC"], balls.first["scale"]
-    return np.concatenate([
-        np.pad(rows, ((0, 0), (first, sum(balls.blocks.values()) - end))),
-        *(block_rows(balls.blocks, name) / std for name, std in balls.known.items()),
-    ])  # fmt: skip
+    rows = (ways[:, kept] / np.sqrt(left[kept])).T @ rows
+    rows[:, at] /= np.repeat(balls.stated, balls.tilts * len(balls.angles))
+    known = (block_rows(balls.blocks, name) / std for name, std in balls.known.items())
+    return np.concatenate([rows, *known])
 
 
 def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
-    """Return orthonormal rows (k, 6 p), per unit of a statement, of what no ball tells."""
+    """Return orthonormal rows (k, u), per unit of a statement, of motions that no ball tells."""
     count = balls.tilts * len(balls.angles)
-    position, seen = np.arange(count), np.zeros((count, len(balls.aims), 1, 1))
+    stop, seen = np.arange(count), np.zeros((count, len(balls.aims), 1, 1))
     seen[balls.stop, balls.target] = 1.0
     untold = balls.untold(places, seen)
-    rows = np.zeros((*untold.shape, len(position)))
-    rows[position, :, :, position] = untold
-    flat = rows.reshape(-1, 6 * len(position))
-    return np.asarray(flat[flat.any(axis=1)])
+    rows = np.zeros((count, 6, sum(balls.blocks.values())))
+    at = balls.first["EXC"] + np.arange(6) * count + stop[:, None]  # of each stop, its six
+    rows[stop[:, None, None], np.arange(6)[:, None], at[:, None]] = untold
+    return np.asarray(rows[untold.any(axis=2)])
 
 
-def spread(balls: BallsOnTable, sums: dict[str, Floats]) -> Floats:
-    """Return factors (6 t p,) of all motions, those of ``sums`` and zeros."""
-    zeros = np.zeros(balls.tilts * len(balls.angles))
-    return np.concatenate([sums.get(name, zeros) for name in COMPONENTS])
+def _row(balls: BallsOnTable, sums: Mapping[str, Floats]) -> Floats:
+    """Return the row (u,) of ``sums`` of unknowns of some kinds."""
+    row = np.zeros(sum(balls.blocks.values()))
+    for name, factors in sums.items():
+        row[balls.first[name] : balls.first[name] + len(factors)] = factors
+    return row
 
 
 def defined(balls: BallsOnTable, telling: Floats) -> Floats:
@@ -442,15 +439,13 @@ def defined(balls: BallsOnTable, telling: Floats) -> Floats:
     """
     scale = np.linalg.norm(telling, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    _, size, ways = np.linalg.svd(telling / scale, full_matrices=len(telling) < len(scale))
-    size = np.pad(size, (0, len(ways) - len(size)))
-    open_, chosen = ways[size <= WEAK * size[0]], np.zeros((0, len(scale)))
+    unit = telling / scale
+    squares, ways = np.linalg.eigh(unit.T @ unit)
+    open_, chosen = ways.T[squares <= WEAK**2 * squares[-1]], np.zeros((0, len(scale)))
     known, radius = np.zeros((0, len(open_))), float(np.abs(balls.places).max())
     of_tilting = () if balls.tilting is None else balls.tilting.definitions()
     for sums in (*definitions(balls.angles, balls.tilts), *of_tilting):
-        row = np.zeros(len(scale))
-        for name, factors in sums.items():
-            row[balls.first[name] : balls.first[name] + len(factors)] = factors
+        row = _row(balls, sums)
         felt = open_ @ (row / scale)
         new = felt - known.T @ (known @ felt)
         if np.linalg.norm(new) > SHARED * np.linalg.norm(row / scale):
@@ -471,9 +466,14 @@ def ball_motions(balls: BallsOnTable, place: Floats) -> Iterator[Floats]:
         yield rows
 
 
+def _sense(balls: BallsOnTable, name: str) -> float:
+    """Return the sign of a deviation beside the motion: ECC goes by the sense of the table."""
+    return balls.sense if name == "ECC" else 1.0
+
+
 def _deviation(balls: BallsOnTable, name: str) -> Floats:
-    """Return rows (p, u) of a deviation: the mean of the tilts; ECC by the sense of the table."""
-    return mean_of_tilts(balls, name) * (balls.sense if name == "ECC" else 1.0)
+    """Return rows (p, u) of a deviation, the mean of the tilts."""
+    return mean_of_tilts(balls, name) * _sense(balls, name)
 
 
 def mean_of_tilts(balls: BallsOnTable, name: str) -> Floats:
@@ -491,8 +491,7 @@ def _by_tilt(balls: BallsOnTable, tilting: Tilting) -> dict[str, Floats]:
         axis[:, line : line + rows.shape[1]] += rows
         found[f"{name} by tilt"] = axis
     for name in components_of(balls):
-        sense = balls.sense if name == "ECC" else 1.0
-        found[f"{name} by tilt"] = sense * block_rows(blocks, name)
+        found[f"{name} by tilt"] = _sense(balls, name) * block_rows(blocks, name)
     return found | {name: block_rows(blocks, name) for name in tilting.motions}
 
 
@@ -565,14 +564,10 @@ def _also(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:
 
 
 def _names(balls: BallsOnTable, read: Readings) -> Iterator[str]:
-    tilted = balls.tilting is not None
+    run = "run" if balls.tilting is None else "tilt"
     for k, at, number in np.column_stack([read.target, read.position, read.station]).tolist():
-        if len(balls.bars):
-            run = f"bar {k} at position {at}, run {number}"
-            yield f"bar {k} at position {at}, tilt {number}" if tilted else run
-        for a in "xyz" * (not len(balls.bars)):
-            run = f"{a} of ball {k} at position {at}, run {number}"
-            yield f"{a} of ball {k} at position {at}, tilt {number}" if tilted else run
+        where = f"{k} at position {at}, {run} {number}"
+        yield from [f"bar {where}"] if len(balls.bars) else [f"{a} of ball {where}" for a in "xyz"]
 
 
 def _from_mean(columns: Floats, axis: Ints) -> Floats:
