@@ -45,7 +45,8 @@ class World:
 
     The machine reads p + linear (p - foot), the axis and its motions refer to the foot; ``bars``
     (k b,) is how much too long a ball bar is in each set-up. The probe triggers later by
-    ``lobing`` times the cosine of three times the direction; ``play`` is the whole way that an
+    the real part of ``lobing`` times the cosine of three times the direction, by the imaginary one
+    times the sine: of four touches that shifts x and y; ``play`` is the whole way that an
     axis loses where it turns round. On a
     tilting axis (``plan.chain``) ``motions`` are (6, t p), tilt after tilt; ``line`` (4,) is the
     place and direction of that axis, ``tilting`` (6, t) its motions.
@@ -60,7 +61,7 @@ class World:
     line: tuple = (6e-5, -4e-5, 3e-5, -2e-5)
     tilting: np.ndarray = None
     bars: np.ndarray = None
-    lobing: float = 0.0
+    lobing: complex = 0.0
     play: float = 0.0
 
     def __post_init__(self):
@@ -204,7 +205,8 @@ class World:
         sides = np.radians([0.0, 90.0, 180.0, 270.0])
         flat = np.column_stack([np.cos(sides), np.sin(sides), np.ones(4)]) / np.sqrt(2.0)
         away = np.vstack([[0.0, 0.0, 1.0], flat])
-        reach = 0.014 + self.lobing * np.append(0.0, np.cos(3.0 * sides))
+        lobes = (self.lobing * np.exp(-3j * sides)).real
+        reach = 0.014 + np.append(0.0, lobes)
         seen = reach[:, None] * away
         design = np.column_stack([2.0 * seen, np.ones(5)])
         return np.linalg.lstsq(design, reach**2, rcond=None)[0][:3]

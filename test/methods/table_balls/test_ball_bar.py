@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ball_world import NAMES, ONE, THREE, World
+from chances import LONG
 from scipy.stats import binom
 
 from rotcal_ros.adjust.engine import adjust
@@ -109,8 +110,8 @@ def test_what_lengths_tell_follows_from_their_directions(balls, bars, told):
     ],
 )
 def test_intervals_from_lengths_hold_the_truth(balls, bars):
-    """Of 300 worlds drawn from what is stated, the error of the bar and of the axes included."""
-    rng, inside, runs = np.random.default_rng(20), [], 300
+    """Of worlds drawn from what is stated, the error of the bar and of the axes included."""
+    rng, inside, runs = np.random.default_rng(20), [], 1000 if LONG else 300
     for _ in range(runs):
         world = World.drawn(planned(balls, bars), rng)
         fit = solved(world, world.readings(SIGMA, rng))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ball_world import COLUMN, LEVEL, NAMES, ONE, THREE, World
+from chances import LONG, share
 from click.testing import CliRunner
 from scipy.optimize import brentq
 from scipy.stats import binom, chi2, ncx2
@@ -311,13 +312,17 @@ def test_an_offset_of_the_tip_is_named_until_it_is_stated(tip, treatment):
     ("name", "passes", "sigma"), [("ONE", 2, SIGMA), ("THREE", 1, np.hypot(SIGMA, 0.5e-6))]
 )
 def test_intervals_hold_the_truth_beside_lobes_and_play_that_are_stated(name, passes, sigma):
-    """Play of 1 um: one ball takes it for motions of the table, three need it as noise."""
-    rng, inside, runs = np.random.default_rng(22), [], 300
+    """Play of 1 um: one ball takes it for motions of the table, three need it as noise.
+
+    Only some of it is: what is the same in all runs is in the places of the balls, and intervals
+    that hold it as well hold the truth a little more often.
+    """
+    rng, inside, runs = np.random.default_rng(22), [], 1000 if LONG else 300
     solver = BallsSolverSettings(tip_std_m=2e-6, sigma_centre_m=sigma)
     unit = np.abs(replace(World(planned(name)), lobing=1e-6).touched()[0]) / 1e-6
     for _ in range(runs):
         world = World.drawn(planned(name, runs=passes), rng, solver)
-        world.lobing = solver.tip_std_m / unit * rng.standard_normal()
+        world.lobing = complex(*(solver.tip_std_m / unit * rng.standard_normal(2)))
         world.play = 1e-6
         fit = solved(modelled(world, world.readings(SIGMA, rng)))
         std = np.linalg.norm(fit.response, axis=1)[: len(fit.model.outputs)]
@@ -327,6 +332,7 @@ def test_intervals_hold_the_truth_beside_lobes_and_play_that_are_stated(name, pa
     found = np.mean(inside, axis=0)
     assert 0.93 < found[:-4].mean() < 0.97
     assert (found[-4:] > binom.ppf(1e-4, runs, 0.95) / runs).all(), found
+    assert (found[-4:-2] < share(0.95, runs)[1]).all(), found  # lobes as large as stated
 
 
 def test_a_ball_that_was_touched_wrongly_is_left_out():
@@ -389,8 +395,8 @@ def test_intervals_hold_the_truth_in_93_to_97_percent(name):
 
 @pytest.mark.slow
 def test_the_whole_engine_holds_them_too():
-    rng, inside, alarms = np.random.default_rng(21), [], 0
-    for _ in range(200):
+    rng, inside, alarms, runs = np.random.default_rng(21), [], 0, 1000 if LONG else 200
+    for _ in range(runs):
         world = World.drawn(planned("ONE"), rng)
         found = adjust(modelled(world, world.readings(SIGMA, rng)))
         alarms += found.verdict != "ok"
@@ -398,7 +404,7 @@ def test_the_whole_engine_holds_them_too():
         true = np.append(motions[5], line)
         inside.append(np.abs(found.value - true) < 1.96 * found.std)
     assert 0.93 < np.mean(inside) < 0.97
-    assert alarms <= 12
+    assert alarms <= 0.06 * runs
 
 
 def test_what_cannot_be_is_refused(tmp_path):

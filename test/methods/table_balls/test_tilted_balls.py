@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ball_world import ONE, THREE, World, shifted, turned
+from chances import LONG
 from scipy.stats import binom
 
 from rotcal_ros.adjust.model import fitted
@@ -107,7 +108,7 @@ def _line(axis):
 @pytest.mark.slow
 @pytest.mark.parametrize("balls", [ONE, THREE])
 def test_intervals_of_both_lines_hold_the_truth(balls):
-    rng, inside, runs = np.random.default_rng(20), [], 300
+    rng, inside, runs = np.random.default_rng(20), [], 1000 if LONG else 300
     for _ in range(runs):
         world = World.drawn(planned("AC", balls), rng)
         fit, first, _ = solved(world, world.readings(SIGMA, rng))
