@@ -42,8 +42,8 @@ UNSEEN: Final = -1e-6
 No residual tells of such a shift, so what seems to is nothing."""
 OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
-LONG: Final = 100
-"""Elements from which on sums over runs are differences of sums over the leading ones."""
+LARGE: Final = 200
+"""Elements of a group from which on runs are told by leading sums: products cost their square."""
 MOST_STEPS: Final = 60
 """Exchanges after which a search ends anyway."""
 
@@ -130,8 +130,8 @@ def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
 
 def shifts(group: Group, subsets: Bools) -> Hypotheses:
     """Return that each of the ``subsets`` (q, e) is off by the same along each axis."""
-    long = group.residual.shape[1] == 1 and group.size > LONG
-    square, score = (_of_runs if long else _of_any)(group, subsets)
+    large = group.residual.shape[1] == 1 and group.size >= LARGE
+    square, score = (_of_runs if large else _of_any)(group, subsets)
     values, along, vectors = _own_axes(square, score)
 
     def on_rows() -> Floats:
@@ -139,7 +139,7 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
         mix = np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors)
         return np.asarray(mix.reshape(group.residual.size, *along.shape))
 
-    times = (lambda matrix: _times_runs(group, subsets, matrix)) if long else None
+    times = (lambda matrix: _times_runs(group, subsets, matrix)) if large else None
     return Hypotheses(values, along, on_rows, group.sensitivity, vectors, times)
 
 

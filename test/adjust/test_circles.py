@@ -323,7 +323,7 @@ def test_a_large_group_is_judged_by_running_sums(monkeypatch):
     """As by products of all subsets, which small groups are judged by."""
     model = spoiled(model_of(24, (0, 1, 5, 2)), np.arange(59, 65), 9.0)
     slow = adjust(model)
-    monkeypatch.setattr("rotcal_ros.adjust.explanations.LONG", 3)
+    monkeypatch.setattr("rotcal_ros.adjust.explanations.LARGE", 3)
     quick = adjust(model)
     assert quick.why == slow.why
     assert quick.diagnosis.gathering.blamed[0].group.name == "setting 2"

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.special import comb, logsumexp
 
 from rotcal_ros.adjust.explanations import (
-    LONG,
+    LARGE,
     OWN,
     SIZES,
     _flipped,
@@ -106,7 +106,7 @@ def test_shifts_of_all_axes_of_an_element():
 
 def test_long_runs_and_other_subsets_are_summed_up_row_by_row():
     """Runs in order, round the end and scattered; each as its column by the whole projection."""
-    rng, e = np.random.default_rng(6), LONG + 20
+    rng, e = np.random.default_rng(6), LARGE + 20
     design, unit = rng.standard_normal((e + 5, 4)), rng.uniform(1.0, 3.0, e)
     view = Dense(
         design, rng.standard_normal((3, 4)), residuals(design, rng.standard_normal(e + 5))

@@ -103,7 +103,7 @@ class BallsOnTable:
     of a centre or of a length, m. ``speed``: rad/s at which the table turns, of each run or,
     where something was read, at each reading (n,); none: it stands.
     ``known``: blocks of what else is stated to be zero, with its standard deviation, SI; infinite:
-    the readings alone tell it.
+    the readings alone determine it.
     """
 
     angles: Floats
@@ -142,8 +142,8 @@ class BallsOnTable:
         turning = runs = sense * np.array(plan.turning_deg_s) * DEGREE
         if read is not None:
             position, target = read.position, read.target
-            turning = runs[read.station] if len(runs) else runs
             tilt = np.zeros_like(position) if tilting is None else read.station
+            turning = runs[read.station] if len(runs) else runs
         shift, lean = solver.error_motion_std_m, solver.tilt_std_arcsec * ARCSEC
         stated = np.array([shift, shift, shift, lean, lean, UNSTATED_RAD])
         known = {
@@ -283,14 +283,8 @@ class BallsOnTable:
         ]
         return np.concatenate(rows, axis=1)
 
-    @cached_property
-    def _pattern(self) -> tuple[Ints, Ints]:
-        """Columns of the entries of all rows, and where each row begins."""
-        columns = np.repeat(self.columns, self.coordinates, axis=0)
-        return columns.ravel(), np.arange(0, columns.size + 1, columns.shape[1])
-
-    def _felt(self, kind: str, count: int) -> slice:
-        """Return where among its unknowns a reading feels ``count`` of a kind and those after."""
+    def _at(self, kind: str, count: int) -> slice:
+        """Return where ``count`` unknowns from a kind on are among those that a reading feels."""
         first = int(np.searchsorted(self.columns[0], self.first[kind]))
         return slice(first, first + count)
 
@@ -300,18 +294,20 @@ class BallsOnTable:
         Link by link of the chain: where a ball is from c0, away (n, 3), and what the unknowns that
         its reading feels, own (n, f), do to it: rows (n, 3, f).
         """
-        own, show, linear = x[self.columns], np.eye(3), self._felt("scale", len(ENTRIES[0]))
+        own, show, linear = x[self.columns], np.eye(3), self._at("scale", len(ENTRIES[0]))
         away, rows = self._on_table(own)
         if self.tilting is not None:
             away, rows = self._on_tilting(self.tilting, own, away, rows)
         if "lag" in self.known:
-            lag = self._felt("lag", 1).start
+            lag = self._at("lag", 1).start
             ahead, rows[:, :, lag] = self._ahead_of_nest(float(own[0, lag]))
             away = away + ahead
         if "tip" in self.known:
-            away = _moved(away, rows, own, self._felt("tip", 3), np.eye(3)[None])
+            at = self._at("tip", 3)
+            rows[:, :, at] = np.eye(3)
+            away = away + own[:, at]
         show[ENTRIES] += own[0, linear]
-        seen = self._spindle(show) if len(self.bars) else away
+        seen = np.linalg.solve(show, self._spindle.T).T if len(self.bars) else away
         rows = show @ rows
         rows[:, ENTRIES[0], np.arange(linear.start, linear.stop)] = seen[:, ENTRIES[1]]
         read = self.origin + away @ show.T
@@ -322,16 +318,18 @@ class BallsOnTable:
             rows = -along[:, None] @ rows
             rows[:, 0, -1] = 1.0
             read = length + own[:, -1]
-        return read.ravel(), csr_array((rows.ravel(), *self._pattern), shape=(read.size, len(x)))
+        return read.ravel(), csr_array((rows.ravel(), *self._felt), shape=(read.size, len(x)))
 
     @cached_property
-    def _shown(self) -> Floats:
-        """Where the machine shows what is in the spindle at each reading (n, 3), from c0."""
+    def _spindle(self) -> Floats:
+        """Where the machine shows the spindle's ball at each reading (n, 3), from c0."""
         return np.asarray(self.sent[self.tilt, self.position, self.target] - self.origin)
 
-    def _spindle(self, show: Floats) -> Floats:
-        """Return where that is (n, 3), from c0, by a machine that shows ``show`` times a place."""
-        return np.asarray(np.linalg.solve(show, self._shown.T).T)
+    @cached_property
+    def _felt(self) -> tuple[Ints, Ints]:
+        """Columns of the entries of all rows, and where each row begins."""
+        columns = np.repeat(self.columns, self.coordinates, axis=0)
+        return columns.ravel(), np.arange(0, columns.size + 1, columns.shape[1])
 
     def _ahead_of_nest(self, lag: float) -> tuple[Floats, Floats]:
         """Return how much farther (n, 3) balls are from a nest that is ``lag`` (s) late.
@@ -339,14 +337,14 @@ class BallsOnTable:
         And its derivative by the lag.
         """
         turned = rotation_about_z(-self.speed * lag)
-        nest = np.einsum("nij,nj->ni", turned, self._shown)
-        return self._shown - nest, self.speed[:, None] * np.cross([0.0, 0.0, 1.0], nest)
+        nest = np.einsum("nij,nj->ni", turned, self._spindle)
+        return self._spindle - nest, self.speed[:, None] * np.cross([0.0, 0.0, 1.0], nest)
 
     def _on_tilting(
         self, axis: Tilting, own: Floats, away: Floats, rows: Floats
     ) -> tuple[Floats, Floats]:
         """Return the same as :meth:`_on_table` where the table is tilted."""
-        line, motions = self._felt(axis.line[0], 4), self._felt(axis.motions[0], 6)
+        line, motions = self._at(axis.line[0], 4), self._at(axis.motions[0], 6)
         from_point = self.origin - axis.point
         away, by_away, by_line, by_motions = axis.tilted(
             away + from_point, self.tilt, own[0, line], own[:, motions]
@@ -378,17 +376,11 @@ class BallsOnTable:
         return moved @ direction.T + np.append(own[0, :2], 0.0), rows
 
 
-def _moved(away: Floats, rows: Floats, own: Floats, at: slice, by: Floats) -> Floats:
-    """Return ``away`` (n, 3) moved ``by`` (n, 3, k) times unknowns; ``rows`` take that up."""
-    rows[:, :, at] = by
-    return np.asarray(away + np.einsum("nij,nj->ni", rows[:, :, at], own[:, at]))
-
-
 def _lag_std(speeds: Floats, solver: BallsSolverSettings) -> float:
     """Return what is stated of the lag of a table that turns at ``speeds`` (r,); 0: there is none.
 
-    Runs of several speeds tell it themselves; to tell it far better than it was stated would look
-    like a contradiction.
+    Runs of several speeds determine it themselves; to know it far better than it was stated would
+    look like a contradiction.
     """
     if not len(speeds):
         return 0.0
