@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
@@ -23,7 +23,14 @@ from rotcal_ros.adjust.arrow import (
     times,
     weighted,
 )
-from rotcal_ros.adjust.circles import AT_ONCE, Circular, Cofactors, Eliminated
+from rotcal_ros.adjust.circles import (
+    AT_ONCE,
+    LARGE,
+    Circular,
+    Cofactors,
+    Eliminated,
+    Iterated,
+)
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.model import FIRM, Model
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -41,6 +48,8 @@ CONVERGED: Final = 1e-14
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
 HALVINGS: Final = 20
+SURELY: Final = 0.9
+"""Share of a limit below which bounds that are found by iteration need not be told exactly."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -257,6 +266,45 @@ class Fit:
         assert isinstance(found, Whole)
         return self.counting(np.linalg.norm(self.outputs @ found.root, axis=1))
 
+    def far_worse_than(self, other: Fit, factor: float) -> bool:
+        """Whether an output is less sure than by ``factor`` times of another fit.
+
+        Raises ObservabilityError where one is not told at all.
+        """
+        mine, others = self._iterated, other._iterated
+        if mine is not None and others is not None:
+            least, most = mine.extremes[0], others.extremes[1]
+            known = [
+                np.concatenate([i.orders.squares(rows) for _, rows in self.model.told.parts(p)])
+                for i, p in ((mine, self.model.size[1]), (others, self.model.size[1]))
+            ]
+            if (known[0] * most <= least * (SURELY * factor) ** 2 * known[1]).all():
+                return False
+        return bool((self.output_std > factor * other.output_std).any())
+
+    @cached_property
+    def _iterated(self) -> Iterated | None:
+        if not isinstance(self.jacobian, Circular):
+            return None
+        return Iterated.of(self.jacobian.weighted(self.used / self.std))
+
+    def without(self, rows: Ints) -> tuple[float, int] | None:
+        """Return chi-squared and the unknowns that are told without some ``rows`` (k,).
+
+        Of circles; None of others, or where those rows leave what is not firm.
+        """
+        if not isinstance(self.jacobian, Circular):
+            return None
+        weight = self.used / self.std
+        weight[rows] = 0.0
+        design = self.jacobian.weighted(weight)
+        found = Cofactors.of(design, lost=True)
+        if found is None:
+            return None
+        white = self.residual * weight
+        left = white - design.times(found.solved(design, white))
+        return float(left @ left), found.rank
+
     def felt(self, change: Floats) -> bool:
         """Whether a ``change`` (o + a,) of the outputs is no trifle for those that count."""
         return bool((np.abs(change) > SAME * self.output_std).any())
@@ -342,10 +390,14 @@ def fitted(
     raise _unsettled()
 
 
-def _solver(model: Model, design: Floats | FewEach) -> Arrow | Cofactors | Eliminated | None:
+Solver: TypeAlias = "Arrow | Cofactors | Eliminated | Iterated"
+"""What solves a design by its form."""
+
+
+def _solver(model: Model, design: Floats | FewEach) -> Solver | None:
     """Return what solves a whitened ``design`` by its form; None where it has none."""
     if isinstance(design, Circular):
-        return _by_order(model, design) or Eliminated.of(design)
+        return _by_order(model, design) or Iterated.of(design) or Eliminated.of(design)
     return Arrow.of(design.few) if isinstance(design, FewEach) else None
 
 
@@ -378,7 +430,7 @@ def _step(
     model: Model,
     design: Floats | FewEach,
     white: Floats,
-    solver: Arrow | Cofactors | Eliminated | None,
+    solver: Solver | None,
 ) -> tuple[Floats, float]:
     """Return the step (p + q,) that ``white`` (n,) asks for, and the square that it takes off.
 
@@ -387,6 +439,9 @@ def _step(
     step = None
     if isinstance(design, FewEach) and solver is not None:
         step = solver.solved(design, white)
+    if step is None and isinstance(solver, Iterated):
+        plain = Eliminated.of(solver.design)
+        step = None if plain is None else plain.solved(solver.design, white)
     if step is not None:
         felt = times(design, step)
         return step, float(felt @ felt)
@@ -417,6 +472,10 @@ def _require_told(model: Model, design: Circular) -> None:
     unseen = np.flatnonzero(felt & (telling == 0.0))
     if unseen.size:
         raise _untold(_in_words(model, unseen, np.zeros((model.size[0], len(felt)), np.bool_)))
+    if design.turns.size >= LARGE:  # no whole matrix of so many
+        raise ObservabilityError(
+            "the observations cannot tell apart the places of the circles: measure what joins them"
+        )
 
 
 def _untold(names: str) -> ObservabilityError:
