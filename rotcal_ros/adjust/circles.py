@@ -35,8 +35,8 @@ LARGE: Final = 1000
 STEPS: Final = 300
 """Steps of conjugate gradients after which another way is taken."""
 CONVERGED: Final = 1e-12
-"""Share of what is asked that such a solution may leave."""
-STEADY: Final = 0.01
+"""Share of what is asked, and of the sizes it is the sum of, that such a solution may leave."""
+STEADY: Final = 1e-3
 """Relative change of an extreme eigenvalue in LOOKED steps that ends looking for it."""
 LOOKED: Final = 10
 SAME: Final = 1e-12
@@ -416,11 +416,17 @@ class Cofactors:
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         turns, weight = self.design.turns, self.design.weight[rows]
-        turn, place = turns.turn[rows], turns.place[rows]
-        step = (place[:, None] - place) % turns.size
-        found = self.orders.between[turn[:, None], turn, step]
+        turn, place = turns.turn[rows], turns.place[rows].astype(np.int32)
+        step = (place[:, None] - place) % np.int32(turns.size)
+        if len(np.unique(turn)) == 1:
+            found = self.orders.between[turn[0], turn[0]][step]
+        else:
+            found = self.orders.between[turn[:, None], turn, step]
+        found *= weight[:, None]
+        found *= weight
         low = self._low_rank(rows)
-        return np.asarray(weight[:, None] * found * weight + low @ self.core @ low.T)
+        found += low @ self.core @ low.T
+        return np.asarray(found)
 
     @property
     def leverage(self) -> Floats:
@@ -549,10 +555,11 @@ class Iterated:
 
         None where the iteration does not converge.
         """
-        asked = design.adjoint(read)
-        size = (len(asked),) * 2
+        asked, size = design.adjoint(read), (self.design.few.shape[1],) * 2
+        rounding = CONVERGED * float(np.linalg.norm(abs(design.few).T @ np.abs(read)))
         found, failed = cg(
-            LinearOperator(size, matvec=self._normal), asked, rtol=CONVERGED, maxiter=STEPS,
+            LinearOperator(size, matvec=self._normal), asked, rtol=CONVERGED,
+            atol=rounding, maxiter=STEPS,
             M=LinearOperator(size, matvec=self._led),
         )  # fmt: skip
         return None if failed else np.asarray(found)
@@ -570,10 +577,13 @@ class Iterated:
         left = full.T @ random.standard_normal(full.shape[0])
         way = self._led(left)
         now, carried, found = float(left @ way), 0.0, np.array([np.inf, 0.0])
-        nothing, diagonal, beside = OPEN * now, list[float](), list[float]()
+        nothing, diagonal, beside = OPEN**2 * now, list[float](), list[float]()
         for step in range(1, STEPS):
             felt = self._normal(way)
-            length = now / float(way @ felt)
+            along = float(way @ felt)
+            if along <= OPEN * now:
+                return 0.0, float(found[1])  # nothing is told along this way
+            length = now / along
             diagonal.append(1.0 / length + carried)
             left = left - length * felt
             gain = self._led(left)

@@ -257,8 +257,11 @@ class Fit:
         if self.by_order is not None:
             return self.counting(np.sqrt(self.variance))
         if isinstance(self.jacobian, Circular):
-            plain = Eliminated.of(self.jacobian.weighted(self.used / self.std))
-            if plain is not None:
+            design = self.jacobian.weighted(self.used / self.std)
+            plain = Eliminated.of(design)
+            if plain is None:
+                _require_told(self.model, design)
+            else:
                 parts = self.model.told.parts(len(self.x))
                 squares = np.concatenate([plain.squares(rows) for _, rows in parts])
                 return self.counting(np.sqrt(squares))
