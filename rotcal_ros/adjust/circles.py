@@ -264,9 +264,9 @@ class ByOrder:
         normal = np.einsum("t,tch,tdh->hcd", share, wave.conj(), wave)
         at_zero = np.hstack([turns.sign, np.sqrt(size) * turns.tied])
         values, vectors, scale = _of_unit_diagonal((at_zero * share[:, None]).T @ at_zero)
-        told = values > OPEN
+        seen = values > OPEN
         length = np.sqrt(np.einsum("hcc->hc", normal).real)
-        if (values[told] < FIRM).any() or not length.all():
+        if (values[seen] < FIRM).any() or not length.all():
             return None
         length, inverse = length[1:, :, None], np.zeros_like(normal)
         each, axes = np.linalg.eigh(normal[1:] / length / length.swapaxes(1, 2))
@@ -278,8 +278,8 @@ class ByOrder:
         inverse[1:] = axes @ axes.conj().swapaxes(1, 2)
         # an order is a cosine and a sine, but for the last one of an even number of places
         twice = np.where(2 * orders[1:] == size, 1, 2)
-        open_ = vectors[:, ~told] / scale[:, None]
-        at_root = vectors[:, told] / np.sqrt(values[told]) / scale[:, None]
+        open_ = vectors[:, ~seen] / scale[:, None]
+        at_root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
         lost = int(twice @ (~firm).sum(axis=1))
         return cls(turns, inverse, at_root @ at_root.T, open_, lost)
 

@@ -242,6 +242,10 @@ class Adjusted:
 
     def protections(self) -> tuple[Protection, ...]:
         """Return what is done about each declared effect, the noise, and what gathers."""
+        return self._protections
+
+    @cached_property
+    def _protections(self) -> tuple[Protection, ...]:
         return tuple(_protections(self))
 
     def result(
@@ -389,7 +393,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     computed, _ = model.equations(model.first)
     exact = replace(model, observed=computed)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
-    std = np.linalg.norm(fit.response, axis=1)[: len(model.outputs)]
+    std = fit.noise_std[: len(model.outputs)]
     each = limits.of_each_effect(model)
     every = {
         e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)

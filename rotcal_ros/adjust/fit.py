@@ -189,7 +189,7 @@ class Fit:
     def value(self) -> Floats:
         """All outputs (o + a,)."""
         if self.by_order is not None:
-            return self.model.told.times(self.x)
+            return self.model.output_rows.times(self.x)
         return np.asarray(self.outputs @ self.x)
 
     @cached_property
@@ -206,21 +206,21 @@ class Fit:
         if isinstance(found, Whole):
             return self.response[:, rows]
         parts = np.array_split(rows, len(rows) // AT_ONCE + 1)
-        return np.hstack([self.model.told.times(found.gained(part)) for part in parts])
+        return np.hstack([self.model.output_rows.times(found.gained(part)) for part in parts])
 
     def moved(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) do to the outputs, (o + a, k): B times them."""
         found = self.cofactors
         if isinstance(found, Whole):
             return np.asarray(self.response @ white)
-        return self.model.told.times(found.times(found.design.adjoint(white)))
+        return self.model.output_rows.times(found.times(found.design.adjoint(white)))
 
     def covariance(self, count: int) -> Floats:
         """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
         found = self.cofactors
         if isinstance(found, Whole):
             return self._covariance[:count, :count]
-        first, whole = self.model.told.first(count), np.zeros((count, count))
+        first, whole = self.model.output_rows.first(count), np.zeros((count, count))
         for here, rows in first.parts(len(self.x)):
             whole[:, here] = first.times(found.times(rows.T))
         whole += whole.T.copy()
@@ -237,8 +237,15 @@ class Fit:
         found = self.cofactors
         if isinstance(found, Whole):
             return self._covariance.diagonal()
-        parts = self.model.told.parts(len(self.x))
+        parts = self.model.output_rows.parts(len(self.x))
         return np.concatenate([found.squares(rows) for _, rows in parts])
+
+    @property
+    def noise_std(self) -> Floats:
+        """Standard deviations (o + a,) of all outputs, by the noise alone."""
+        if self.by_order is not None:
+            return np.sqrt(self.variance)
+        return np.asarray(np.linalg.norm(self.response, axis=1))
 
     def variance_from(self, part: Bools) -> Floats:
         """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
@@ -246,7 +253,7 @@ class Fit:
             return np.asarray((self.response**2) @ part.T.astype(np.float64))
         if len(part) == 1:
             return self.variance[:, None]
-        found, every = np.zeros((len(self.model.told), len(part))), np.arange(len(self.std))
+        found, every = np.zeros((len(self.model.output_rows), len(part))), np.arange(len(self.std))
         for rows in np.array_split(every, len(every) // AT_ONCE + 1):
             found += self.response_of(rows) ** 2 @ part[:, rows].T.astype(np.float64)
         return found
@@ -262,7 +269,7 @@ class Fit:
             if plain is None:
                 _require_told(self.model, design)
             else:
-                parts = self.model.told.parts(len(self.x))
+                parts = self.model.output_rows.parts(len(self.x))
                 squares = np.concatenate([plain.squares(rows) for _, rows in parts])
                 return self.counting(np.sqrt(squares))
         found = self.cofactors
@@ -276,12 +283,13 @@ class Fit:
         """
         mine, others = self._iterated, other._iterated
         if mine is not None and others is not None:
-            least, most = mine.extremes[0], others.extremes[1]
-            known = [
-                np.concatenate([i.orders.squares(rows) for _, rows in self.model.told.parts(p)])
-                for i, p in ((mine, self.model.size[1]), (others, self.model.size[1]))
-            ]
-            if (known[0] * most <= least * (SURELY * factor) ** 2 * known[1]).all():
+            parts = list(self.model.output_rows.parts(self.model.size[1]))
+            bound, least = (
+                np.concatenate([each.orders.squares(rows) for _, rows in parts])
+                for each in (mine, others)
+            )
+            bound *= others.extremes[1]
+            if (bound <= mine.extremes[0] * (SURELY * factor) ** 2 * least).all():
                 return False
         return bool((self.output_std > factor * other.output_std).any())
 
@@ -348,8 +356,8 @@ def _by_order(model: Model, design: Circular) -> Cofactors | None:
     if found is None:
         return None
     directions = found.orders.directions
-    felt = np.abs(model.told.times(directions))
-    return found if _are_small(felt, model.told.lengths, directions) else None
+    felt = np.abs(model.output_rows.times(directions))
+    return found if _are_small(felt, model.output_rows.lengths, directions) else None
 
 
 def fitted(
@@ -470,7 +478,7 @@ def _step(
 
 def _require_told(model: Model, design: Circular) -> None:
     """Raise ObservabilityError for unknowns of a weighted ``design`` that no observation feels."""
-    felt = model.told.felt
+    felt = model.output_rows.felt
     telling = np.asarray(abs(design.few).sum(axis=0))
     unseen = np.flatnonzero(felt & (telling == 0.0))
     if unseen.size:
