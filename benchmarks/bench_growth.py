@@ -16,8 +16,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.sparse import csr_array
 
+from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.adjust.model import linear
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.angle_comparison.model import model_of, readings_of
 from rotcal_ros.methods.angle_comparison.settings import (
@@ -72,8 +75,11 @@ def plate(grid: int) -> ball_plate.BallPlateProblem:
     return ball_plate.BallPlateProblem(grid, 0.15, table, ball, nominal + noise)
 
 
-def two_circles(angles: int, settings: int) -> None:
-    """Solve a closed circle of so many angles, read in settings one to so many steps apart."""
+def two_circles(angles: int, settings: int, whole: bool = False) -> None:
+    """Solve a closed circle of so many angles, read in settings one to so many steps apart.
+
+    ``whole``: by the whole matrix, as where the grid is not complete.
+    """
     step = 360.0 / angles
     shifts = tuple(step * (k * (k + 1) // 2) for k in range(settings))
     plan = ComparisonPlanSettings(
@@ -82,6 +88,9 @@ def two_circles(angles: int, settings: int) -> None:
     read = readings_of(plan)
     noise = np.random.default_rng(1).normal(0.0, ARCSEC, len(read.value))
     model = model_of(plan, ComparisonSolverSettings(sigma_arcsec=1.0), replace(read, value=noise))
+    if whole:
+        design = csr_array(dense(model.equations(model.first)[1]))
+        model = replace(model, equations=linear(design))
     found = adjust(model)
     assert found.verdict != "failed"
     assert len(found.protections())
@@ -115,9 +124,16 @@ PLATES = [(f"ball plate, {grid} positions, 12 balls", partial(by_plate, grid))
           for grid in (72, 720, 3600)]  # fmt: skip
 
 
-CIRCLES = [(f"two circles, {angles} angles, {settings} settings",
-            partial(two_circles, angles, settings))
-           for angles, settings in ((72, 8), (360, 4), (360, 12), (720, 4))]  # fmt: skip
+CIRCLES = [
+    (
+        f"two circles, {angles} angles, {settings} settings{', whole matrix' * whole}",
+        partial(two_circles, angles, settings, whole),
+    )
+    for angles, settings, whole in (
+        (72, 8, False), (72, 8, True), (360, 4, False), (360, 4, True), (360, 12, False),
+        (360, 12, True), (720, 4, False), (1440, 4, False), (3600, 12, False),
+    )
+]  # fmt: skip
 
 
 def measured(name: str, solve: Callable[[], None]) -> Row:

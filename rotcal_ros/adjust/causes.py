@@ -24,7 +24,7 @@ from rotcal_ros.adjust.distributions import normal_isf, sidak, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.fit import Fit, Whole, fitted
 from rotcal_ros.adjust.gathering import Gathering, judged
-from rotcal_ros.adjust.groups import CHECKED, Group
+from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
 from rotcal_ros.adjust.model import Disturbing, Model, Steps, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
@@ -68,6 +68,8 @@ FEW: Final = 0.1
 """Share of entries that are not zero below which columns are sparse."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
+LARGEST_GROUP: Final = 720
+"""Observations of a group up to which it is asked which of them are off together."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -524,24 +526,40 @@ class Look:
             support, price, -(test.size @ seen.moved[:]), effect, test.axes, test.probability,
         )  # fmt: skip
 
-    def _groups(self) -> list[Group]:
+    def _groups(self) -> list[Group | JudgedWhole]:
         """Return the groups of what is used, with which of their members lie together."""
-        fit, model, found = self.fit, self.before.model, list[Group]()
+        fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole]()
         for grouping in model.groupings:
             for number, members in members_of(grouping, model.may_go).items():
                 kept = members[fit.used[members]]
                 if not 1 < len(kept) < len(fit.used):
                     continue
+                name, lost = f"{grouping.kind} {number}", len(members) - len(kept)
+                if len(kept) > LARGEST_GROUP and (whole := _as_a_whole(fit, kept)) is not None:
+                    found.append(JudgedWhole(grouping.kind, name, len(kept), *whole, lost))
+                    continue
                 gathered = gathered_of(grouping, kept)
                 # of others it is not asked what gathers, nor what that would do
                 felt = fit.response_of(kept) if len(gathered) else np.zeros((0, len(kept)))
                 group = Group.of(
-                    grouping.kind, f"{grouping.kind} {number}", kept, fit.white[kept][:, None],
+                    grouping.kind, name, kept, fit.white[kept][:, None],
                     1.0 / fit.std[kept][:, None], fit.cofactors.among(kept),
-                    Sensitivity.whole(felt), gathered, len(members) - len(kept),
+                    Sensitivity.whole(felt), gathered, lost,
                 )  # fmt: skip
                 found.append(group)
         return found
+
+
+def _as_a_whole(fit: Fit, rows: Ints) -> tuple[tuple[float, int], tuple[float, int]] | None:
+    """Return T of a group and its rank, and how many of its rows others check, of how many.
+
+    From the solution without it, which has that much less of chi-squared.
+    """
+    rest = fit.without(rows)
+    if rest is None:
+        return None
+    rank = len(rows) - (fit.cofactors.rank - rest[1])
+    return (fit.chi2 - rest[0], rank), (float(fit.redundancy[rows].sum()), len(rows))
 
 
 def _columns(columns: Floats | Steps, which: slice) -> Floats:
@@ -686,16 +704,16 @@ def _concentrated(model: Model, fit: Fit) -> Fit:
     Least trimmed squares (Rousseeuw and Van Driessen 2006). Where that part determines an output
     not at all, or far worse than the whole, the fit stays as it is.
     """
-    used, usual = fit.used, fit.output_std
+    used, usual = fit.used, fit
     for _ in range(ROUNDS):
         better = _better(model, fit)
         if (better == used).all():
             break
         try:
             after = fitted(model, better, model.std, fit.x)
+            if after.far_worse_than(usual, FAR_WORSE):
+                break
         except RotcalError:
-            break
-        if (after.output_std > FAR_WORSE * usual).any():
             break
         fit, used = after, better
     return fit

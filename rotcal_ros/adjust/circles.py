@@ -17,16 +17,28 @@ from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, lapack
+from scipy.linalg import block_diag, eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
+from scipy.sparse.linalg import LinearOperator, cg
 
 from rotcal_ros.adjust.arrow import FewEach
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 FIRM: Final = 1e-6
 """Least eigenvalue of normal equations of unit diagonal whose inverse keeps nine digits."""
+ROUGH: Final = 1e-12
+"""The same of a step, or of a variance that is only compared."""
 OPEN: Final = 1e-12
 """Eigenvalue of order 0, of unit diagonal, below which nothing tells a direction."""
+LARGE: Final = 1000
+"""Places of a circle from which on steps are iterated: whole matrices cost their third power."""
+STEPS: Final = 300
+"""Steps of conjugate gradients after which another way is taken."""
+CONVERGED: Final = 1e-12
+"""Share of what is asked, and of the sizes it is the sum of, that such a solution may leave."""
+STEADY: Final = 1e-3
+"""Relative change of an extreme eigenvalue in LOOKED steps that ends looking for it."""
+LOOKED: Final = 10
 SAME: Final = 1e-12
 """Difference of squared weights, in the largest of them, that is rounding."""
 AT_ONCE: Final = 1024
@@ -230,39 +242,46 @@ class Outputs:
 class ByOrder:
     """The inverse normal matrix of complete ``turns``, order by order.
 
-    ``inverse`` (N // 2 + 1, C, C): of each order but 0; ``zero`` (C + s, C + s): the pseudo
-    inverse of order 0, of sums of each circle over root N and the other unknowns. ``open``
-    (C + s, k): directions of that order that nothing tells.
+    ``inverse`` (N // 2 + 1, C, C): the pseudo inverse of each order but 0; ``zero`` (C + s,
+    C + s): that of order 0, of sums of each circle over root N and the other unknowns. ``open``
+    (C + s, k): directions of order 0 that nothing tells; ``lost``: how many of all others.
     """
 
     turns: Turns
     inverse: Orders
     zero: Floats
     open: Floats
+    lost: int
 
     @classmethod
     def of(cls, turns: Turns, share: Floats) -> ByOrder | None:
         """Return that of rows with the squared weight ``share`` (t,) of their turn.
 
-        None where an order is lost, or so badly told that digits go.
+        None where an order is so badly told that digits go.
         """
         size, orders = turns.size, np.arange(turns.size // 2 + 1)
         wave = _waves(turns, orders)
         normal = np.einsum("t,tch,tdh->hcd", share, wave.conj(), wave)
         at_zero = np.hstack([turns.sign, np.sqrt(size) * turns.tied])
         values, vectors, scale = _of_unit_diagonal((at_zero * share[:, None]).T @ at_zero)
-        told = values > OPEN
+        seen = values > OPEN
         length = np.sqrt(np.einsum("hcc->hc", normal).real)
-        if (values[told] < FIRM).any() or not length.all():
+        if (values[seen] < FIRM).any() or not length.all():
             return None
-        unit = normal / length[:, :, None] / length[:, None]
-        if size > 1 and np.linalg.eigvalsh(unit[1:]).min() < FIRM:
+        length, inverse = length[1:, :, None], np.zeros_like(normal)
+        each, axes = np.linalg.eigh(normal[1:] / length / length.swapaxes(1, 2))
+        firm = each > OPEN
+        if (each[firm] < FIRM).any():
             return None
-        inverse = np.zeros_like(normal)
-        inverse[1:] = np.linalg.inv(normal[1:])
-        open_ = vectors[:, ~told] / scale[:, None]
-        root = vectors[:, told] / np.sqrt(values[told]) / scale[:, None]
-        return cls(turns, inverse, root @ root.T, open_)
+        root = np.where(firm, 1.0 / np.sqrt(np.where(firm, each, 1.0)), 0.0)
+        axes = root[:, None] * axes / length
+        inverse[1:] = axes @ axes.conj().swapaxes(1, 2)
+        # an order is a cosine and a sine, but for the last one of an even number of places
+        twice = np.where(2 * orders[1:] == size, 1, 2)
+        open_ = vectors[:, ~seen] / scale[:, None]
+        at_root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
+        lost = int(twice @ (~firm).sum(axis=1))
+        return cls(turns, inverse, at_root @ at_root.T, open_, lost)
 
     @cached_property
     def directions(self) -> Floats:
@@ -284,6 +303,10 @@ class ByOrder:
         found[:, 0] = zero[:circles] * np.sqrt(size)
         places = np.fft.irfft(found, size, axis=1).reshape(circles * size, -1)
         return np.concatenate([places, zero[circles:]])
+
+    def squares(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
+        return np.asarray((rows * self.times(rows.T).T).sum(axis=1))
 
     @cached_property
     def between(self) -> Floats:
@@ -327,17 +350,18 @@ class Cofactors:
     core: Floats
 
     @classmethod
-    def of(cls, design: Circular) -> Cofactors | None:
+    def of(cls, design: Circular, *, lost: bool = False) -> Cofactors | None:
         """Return those of a ``design``, weights included; None where they are not firm.
 
-        Or where so many rows are missing that they are no low rank.
+        Or where so many rows are missing that they are no low rank, or where an order but 0 is
+        ``lost``, unless that may be.
         """
         turns = design.turns
         share, usual, odd = turns.shares(design.weight)
         if odd.sum() > turns.size:
             return None
         orders = ByOrder.of(turns, usual)
-        if orders is None:
+        if orders is None or (orders.lost and not lost):
             return None
         turn, place = np.nonzero(odd)
         more = (share - usual[:, None])[odd]
@@ -369,7 +393,7 @@ class Cofactors:
     @property
     def rank(self) -> int:
         """How many unknowns are told."""
-        return len(self.columns) - int(self.orders.open.shape[1])
+        return len(self.columns) - int(self.orders.open.shape[1]) - self.orders.lost
 
     def times(self, right: Floats) -> Floats:
         """Return the cofactors times ``right`` (p + q, k)."""
@@ -392,11 +416,17 @@ class Cofactors:
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         turns, weight = self.design.turns, self.design.weight[rows]
-        turn, place = turns.turn[rows], turns.place[rows]
-        step = (place[:, None] - place) % turns.size
-        found = self.orders.between[turn[:, None], turn, step]
+        turn, place = turns.turn[rows], turns.place[rows].astype(np.int32)
+        step = (place[:, None] - place) % np.int32(turns.size)
+        if len(np.unique(turn)) == 1:
+            found = self.orders.between[turn[0], turn[0]][step]
+        else:
+            found = self.orders.between[turn[:, None], turn, step]
+        found *= weight[:, None]
+        found *= weight
         low = self._low_rank(rows)
-        return np.asarray(weight[:, None] * found * weight + low @ self.core @ low.T)
+        found += low @ self.core @ low.T
+        return np.asarray(found)
 
     @property
     def leverage(self) -> Floats:
@@ -478,7 +508,7 @@ class Eliminated:
         open_ /= np.linalg.norm(open_, axis=0)
         unit = rest / scale / scale[:, None] + open_ @ open_.T
         root, failed = lapack.dpotrf(unit, lower=1)
-        if failed or lapack.dpocon(root, np.abs(unit).sum(axis=0).max(), uplo="L")[0] < FIRM:
+        if failed or lapack.dpocon(root, np.abs(unit).sum(axis=0).max(), uplo="L")[0] < ROUGH:
             return None
         return cls(own, csr_array(over), np.asarray(np.tril(root)) * scale[:, None])
 
@@ -496,3 +526,75 @@ class Eliminated:
         others = rows[:, count:] - (self.shared.T @ mine.T).T
         along = lapack.dtrtrs(self.root, others.T, lower=1)[0]
         return np.asarray((mine**2 / self.own).sum(axis=1) + (along**2).sum(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Iterated:
+    """The normal equations of a large circular ``design`` with any weights, by iteration.
+
+    Conjugate gradients, led by the ``orders`` of complete turns of the mean weight.
+    """
+
+    design: Circular
+    orders: ByOrder
+
+    @classmethod
+    def of(cls, design: Circular) -> Iterated | None:
+        """Return those of a large ``design``; None of a small one, or where an order is lost."""
+        turns = design.turns
+        if turns.size < LARGE or design.extra.shape[1]:
+            return None
+        orders = ByOrder.of(turns, turns.shares(design.weight)[0].mean(axis=1))
+        return None if orders is None or orders.lost else cls(design, orders)
+
+    def _normal(self, x: Floats) -> Floats:
+        return self.design.adjoint(self.design.times(x))
+
+    def solved(self, design: FewEach, read: Floats) -> Floats | None:
+        """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened.
+
+        None where the iteration does not converge.
+        """
+        asked, size = design.adjoint(read), (self.design.few.shape[1],) * 2
+        rounding = CONVERGED * float(np.linalg.norm(abs(design.few).T @ np.abs(read)))
+        found, failed = cg(
+            LinearOperator(size, matvec=self._normal), asked, rtol=CONVERGED,
+            atol=rounding, maxiter=STEPS,
+            M=LinearOperator(size, matvec=self._led),
+        )  # fmt: skip
+        return None if failed else np.asarray(found)
+
+    @cached_property
+    def extremes(self) -> tuple[float, float]:
+        """The least and the largest eigenvalue of the normal equations per those of ``orders``.
+
+        By the Lanczos process, from directions that complete turns tell: what is not told of them
+        makes the least one zero.
+        """
+        turns, random = self.design.turns, np.random.default_rng(0)
+        every = np.divmod(np.arange(len(turns.sign) * turns.size), turns.size)
+        full = turns.rows_of(*every)
+        left = full.T @ random.standard_normal(full.shape[0])
+        way = self._led(left)
+        now, carried, found = float(left @ way), 0.0, np.array([np.inf, 0.0])
+        nothing, diagonal, beside = OPEN**2 * now, list[float](), list[float]()
+        for step in range(1, STEPS):
+            felt = self._normal(way)
+            along = float(way @ felt)
+            if along <= OPEN * now:
+                return 0.0, float(found[1])  # nothing is told along this way
+            length = now / along
+            diagonal.append(1.0 / length + carried)
+            left = left - length * felt
+            gain = self._led(left)
+            after = float(left @ gain)
+            if step % LOOKED == 0 or after < nothing:
+                before, found = found, eigvalsh_tridiagonal(diagonal, beside)[[0, -1]]
+                if after < nothing or (np.abs(found - before) < STEADY * found).all():
+                    break
+            beside.append(float(np.sqrt(after / now)) / length)
+            carried, way, now = after / now / length, gain + after / now * way, after
+        return float(found[0]), float(found[1])
+
+    def _led(self, x: Floats) -> Floats:
+        return self.orders.times(x[:, None])[:, 0]

@@ -34,7 +34,7 @@ HARMLESS: Final = 0.1
 """Error, in standard uncertainties, of what cannot be told from nothing."""
 
 
-class Moves(Protocol):
+class Movements(Protocol):
     """What each of k columns does to o outputs, (k, o), worked out when it is asked for."""
 
     def __getitem__(self, which: slice) -> Floats:
@@ -53,7 +53,7 @@ class Seen:
     their squared length before the unknowns took up their part.
     """
 
-    moved: Floats | Moves
+    moved: Floats | Movements
     information: Floats | csr_array
     score: Floats
     whole: Floats

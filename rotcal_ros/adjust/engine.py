@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import gathering
-from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
+from rotcal_ros.adjust.causes import LARGEST_GROUP, Diagnosis, Limits, found_causes, seen_by
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
@@ -38,6 +38,10 @@ from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
+COVARIANCE_LIMIT: Final = 720
+"""Most deviations of a component whose covariance is put into the result (4 MB)."""
+MOST_INFLUENCES: Final = 20_000_000
+"""Most numbers in what each observation does to the deviations (160 MB); of more, none."""
 LARGEST: Final = 1000.0
 """Errors of several observations, in their stated noise, that nobody would overlook."""
 FAILED_SHARE: Final = 0.2
@@ -240,6 +244,10 @@ class Adjusted:
 
     def protections(self) -> tuple[Protection, ...]:
         """Return what is done about each declared effect, the noise, and what gathers."""
+        return self._protections
+
+    @cached_property
+    def _protections(self) -> tuple[Protection, ...]:
         return tuple(_protections(self))
 
     def result(
@@ -254,6 +262,7 @@ class Adjusted:
         doubts: Sequence[str] = (),
         protections: Sequence[Protection] = (),
         details: Mapping[str, Any] | None = None,
+        joint: bool = False,
     ) -> Result:
         """Return the result that all methods share, the table at ``angles`` (m,), rad.
 
@@ -262,9 +271,11 @@ class Adjusted:
         are known beforehand. An observation of three ``coordinates`` is three rows of the model,
         one after the other: it was rejected if one of them was. What the method itself doubts,
         protects against and tells joins what was found here; its word on an effect takes the place
-        of ours.
+        of ours. Covariances of more than COVARIANCE_LIMIT deviations are left out, unless
+        what is done next takes them (``joint``).
         """
-        whole = self.covariance
+        kept = joint or max(p.stop - p.start for p in components.values()) <= COVARIANCE_LIMIT
+        whole = self.covariance if kept else None
         every = {p.effect: p for p in (*self.protections(), *protections)}
         suspect = self.verdict == "ok" and bool(doubts)
         return Result(
@@ -272,7 +283,9 @@ class Adjusted:
             angles=angles,
             deviations={name: self.value[part] for name, part in components.items()},
             std={name: self.std[part] for name, part in components.items()},
-            covariance={name: whole[part, part] for name, part in components.items()},
+            covariance={}
+            if whole is None
+            else {name: whole[part, part] for name, part in components.items()},
             sigma0=self.sigma0,
             dof=self.fit.dof,
             n_observations=len(places[0]),
@@ -314,9 +327,11 @@ class Adjusted:
 
     def _influence(
         self, components: Mapping[str, slice], measured: int, coordinates: int
-    ) -> Influence:
-        """Return what standard errors of what is used do to the deviations."""
+    ) -> Influence | None:
+        """Return what standard errors of what is used do to the deviations; None of too many."""
         count = measured * coordinates
+        if sum(p.stop - p.start for p in components.values()) * count > MOST_INFLUENCES:
+            return None
         used = self.fit.used[:count].reshape(measured, coordinates)
         seen, known = np.flatnonzero(used.any(axis=1)), np.arange(count, len(self.fit.used))
         rows = (seen[:, None] * coordinates + np.arange(coordinates)).ravel()
@@ -380,7 +395,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     computed, _ = model.equations(model.first)
     exact = replace(model, observed=computed)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
-    std = np.linalg.norm(fit.response, axis=1)[: len(model.outputs)]
+    std = fit.noise_std[: len(model.outputs)]
     each = limits.of_each_effect(model)
     every = {
         e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)
@@ -506,6 +521,16 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
         yield Protection("one place", "not protected", why)
         return
     if judgement is None:
+        return
+    asked = {group.name for group in judgement.groups}
+    along = {g.kind for g in found.model.groupings if g.along is not None}
+    counts = (row for row in found.diagnosis.gathering.counts if row.kind in along)
+    if any(row.whole > LARGEST_GROUP and row.name not in asked for row in counts):
+        why = (
+            f"of groups of more than {LARGEST_GROUP} {found.model.words.elements} it is not asked "
+            "which of them are off together, only whether all of them fit"
+        )
+        yield Protection("one place", "not protected", why)
         return
     words, unit = found.model.words, found.model.unit
     worst = hidden(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
@@ -23,7 +23,14 @@ from rotcal_ros.adjust.arrow import (
     times,
     weighted,
 )
-from rotcal_ros.adjust.circles import AT_ONCE, Circular, Cofactors, Eliminated
+from rotcal_ros.adjust.circles import (
+    AT_ONCE,
+    LARGE,
+    Circular,
+    Cofactors,
+    Eliminated,
+    Iterated,
+)
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.model import FIRM, Model
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -41,6 +48,8 @@ CONVERGED: Final = 1e-14
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
 HALVINGS: Final = 20
+SURELY: Final = 0.9
+"""Share of a limit below which bounds that are found by iteration need not be told exactly."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -180,7 +189,7 @@ class Fit:
     def value(self) -> Floats:
         """All outputs (o + a,)."""
         if self.by_order is not None:
-            return self.model.told.times(self.x)
+            return self.model.output_rows.times(self.x)
         return np.asarray(self.outputs @ self.x)
 
     @cached_property
@@ -197,21 +206,21 @@ class Fit:
         if isinstance(found, Whole):
             return self.response[:, rows]
         parts = np.array_split(rows, len(rows) // AT_ONCE + 1)
-        return np.hstack([self.model.told.times(found.gained(part)) for part in parts])
+        return np.hstack([self.model.output_rows.times(found.gained(part)) for part in parts])
 
     def moved(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) do to the outputs, (o + a, k): B times them."""
         found = self.cofactors
         if isinstance(found, Whole):
             return np.asarray(self.response @ white)
-        return self.model.told.times(found.times(found.design.adjoint(white)))
+        return self.model.output_rows.times(found.times(found.design.adjoint(white)))
 
     def covariance(self, count: int) -> Floats:
         """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
         found = self.cofactors
         if isinstance(found, Whole):
             return self._covariance[:count, :count]
-        first, whole = self.model.told.first(count), np.zeros((count, count))
+        first, whole = self.model.output_rows.first(count), np.zeros((count, count))
         for here, rows in first.parts(len(self.x)):
             whole[:, here] = first.times(found.times(rows.T))
         whole += whole.T.copy()
@@ -228,8 +237,15 @@ class Fit:
         found = self.cofactors
         if isinstance(found, Whole):
             return self._covariance.diagonal()
-        parts = self.model.told.parts(len(self.x))
+        parts = self.model.output_rows.parts(len(self.x))
         return np.concatenate([found.squares(rows) for _, rows in parts])
+
+    @property
+    def noise_std(self) -> Floats:
+        """Standard deviations (o + a,) of all outputs, by the noise alone."""
+        if self.by_order is not None:
+            return np.sqrt(self.variance)
+        return np.asarray(np.linalg.norm(self.response, axis=1))
 
     def variance_from(self, part: Bools) -> Floats:
         """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
@@ -237,7 +253,7 @@ class Fit:
             return np.asarray((self.response**2) @ part.T.astype(np.float64))
         if len(part) == 1:
             return self.variance[:, None]
-        found, every = np.zeros((len(self.model.told), len(part))), np.arange(len(self.std))
+        found, every = np.zeros((len(self.model.output_rows), len(part))), np.arange(len(self.std))
         for rows in np.array_split(every, len(every) // AT_ONCE + 1):
             found += self.response_of(rows) ** 2 @ part[:, rows].T.astype(np.float64)
         return found
@@ -248,14 +264,57 @@ class Fit:
         if self.by_order is not None:
             return self.counting(np.sqrt(self.variance))
         if isinstance(self.jacobian, Circular):
-            plain = Eliminated.of(self.jacobian.weighted(self.used / self.std))
-            if plain is not None:
-                parts = self.model.told.parts(len(self.x))
+            design = self.jacobian.weighted(self.used / self.std)
+            plain = Eliminated.of(design)
+            if plain is None:
+                _require_told(self.model, design)
+            else:
+                parts = self.model.output_rows.parts(len(self.x))
                 squares = np.concatenate([plain.squares(rows) for _, rows in parts])
                 return self.counting(np.sqrt(squares))
         found = self.cofactors
         assert isinstance(found, Whole)
         return self.counting(np.linalg.norm(self.outputs @ found.root, axis=1))
+
+    def far_worse_than(self, other: Fit, factor: float) -> bool:
+        """Whether an output is less sure than by ``factor`` times of another fit.
+
+        Raises ObservabilityError where one is not told at all.
+        """
+        mine, others = self._iterated, other._iterated
+        if mine is not None and others is not None:
+            parts = list(self.model.output_rows.parts(self.model.size[1]))
+            bound, least = (
+                np.concatenate([each.orders.squares(rows) for _, rows in parts])
+                for each in (mine, others)
+            )
+            bound *= others.extremes[1]
+            if (bound <= mine.extremes[0] * (SURELY * factor) ** 2 * least).all():
+                return False
+        return bool((self.output_std > factor * other.output_std).any())
+
+    @cached_property
+    def _iterated(self) -> Iterated | None:
+        if not isinstance(self.jacobian, Circular):
+            return None
+        return Iterated.of(self.jacobian.weighted(self.used / self.std))
+
+    def without(self, rows: Ints) -> tuple[float, int] | None:
+        """Return chi-squared and the unknowns that are told without some ``rows`` (k,).
+
+        Of circles; None of others, or where those rows leave what is not firm.
+        """
+        if not isinstance(self.jacobian, Circular):
+            return None
+        weight = self.used / self.std
+        weight[rows] = 0.0
+        design = self.jacobian.weighted(weight)
+        found = Cofactors.of(design, lost=True)
+        if found is None:
+            return None
+        white = self.residual * weight
+        left = white - design.times(found.solved(design, white))
+        return float(left @ left), found.rank
 
     def felt(self, change: Floats) -> bool:
         """Whether a ``change`` (o + a,) of the outputs is no trifle for those that count."""
@@ -297,8 +356,8 @@ def _by_order(model: Model, design: Circular) -> Cofactors | None:
     if found is None:
         return None
     directions = found.orders.directions
-    felt = np.abs(model.told.times(directions))
-    return found if _are_small(felt, model.told.lengths, directions) else None
+    felt = np.abs(model.output_rows.times(directions))
+    return found if _are_small(felt, model.output_rows.lengths, directions) else None
 
 
 def fitted(
@@ -342,10 +401,14 @@ def fitted(
     raise _unsettled()
 
 
-def _solver(model: Model, design: Floats | FewEach) -> Arrow | Cofactors | Eliminated | None:
+Solver: TypeAlias = "Arrow | Cofactors | Eliminated | Iterated"
+"""What solves a design by its form."""
+
+
+def _solver(model: Model, design: Floats | FewEach) -> Solver | None:
     """Return what solves a whitened ``design`` by its form; None where it has none."""
     if isinstance(design, Circular):
-        return _by_order(model, design) or Eliminated.of(design)
+        return _by_order(model, design) or Iterated.of(design) or Eliminated.of(design)
     return Arrow.of(design.few) if isinstance(design, FewEach) else None
 
 
@@ -378,7 +441,7 @@ def _step(
     model: Model,
     design: Floats | FewEach,
     white: Floats,
-    solver: Arrow | Cofactors | Eliminated | None,
+    solver: Solver | None,
 ) -> tuple[Floats, float]:
     """Return the step (p + q,) that ``white`` (n,) asks for, and the square that it takes off.
 
@@ -387,6 +450,9 @@ def _step(
     step = None
     if isinstance(design, FewEach) and solver is not None:
         step = solver.solved(design, white)
+    if step is None and isinstance(solver, Iterated):
+        plain = Eliminated.of(solver.design)
+        step = None if plain is None else plain.solved(solver.design, white)
     if step is not None:
         felt = times(design, step)
         return step, float(felt @ felt)
@@ -412,11 +478,15 @@ def _step(
 
 def _require_told(model: Model, design: Circular) -> None:
     """Raise ObservabilityError for unknowns of a weighted ``design`` that no observation feels."""
-    felt = model.told.felt
+    felt = model.output_rows.felt
     telling = np.asarray(abs(design.few).sum(axis=0))
     unseen = np.flatnonzero(felt & (telling == 0.0))
     if unseen.size:
         raise _untold(_in_words(model, unseen, np.zeros((model.size[0], len(felt)), np.bool_)))
+    if design.turns.size >= LARGE:  # no whole matrix of so many
+        raise ObservabilityError(
+            "the observations cannot tell apart the places of the circles: measure what joins them"
+        )
 
 
 def _untold(names: str) -> ObservabilityError:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -166,6 +166,21 @@ class Undivided:
         return float(self.cofactor.diagonal().sum()), self.size
 
 
+class JudgedWhole(NamedTuple):
+    """A group of ``size`` rows that was judged together by other means.
+
+    ``together``: T and its degrees of freedom, ``checks``: sum of the rows' shares that others
+    check, and the number of rows, as of a :class:`Group`.
+    """
+
+    kind: str
+    name: str
+    size: int
+    together: tuple[float, int]
+    checks: tuple[float, int]
+    lost: int = 0
+
+
 @dataclass(frozen=True, slots=True)
 class GroupTest:
     """What the residuals of one group say together.
@@ -182,7 +197,9 @@ class GroupTest:
     lost_share: float
 
 
-def group_test(group: Group | Undivided, rest: tuple[float, float] | None = None) -> GroupTest:
+def group_test(
+    group: Group | Undivided | JudgedWhole, rest: tuple[float, float] | None = None
+) -> GroupTest:
     """Test ``group`` as a whole.
 
     ``rest``: chi-squared and degrees of freedom of the whole adjustment, where the noise was

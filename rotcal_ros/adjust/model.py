@@ -370,7 +370,7 @@ class Model:
         return np.concatenate([self.outputs, *self.also.values()])
 
     @cached_property
-    def told(self) -> Outputs:
+    def output_rows(self) -> Outputs:
         """The same by what they have in common."""
         return Outputs.of([self.outputs, *self.also.values()])
 

@@ -113,6 +113,7 @@ class ByModel:
         found, read = self._adjusted(configuration, observations), Readings.of(observations)
         statement = self.states(configuration, read, found)
         parts, count = self._parts(configuration, found.model)
+        arrivals = self.arrivals(configuration)
         result = found.result(
             self.name,
             np.array(plan.table_angles[:count]),
@@ -123,6 +124,7 @@ class ByModel:
             doubts=statement.doubts,
             protections=statement.protections,
             details=statement.details,
+            joint=arrivals is not None,
         )
         result = replace(result, axes=statement.axes)
         if silent := set(EFFECTS) - {p.effect for p in result.protections}:
@@ -130,7 +132,6 @@ class ByModel:
                 f"the method {self.name} says nothing of {', '.join(sorted(silent))}: declare an "
                 "effect of the model, or state a protection"
             )
-        arrivals = self.arrivals(configuration)
         return result if arrivals is None else mean_of_runs(result, arrivals)
 
     def of_curves(

@@ -9,17 +9,27 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust import circles
 from rotcal_ros.adjust.arrow import FewEach, beside, dense
-from rotcal_ros.adjust.circles import ByOrder, Circular, Cofactors, Eliminated, Turns
+from rotcal_ros.adjust.circles import (
+    ByOrder,
+    Circular,
+    Cofactors,
+    Eliminated,
+    Iterated,
+    Outputs,
+    Turns,
+)
 from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.fit import Whole, fitted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
     Grouping,
     Model,
+    Steps,
     block_rows,
     from_first,
     from_mean,
     instrument_effects,
+    knocks,
     linear,
 )
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -339,3 +349,122 @@ def test_columns_are_worked_out_in_parts(monkeypatch):
     assert parts.doubts == whole.doubts
     assert parts.value == pytest.approx(whole.value, abs=1e-12 * SIGMA)
     assert errors_of(parts) == pytest.approx(errors_of(whole), rel=1e-9)
+
+
+@pytest.fixture
+def large(monkeypatch):
+    """Take any circle for a large one, of which no whole matrix is made."""
+    for module in ("circles", "fit"):
+        monkeypatch.setattr(f"rotcal_ros.adjust.{module}.LARGE", 3)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["as planned", "two settings", "up and down", "one wrong", "a twentieth wild", "a drift"],
+)
+def test_a_large_circle_says_what_a_small_one_says(name, large):
+    model = CASES[name]()
+    found, expected = adjust(model), adjust(generally(model))
+    std = np.where(expected.std > 0.0, expected.std, SIGMA)
+    assert np.abs((found.value - expected.value) / std).max() < 1e-9
+    assert found.std == pytest.approx(expected.std, rel=1e-9, abs=1e-18)
+    assert (found.verdict, found.doubts, found.why) == (
+        expected.verdict, expected.doubts, expected.why
+    )  # fmt: skip
+
+
+def test_a_large_circle_whose_places_are_not_joined_is_refused(large):
+    """Two marks and two places that only see each other: nothing is without readings."""
+    rows = rows_of(24, (0, 1, 5, 2))
+    apart = np.isin(rows[1], [7, 8]) ^ np.isin(rows[2], [7, 8])
+    model = model_of(24, (0, 1, 5, 2))
+    with pytest.raises(ObservabilityError, match="cannot tell apart the places of the circles"):
+        _ = fitted(model, ~apart, model.std, model.first).output_std
+    assert adjust(model).verdict == "ok"
+
+
+@pytest.mark.parametrize("dropped", [0.0, 0.3])
+def test_extreme_eigenvalues_are_those_of_the_whole_matrices(dropped, large):
+    random, size, shifts = np.random.default_rng(6), 24, (0, 1, 5, 2, 9, 14)
+    rows = design_of(size, rows_of(size, shifts), 6)
+    weight = random.uniform(0.5, 1.0, rows.shape[0]) * (
+        random.uniform(size=rows.shape[0]) > dropped
+    )
+    found = Iterated.of(Circular.of(rows, 2, size).weighted(weight))
+    plain = rows.toarray() * weight[:, None]
+    mean = found.orders.turns.shares(weight)[0].mean(axis=1)
+    turn = np.repeat(np.arange(6), size)
+    cells = found.orders.turns.rows_of(turn, np.tile(np.arange(size), 6)).toarray()
+    values, vectors = np.linalg.eigh((cells * mean[turn][:, None]).T @ cells)
+    root = vectors[:, 2:] / np.sqrt(values[2:])  # two zeros are open
+    every = np.linalg.eigvalsh(root.T @ plain.T @ plain @ root)
+    assert found.extremes == pytest.approx((every[0], every[-1]), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["as planned", "two settings", "one wrong", "up and down"])
+def test_large_groups_are_judged_as_a_whole_alike(name, monkeypatch):
+    """T, its degrees of freedom and redundancy from the solution without the group."""
+    model = CASES[name]()
+    small = adjust(model)
+    for module in ("causes", "engine"):
+        monkeypatch.setattr(f"rotcal_ros.adjust.{module}.LARGEST_GROUP", 8)
+    found = adjust(model)
+    assert found.value == pytest.approx(small.value, abs=1e-12 * SIGMA)
+    for mine, other in zip(
+        found.diagnosis.gathering.counts, small.diagnosis.gathering.counts, strict=True
+    ):
+        assert (mine.kind, mine.name, mine.whole, mine.lost) == (
+            other.kind, other.name, other.whole, other.lost
+        )  # fmt: skip
+        assert mine.test.rank == other.test.rank
+        assert mine.test.squares == pytest.approx(other.test.squares, abs=1e-7)
+        assert mine.test.redundancy == pytest.approx(other.test.redundancy, abs=1e-9)
+    told = {p.effect: p for p in found.protections()}["one place"]
+    if told.treatment == "not protected" and "checked by no" not in told.why:
+        assert told.why.startswith("of groups of more than 8 readings it is not asked which")
+
+
+def test_covariances_of_many_angles_are_not_kept(monkeypatch):
+    model = model_of(12, (0, 1, 5))
+    found, angles = adjust(model), 2.0 * np.pi * np.arange(12) / 12
+    _, table, mark = rows_of(12, (0, 1, 5))
+
+    def result(**more):
+        return found.result("two circles", angles, {"ECC": slice(0, 12)}, (table, mark), **more)
+
+    whole = result()
+    monkeypatch.setattr("rotcal_ros.adjust.engine.COVARIANCE_LIMIT", 11)
+    monkeypatch.setattr("rotcal_ros.adjust.engine.MOST_INFLUENCES", 100)
+    assert whole.covariance["ECC"].shape == (12, 12)
+    assert whole.raw_data.influence is not None
+    assert not result().covariance
+    assert result().raw_data.influence is None
+    assert result().std["ECC"].tolist() == whole.std["ECC"].tolist()
+    assert result(joint=True).covariance["ECC"].tolist() == whole.covariance["ECC"].tolist()
+
+
+def test_steps_begin_with_each_moment_of_a_run_but_the_first():
+    """In any order, two readings at once; the last belongs to no run."""
+    run, when = np.array([0, 1, 0, 0, 1, 0, -1]), np.array([3.0, 2.0, 1.0, 3.0, 5.0, 4.0, 9.0])
+    expected = np.array([
+        [1, 0, 0], [0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 1, 0], [0, 0, 0]
+    ])  # fmt: skip
+    steps = Steps(run, when)
+    assert steps.shape == (7, 3)
+    assert steps.whole().tolist() == expected.tolist()
+    assert steps.whole(slice(1, 3)).tolist() == expected[:, 1:].tolist()
+    assert knocks(run, when).tolist() == expected.tolist()
+
+
+def test_outputs_are_kept_by_what_they_have_in_common():
+    blocks = {"table": 30, "mark": 20, "setting": 3}
+    parts = [from_first(blocks, "table"), from_mean(blocks, "mark"), np.zeros((0, 53))]
+    found, whole = Outputs.of(parts), np.concatenate(parts)
+    x = np.random.default_rng(1).standard_normal((53, 4))
+    assert found.few.nnz < 3 * len(whole)
+    assert found.times(x) == pytest.approx(whole @ x, abs=1e-14)
+    assert found.lengths == pytest.approx(np.linalg.norm(whole, axis=1))
+    assert found.felt.tolist() == (whole != 0.0).any(axis=0).tolist()
+    assert np.concatenate([rows for _, rows in found.first(7).parts(55)])[:, :53] == pytest.approx(
+        whole[:7], abs=1e-16
+    )
