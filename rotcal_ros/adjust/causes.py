@@ -281,16 +281,23 @@ def _improbability(diagnosis: Diagnosis) -> float:
 
 
 def _explained(diagnosis: Diagnosis) -> Diagnosis:
-    """Return what explains the residuals; an effect may do so better than larger noise."""
+    """Return what explains the residuals; effects may do so far better than larger noise.
+
+    Far, for noise that is stated too small is no rare thing.
+    """
     found = _explained_beside_noise(diagnosis)
     if found.noise.factors.max() <= 1.0:
         return found
     other = _by_effects(diagnosis)
     if other is None:
         return found
-    if _improbability(other) < _improbability(found) - TIED:
-        return _contested_by(other, found)
-    return _contested_by(found, other)
+    # what the unknowns take up tells nothing of the noise: its restricted likelihood
+    used = found.used
+    taken_up = 1.0 - found.fit.redundancy[used]
+    spread = 2.0 * taken_up @ np.log(found.noise.factors[found.model.of_component[used]])
+    if _improbability(other) < _improbability(found) - spread - 2.0 * np.log(ALIKE):
+        return other
+    return found
 
 
 def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:

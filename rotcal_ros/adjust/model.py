@@ -210,7 +210,7 @@ def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
     moments some, evenly.
     """
     every = knocks(run, when)
-    some = every[:, :: -(-every.shape[1] // MOST_MOMENTS) or 1]
+    some = every[:, :: max(1, every.shape[1] // MOST_MOMENTS)]
     return np.column_stack([some * each[:, None] for each in felt.T])
 
 

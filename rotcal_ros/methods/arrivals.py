@@ -136,7 +136,9 @@ def mean_of_arrivals(
     count, size = int(side.max()) + 1, found.model.size[1]
     means = {f"mean of {c}": count for c in known}
     to = np.eye(size, size + sum(means.values()))
-    model = reparametrised(found.model, to, {**found.model.blocks, **means})
+    model = found.model
+    if means:
+        model = reparametrised(model, to, {**model.blocks, **means})
     every = {c: rows @ to for c, rows in found.curves.items()}
     curves = {c: arrivals.averaging() @ rows for c, rows in every.items()}
     for c, std in known.items():

@@ -22,6 +22,7 @@ from rotcal_ros.adjust.model import (
     instrument_effects,
     knocks,
     linear,
+    steps,
 )
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
@@ -701,3 +702,14 @@ def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
     for solved in (adjust, lambda m: fitted(m, np.ones(5, dtype=bool), m.std, m.first).cofactors):
         with pytest.raises(ObservabilityError, match="no observation tells of unknown 0, unk"):
             solved(ready(nothing, np.eye(2), noise))
+
+
+def test_a_move_in_two_ways_is_looked_for_from_every_moment_on():
+    """Of two runs, the second backwards in time: columns of one way, then those of the other."""
+    run, when = np.array([0, 0, 0, 1, 1]), np.array([1.0, 2.0, 3.0, 9.0, 8.0])
+    felt = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0], [5.0, 50.0]])
+    one = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 3.0, 0.0], [0.0, 0.0, 4.0], [0.0] * 3])
+    np.testing.assert_array_equal(steps(run, when, felt), np.hstack([one, 10.0 * one]))
+    assert steps(np.zeros(1, dtype=np.int64), np.zeros(1), np.ones((1, 2))).shape == (1, 0)
+    many = np.arange(2100)
+    assert steps(0 * many, many.astype(np.float64), np.ones((2100, 1))).shape == (2100, 1050)

@@ -13,6 +13,7 @@ from rotcal_ros.evaluation.joint import JointInput, predicted_together, solve_to
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate.solver import solve
+from rotcal_ros.recordings.result_sources import instrument_of
 
 SHIFTS, OTHER_SHIFTS = (0.0, -30.0, -150.0), (0.0, -60.0, -90.0)
 MEAN = np.eye(GRID) - 1.0 / GRID
@@ -227,6 +228,26 @@ def test_what_stays_open_is_said_before_it_is_measured():
     assert set(predicted_together([six, again]).open) == set(six.result.components)
     readings = instrument("polygon", polygon(ALTERNATING, np.random.default_rng(3)))
     assert "ECC" not in predicted_together([six, readings]).open
+
+
+def test_data_that_contradict_each_other_alone_join_and_are_doubted(monkeypatch):
+    measured = two_polygons(1)
+    expected, second = solve_together(as_instruments(measured)).result, as_instruments(measured)[1]
+
+    def refuse(*_arguments):
+        raise DataError("the readings contradict each other")
+
+    monkeypatch.setattr("rotcal_ros.methods.calibration.Calibration.solve", refuse)
+    found = solve_together([instrument_of("first", measured[0]), second]).result
+    assert found.verdict == "suspect"
+    assert found.warnings == ("first is suspect (alone: the readings contradict each other)",)
+    np.testing.assert_allclose(found.deviations["ECC"], expected.deviations["ECC"], atol=1e-15)
+    np.testing.assert_allclose(found.std["ECC"], expected.std["ECC"], rtol=1e-9)
+    monkeypatch.setattr(
+        "rotcal_ros.methods.calibration.Calibration.of_curves", lambda *_arguments: None
+    )
+    with pytest.raises(DataError, match="contradict each other"):
+        instrument_of("first", measured[0])
 
 
 def test_what_cannot_be_solved_together():

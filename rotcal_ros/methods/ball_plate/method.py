@@ -101,10 +101,8 @@ def of_curves(
     solver = configuration.solver
     if solver.drift_allowance_m or solver.group_allowance_m:
         return None
-    chosen, arrivals = (
-        _chosen(configuration, plan, observations),
-        _arrivals(configuration, plan),
-    )
+    arrivals = _arrivals(configuration, plan)
+    chosen = _chosen(configuration, plan, observations)
     found, positions = curve_model(chosen, arrivals.targets[arrivals.target])
     return mean_of_arrivals(found, arrivals.take(positions))
 
