@@ -72,7 +72,7 @@ class TouchedBalls(SimulatedTouchProbe):
         self._axis = np.array(balls.axis_m)
         self._scatter = IndexedNoise(settings.noise_seed, NoiseSource.TRACER)
         self._order: Command | None = None
-        self._told = False  # whether the nest has read anything since the order
+        self._has_read = False  # whether the nest has read anything since the order
         self._tilts, self._tilt = tilts(balls), np.eye(3)
         self._foot = np.array(balls.tilting_axis_m)
 
@@ -82,7 +82,7 @@ class TouchedBalls(SimulatedTouchProbe):
         self._order = command
         if command.turn is not None:
             self.pending = None  # what it reads answers the last order, whatever becomes of it
-        self._told = False
+        self._has_read = False
         self._tilt = self._tilts[command.station % len(self._tilts)]
 
     def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
@@ -97,8 +97,8 @@ class TouchedBalls(SimulatedTouchProbe):
         if self._order is None or self._order.turn is None:
             return super().report(after_ns, now_ns, table_rest_ns)
         read = stamps <= self._table.rest_ns
-        read[:1] |= not self._told
-        self._told |= bool(read.any())
+        read[:1] |= not self._has_read
+        self._has_read |= bool(read.any())
         return tuple(self._followed(self._order, stamps[read])) if read.any() else ()
 
     def _followed(self, order: Command, stamps: Stamps) -> Iterator[ProbeSample]:
