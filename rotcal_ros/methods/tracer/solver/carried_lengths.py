@@ -263,9 +263,9 @@ def curve_model(
 ) -> CurveModel:
     """Return the lengths of one place over ECC at its positions.
 
-    Noise is what is stated, for all instruments to estimate. Shifts of the table in the plane are
-    stated, too: the error motion, about a centre that is not known. ``solution`` of the lengths
-    alone, None where there is none: then ObservabilityError if no error motion is stated.
+    Noise of lengths and targets is that of the lengths alone. Shifts of the table in the plane are
+    stated: the error motion, about a centre that is not known. ``solution`` of the lengths alone,
+    None where there is none: then ObservabilityError if no error motion is stated.
     ``joined`` (r, p, n), m: what errors in the zeros of joined runs do to the lengths.
     """
     if solution is None:
@@ -289,7 +289,7 @@ def curve_model(
     return lengths.model(
         {"ECC": lengths.rows_of("turn")},
         [
-            of_targets(lengths, problem.target_std[grid.target_ids], grid.free),
+            of_targets(lengths, grid.target_std, grid.free),
             KnownBeforehand("the error motion", motion, std),
             *_wandering(lengths, grid),
         ],
@@ -335,8 +335,7 @@ def _carried(
     found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
     strip, target, order = taken(grid.row, problem.measuring_order)
     zero = grid.station if grid.zero is None else grid.zero
-    row = grid.row[strip, target]
-    std = problem.length_std[row]
+    row, std = grid.row[strip, target], grid.length_std[strip, target]
     slipping = problem.slip if grid.segment_ids is not None and problem.segment is not None else 0
     step = step_of(slipping, None if solution is None else solution.slips, len(row))
     return CarriedLengths(

@@ -27,8 +27,7 @@ def curve_model(solution: SixSolution) -> CurveModel:
     problem, layout, grid = solution.problem, solution.layout, solution.grid
     curves, state = solution.table.curves, solution.network.state
     station, target, order = taken(grid.row, problem.measuring_order)
-    row = grid.row[station, target]
-    std = problem.length_std[row]
+    row, std = grid.row[station, target], grid.length_std[station, target]
     zero = layout.zero[station, target]
     step = step_of(problem.slip, solution.slips, len(row))
     slips = slips_of(zero, order, step, float(std.min()))
@@ -57,7 +56,7 @@ def curve_model(solution: SixSolution) -> CurveModel:
     }
     return lengths.model(
         named,
-        [of_targets(lengths, problem.target_std, grid.free), _tilts(lengths, layout.tilt_std)],
+        [of_targets(lengths, grid.target_std, grid.free), _tilts(lengths, layout.tilt_std)],
     )
 
 
