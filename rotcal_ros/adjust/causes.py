@@ -20,12 +20,14 @@ from scipy.sparse import csr_array, diags_array
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.arrow import dense
+from rotcal_ros.adjust.circles import Circular
 from rotcal_ros.adjust.distributions import normal_isf, sidak, t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.fit import Fit, Whole, fitted
 from rotcal_ros.adjust.gathering import Gathering, judged
-from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole
+from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole, Undivided
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, Model, Steps, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
     LEAST_FACTOR,
@@ -533,17 +535,17 @@ class Look:
             support, price, -(test.size @ seen.moved[:]), effect, test.axes, test.probability,
         )  # fmt: skip
 
-    def _groups(self) -> list[Group | JudgedWhole]:
+    def _groups(self) -> list[Group | JudgedWhole | Undivided]:
         """Return the groups of what is used, with which of their members lie together."""
-        fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole]()
+        fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole | Undivided]()
         for grouping in model.groupings:
             for number, members in members_of(grouping, model.may_go).items():
                 kept = members[fit.used[members]]
                 if not 1 < len(kept) < len(fit.used):
                     continue
                 name, lost = f"{grouping.kind} {number}", len(members) - len(kept)
-                if len(kept) > LARGEST_GROUP and (whole := _as_a_whole(fit, kept)) is not None:
-                    found.append(JudgedWhole(grouping.kind, name, len(kept), *whole, lost))
+                if len(kept) > LARGEST_GROUP and isinstance(fit.jacobian, Circular):
+                    found.append(_as_a_whole(fit, grouping.kind, name, kept, lost))
                     continue
                 gathered = gathered_of(grouping, kept)
                 # of others it is not asked what gathers, nor what that would do
@@ -557,16 +559,24 @@ class Look:
         return found
 
 
-def _as_a_whole(fit: Fit, rows: Ints) -> tuple[tuple[float, int], tuple[float, int]] | None:
-    """Return T of a group and its rank, and how many of its rows others check, of how many.
+def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole | Undivided:
+    """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
 
-    From the solution without it, which has that much less of chi-squared.
+    T is what chi-squared is less by in the solution without them, where that is firm.
     """
     rest = fit.without(rows)
     if rest is None:
-        return None
+        return Undivided(
+            kind,
+            name,
+            fit.white[rows],
+            LowRank.whole(np.eye(len(rows)) - fit.cofactors.among(rows)),
+            lost,
+        )
     rank = len(rows) - (fit.cofactors.rank - rest[1])
-    return (fit.chi2 - rest[0], rank), (float(fit.redundancy[rows].sum()), len(rows))
+    checked = float(fit.redundancy[rows].sum())
+    together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
+    return JudgedWhole(kind, name, len(rows), together, checks, lost)
 
 
 def _columns(columns: Floats | Steps, which: slice) -> Floats:

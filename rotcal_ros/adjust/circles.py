@@ -304,9 +304,10 @@ class ByOrder:
         places = np.fft.irfft(found, size, axis=1).reshape(circles * size, -1)
         return np.concatenate([places, zero[circles:]])
 
-    def squares(self, rows: Floats) -> Floats:
-        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
-        return np.asarray((rows * self.times(rows.T).T).sum(axis=1))
+    def variances(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        parts = outputs.parts(self.turns.unknowns)
+        return np.concatenate([(rows * self.times(rows.T).T).sum(axis=1) for _, rows in parts])
 
     @cached_property
     def between(self) -> Floats:

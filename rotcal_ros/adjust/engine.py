@@ -274,7 +274,7 @@ class Adjusted:
         of ours. Covariances of more than COVARIANCE_LIMIT deviations are left out, unless
         what is done next takes them (``joint``).
         """
-        kept = joint or max(p.stop - p.start for p in components.values()) <= COVARIANCE_LIMIT
+        kept = joint or max(len(self.value[p]) for p in components.values()) <= COVARIANCE_LIMIT
         whole = self.covariance if kept else None
         every = {p.effect: p for p in (*self.protections(), *protections)}
         suspect = self.verdict == "ok" and bool(doubts)
@@ -330,7 +330,7 @@ class Adjusted:
     ) -> Influence | None:
         """Return what standard errors of what is used do to the deviations; None of too many."""
         count = measured * coordinates
-        if sum(p.stop - p.start for p in components.values()) * count > MOST_INFLUENCES:
+        if sum(len(self.value[p]) for p in components.values()) * count > MOST_INFLUENCES:
             return None
         used = self.fit.used[:count].reshape(measured, coordinates)
         seen, known = np.flatnonzero(used.any(axis=1)), np.arange(count, len(self.fit.used))

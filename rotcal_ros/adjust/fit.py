@@ -6,7 +6,7 @@ By the whole design, which is the reference; order by order where a design is of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple, TypeAlias
 
@@ -283,13 +283,10 @@ class Fit:
         """
         mine, others = self._iterated, other._iterated
         if mine is not None and others is not None:
-            parts = list(self.model.output_rows.parts(self.model.size[1]))
-            bound, least = (
-                np.concatenate([each.orders.squares(rows) for _, rows in parts])
-                for each in (mine, others)
-            )
-            bound *= others.extremes[1]
-            if (bound <= mine.extremes[0] * (SURELY * factor) ** 2 * least).all():
+            outputs = self.model.output_rows.first(len(self.model.outputs))
+            bound = others.extremes[1] * mine.orders.variances(outputs)
+            least = mine.extremes[0] * others.orders.variances(outputs)
+            if (bound <= (SURELY * factor) ** 2 * least).all():
                 return False
         return bool((self.output_std > factor * other.output_std).any())
 
@@ -309,6 +306,8 @@ class Fit:
         weight = self.used / self.std
         weight[rows] = 0.0
         design = self.jacobian.weighted(weight)
+        # an effect on those rows alone is no unknown of the others
+        design = replace(design, extra=design.extra[:, design.extra.any(axis=0)])
         found = Cofactors.of(design, lost=True)
         if found is None:
             return None

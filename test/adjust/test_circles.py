@@ -401,7 +401,9 @@ def test_extreme_eigenvalues_are_those_of_the_whole_matrices(dropped, large):
     assert found.extremes == pytest.approx((every[0], every[-1]), rel=0.02)
 
 
-@pytest.mark.parametrize("name", ["as planned", "two settings", "one wrong", "up and down"])
+@pytest.mark.parametrize(
+    "name", ["as planned", "two settings", "one wrong", "up and down", "a knock", "a drift"]
+)
 def test_large_groups_are_judged_as_a_whole_alike(name, monkeypatch):
     """T, its degrees of freedom and redundancy from the solution without the group."""
     model = CASES[name]()
