@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from rotcal_ros.cli.console import print_outcome
 from rotcal_ros.evaluation.marks import COLOURS, Mark, beside_the_curves, marks, reversals
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.results import AxisLine, Directions, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.report.terminal.tables import print_result
@@ -60,13 +60,15 @@ def test_a_good_measurement_says_nothing_of_the_tolerance_and_the_other_way(
 
 
 def test_the_axis_is_told_where_a_method_finds_it(capsys):
-    axis = {
-        "names": ["XOC", "YOC", "AOC", "BOC"],
-        "value": [3.94e-5, -3.1e-6, 10.0 * ARCSEC, -2.5 * ARCSEC],
-        "std": [1e-7, 1e-7, 0.1 * ARCSEC, 0.1 * ARCSEC],
-        "origin": [0.1, 0.0, 0.08],
-    }
-    given = result(0.0, details={"axis": axis})
+    std = np.array([1e-7, 1e-7, 0.1 * ARCSEC, 0.1 * ARCSEC])
+    axis = AxisLine(
+        ("XOC", "YOC", "AOC", "BOC"),
+        np.array([3.94e-5, -3.1e-6, 10.0 * ARCSEC, -2.5 * ARCSEC]),
+        std,
+        np.diag(std**2),
+        np.array([0.1, 0.0, 0.08]),
+    )
+    given = result(0.0, axes=(axis,))
     told = (
         "Axis at (100, 0, 80) mm, from its nominal place: XOC +39.40 ± 0.20 µm, "
         "YOC −3.10 ± 0.20 µm, AOC +10.00 ± 0.20 arcsec, BOC −2.50 ± 0.20 arcsec."
@@ -76,7 +78,7 @@ def test_the_axis_is_told_where_a_method_finds_it(capsys):
     assert told in capsys.readouterr().err
     (bare,) = beside_the_curves(given, valid=False)
     assert "XOC +39.40 µm, YOC −3.10 µm" in bare
-    assert beside_the_curves(result(0.0, details={"axis": [0, 0, 1]}), valid=True) == []
+    assert beside_the_curves(result(0.0), valid=True) == []
 
 
 def test_the_reversal_of_what_was_measured_from_both_sides_is_told_by_page_terminal_and_figure(

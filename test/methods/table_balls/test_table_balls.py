@@ -472,7 +472,7 @@ def test_the_simulated_cell_is_solved_to_its_truth(changes):
     line = [x + height * b, y - height * a, a, b]
     assert np.abs((axis.value - line) / axis.std).max() < 3.5
     assert [p.effect for p in result.protections if p.effect in EFFECTS] == list(EFFECTS)
-    assert len(calibration.method.figures(result, None)) == 4
+    assert len(calibration.method.figures(result, None)) == 5
     drawn = calibration.trials(seen)(np.random.default_rng(1), 4000)
     std = np.concatenate([result.std[name] for name in result.components])
     assert drawn.std(axis=0) == pytest.approx(std, rel=0.06)
