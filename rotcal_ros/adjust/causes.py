@@ -566,13 +566,8 @@ def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> Judged
     """
     rest = fit.without(rows)
     if rest is None:
-        return Undivided(
-            kind,
-            name,
-            fit.white[rows],
-            LowRank.whole(np.eye(len(rows)) - fit.cofactors.among(rows)),
-            lost,
-        )
+        cofactor = LowRank.whole(np.eye(len(rows)) - fit.cofactors.among(rows))
+        return Undivided(kind, name, fit.white[rows], cofactor, lost)
     rank = len(rows) - (fit.cofactors.rank - rest[1])
     checked = float(fit.redundancy[rows].sum())
     together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
