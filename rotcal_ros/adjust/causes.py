@@ -664,7 +664,7 @@ class StepMoves:
         found = [np.zeros(0)]
         for rows, first in self.steps.runs:
             felt = self.fit.response_of(rows)[counts] * self.root[rows] / std[counts, None]
-            found.append(_later(felt.T)[first].max(axis=1, initial=0.0))
+            found.append(np.abs(_later(felt.T)[first]).max(axis=1, initial=0.0))
         return np.concatenate(found)
 
 

@@ -239,13 +239,13 @@ def unseen_family(
     """
     moved = seen.moved
     if isinstance(moved, np.ndarray):
-        share = _share(moved, std).max(axis=1, initial=0.0)
+        share = np.abs(_share(moved, std)).max(axis=1, initial=0.0)
     else:
         share = moved.worst(std)
     if not len(share):
         return Unseen(0.0, found=True)
     if dof - 1.0 < 1.0:
-        return _everything(share, largest)
+        return _everything(share[None], largest)
     information = seen.information.diagonal()
     checked = information > UNSEEN * seen.whole
     limit = limit_of_family(significance, correlations(seen.information))
@@ -255,7 +255,10 @@ def unseen_family(
 
 
 def _everything(share: Floats, largest: float) -> Unseen:
-    """Return that an effect stays unseen up to its ``largest`` size: no residual is left."""
+    """Return that an effect stays unseen up to its ``largest`` size: no residual is left.
+
+    ``share`` (k, o): what k columns that are there together do to the outputs.
+    """
     return Unseen(largest * float(np.linalg.norm(share, axis=0).max(initial=0.0)), found=False)
 
 

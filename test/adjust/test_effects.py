@@ -153,3 +153,19 @@ def test_the_member_of_a_family_is_named_and_its_hidden_size_found():
         near += abs(found.member - worst) <= 3
     assert hits / 500 > 0.92
     assert near > 300
+
+
+def test_which_way_an_output_is_moved_is_no_matter_to_what_stays_unseen():
+    """What one shift makes of the outputs at the size that is found, the largest in their std."""
+    design, columns = steps()
+    std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
+    here = seen(design, columns, np.eye(2), np.zeros(60))
+    limit = limit_of_family(0.01, correlations(here.information)) + stats.norm.isf(0.05)
+    size = limit / np.sqrt(here.information.diagonal())
+    truth = (size * np.abs(here.moved / std).max(axis=1)).max()
+    for outputs in (np.eye(2), -np.eye(2)):
+        turned = seen(design, columns, outputs, np.zeros(60))
+        hides = unseen_family(turned, std, 1e9, significance=0.01, power=0.95)
+        assert hides.error == pytest.approx(truth, rel=1e-3)
+        bare = unseen_family(turned, std, 2.0, significance=0.01, power=0.95, dof=1.0)
+        assert bare.error == pytest.approx(2.0 * np.abs(here.moved / std).max())
