@@ -21,6 +21,6 @@ B = C N^-1 J' of the outputs, group by group:
    where something was blamed, all the more where that is ``ambiguous``.
 5. :func:`~.reliability.hidden` says how large an error may stay unseen: a protection.
 
-Noise that was estimated from the same residuals is told by ``rest``; then each group is judged by
-what the others scatter.
+Noise that was estimated from the same residuals is stated by ``rest``; then each group is judged
+by what the others scatter.
 """

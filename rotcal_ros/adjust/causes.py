@@ -293,7 +293,7 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
     other = _by_effects(diagnosis)
     if other is None:
         return found
-    # what the unknowns take up tells nothing of the noise: its restricted likelihood
+    # what the unknowns take up says nothing of the noise: its restricted likelihood
     used = found.used
     taken_up = 1.0 - found.fit.redundancy[used]
     spread = 2.0 * taken_up @ np.log(found.noise.factors[found.model.of_component[used]])
@@ -519,14 +519,14 @@ class Look:
     def _explanation(
         self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest
     ) -> Explanation:
-        """Return what the ``columns`` (n, k) of an effect explain, as far as residuals tell."""
+        """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show."""
         members = effect.at(self.fit.computed).shape[1] if effect.family else 1
         support, price = self._support(test.squares, test.rank, RARER * members)
         where = ""
         if effect.family:
             touched = np.flatnonzero(columns[:, 0])
             if len(np.unique(columns[touched, 0])) == 2 and columns[touched, 0].max() > 0.0:
-                touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift told from its mean
+                touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift counted from its mean
             first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
             stays = np.ptp(columns[touched, 0]) == 0.0
             where = f" from {first} on" if stays else f" from {first} to {last}"

@@ -29,7 +29,7 @@ FIRM: Final = 1e-6
 ROUGH: Final = 1e-12
 """The same of a step, or of a variance that is only compared."""
 OPEN: Final = 1e-12
-"""Eigenvalue of order 0, of unit diagonal, below which nothing tells a direction."""
+"""Eigenvalue of order 0, of unit diagonal, below which nothing determines a direction."""
 LARGE: Final = 1000
 """Places of a circle from which on steps are iterated: whole matrices cost their third power."""
 STEPS: Final = 300
@@ -244,7 +244,7 @@ class ByOrder:
 
     ``inverse`` (N // 2 + 1, C, C): the pseudo inverse of each order but 0; ``zero`` (C + s,
     C + s): that of order 0, of sums of each circle over root N and the other unknowns. ``open``
-    (C + s, k): directions of order 0 that nothing tells; ``lost``: how many of all others.
+    (C + s, k): directions of order 0 that nothing determines; ``lost``: how many of all others.
     """
 
     turns: Turns
@@ -257,7 +257,7 @@ class ByOrder:
     def of(cls, turns: Turns, share: Floats) -> ByOrder | None:
         """Return that of rows with the squared weight ``share`` (t,) of their turn.
 
-        None where an order is so badly told that digits go.
+        None where an order is so badly determined that digits go.
         """
         size, orders = turns.size, np.arange(turns.size // 2 + 1)
         wave = _waves(turns, orders)
@@ -285,7 +285,7 @@ class ByOrder:
 
     @cached_property
     def directions(self) -> Floats:
-        """What nothing tells (p, k), as directions of the unknowns."""
+        """What nothing determines (p, k), as directions of the unknowns."""
         each = self.open[: self.turns.circles] / np.sqrt(self.turns.size)
         return np.concatenate(
             [np.repeat(each, self.turns.size, axis=0), self.open[self.turns.circles :]]
@@ -341,8 +341,8 @@ class Cofactors:
     """The inverse normal matrix of a circular ``design``: orders, and a low rank beside them.
 
     It is that of ``orders``, zero for further unknowns, and ``columns`` (p + q, r) times ``core``
-    (r, r) times their transposed. What nothing tells stands still in some way that outputs must
-    not feel.
+    (r, r) times their transposed. What nothing determines stands still in some way that outputs
+    must not feel.
     """
 
     design: Circular
@@ -393,7 +393,7 @@ class Cofactors:
 
     @property
     def rank(self) -> int:
-        """How many unknowns are told."""
+        """How many unknowns are determined."""
         return len(self.columns) - int(self.orders.open.shape[1]) - self.orders.lost
 
     def times(self, right: Floats) -> Floats:
@@ -569,8 +569,8 @@ class Iterated:
     def extremes(self) -> tuple[float, float]:
         """The least and the largest eigenvalue of the normal equations per those of ``orders``.
 
-        By the Lanczos process, from directions that complete turns tell: what is not told of them
-        makes the least one zero.
+        By the Lanczos process, from directions that complete turns determine: what is not
+        determined of them makes the least one zero.
         """
         turns, random = self.design.turns, np.random.default_rng(0)
         every = np.divmod(np.arange(len(turns.sign) * turns.size), turns.size)
@@ -583,7 +583,7 @@ class Iterated:
             felt = self._normal(way)
             along = float(way @ felt)
             if along <= OPEN * now:
-                return 0.0, float(found[1])  # nothing is told along this way
+                return 0.0, float(found[1])  # nothing is determined along this way
             length = now / along
             diagonal.append(1.0 / length + carried)
             left = left - length * felt

@@ -31,7 +31,7 @@ UNSEEN: Final = 1e-9
 NOTHING: Final = 1e-150
 """Probability below which a normal quantile is not asked for: it would be infinite."""
 HARMLESS: Final = 0.1
-"""Error, in standard uncertainties, of what cannot be told from nothing."""
+"""Error, in standard uncertainties, of what cannot be separated from nothing."""
 
 
 class Movements(Protocol):
@@ -69,7 +69,7 @@ class EffectTest(NamedTuple):
 
     ``size`` (k,) with ``covariance`` (k, k): of the columns, zero where nothing is seen.
     Chi-squared falls by ``squares`` for ``rank`` more unknowns; chance makes more of it with
-    ``probability``. ``axes`` (k, rank): combinations of the columns that residuals can tell.
+    ``probability``. ``axes`` (k, rank): combinations of the columns that residuals can show.
     ``member``: which of a family it is, else 0. ``variance`` of the noise that it was tested by.
     """
 

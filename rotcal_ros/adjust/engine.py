@@ -11,7 +11,7 @@
    nothing significant is left (:mod:`.causes`).
 4. *Statement.* Covariance, doubts in words, verdict, and what each effect may do unseen.
 
-:func:`predicted` tells the same of a plan without data.
+:func:`predicted` gives the same of a plan without data.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ COVERED: Final = 1.959964
 UNCHECKED: Final = 0.99
 """Share of its prior from which on the factor of a component is no estimate."""
 ROUNDED: Final = 1e-6
-"""Uncertainty of a size, per largest, below which it is the rounding of one that nothing tells."""
+"""Uncertainty of a size, per largest, below which it is the rounding of one that is open."""
 LIMITS: Final = Limits()
 
 
@@ -70,7 +70,7 @@ class FoundEffect(NamedTuple):
     probability: float
 
     def in_words(self) -> str:
-        """Return what happened, by how much as far as the observations tell."""
+        """Return what happened, by how much as far as the observations show it."""
         unit, seen = self.effect.unit, self.std > ROUNDED * self.std.max(initial=0.0)
         sizes, expanded = self.sizes[seen] / unit.si, 2.0 * self.std[seen] / unit.si
         each = ", ".join(f"{size:.3g} ± {u:.2g}" for size, u in zip(sizes, expanded, strict=True))
@@ -123,7 +123,7 @@ class Adjusted:
 
     @cached_property
     def also(self) -> Mapping[str, tuple[Floats, Floats]]:
-        """What else the model tells, by name: values (a,) and standard uncertainties (a,)."""
+        """What else the model determines, by name: values (a,) and standard uncertainties (a,)."""
         sizes = [len(rows) for rows in self.model.also.values()]
         ends = np.cumsum([len(self.model.outputs), *sizes]).tolist()
         return {
@@ -270,7 +270,7 @@ class Adjusted:
         position (k,) and target (k,) of the first k observations, which a table measured; others
         are known beforehand. An observation of three ``coordinates`` is three rows of the model,
         one after the other: it was rejected if one of them was. What the method itself doubts,
-        protects against and tells joins what was found here; its word on an effect takes the place
+        protects against and says joins what was found here; its word on an effect takes the place
         of ours. Covariances of more than COVARIANCE_LIMIT deviations are left out, unless
         what is done next takes them (``joint``).
         """

@@ -39,11 +39,11 @@ SIZES: Final[Floats] = np.array([0.5, 2.0, 8.0, 32.0, 128.0])
 UNSEEN: Final = -1e-6
 """Square of a shift, less than rounding makes of zero: adjusted and stated noise differ a little.
 
-No residual tells of such a shift, so what seems to is nothing."""
+No residual shows such a shift, so what seems to is nothing."""
 OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
 LARGE: Final = 200
-"""Elements of a group from which on runs are told by leading sums: products cost their square."""
+"""Elements of a group from which on runs are leading sums: products cost their square."""
 MOST_STEPS: Final = 60
 """Exchanges after which a search ends anyway."""
 

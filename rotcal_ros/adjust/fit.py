@@ -37,9 +37,9 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
 OPEN: Final = 1e-9
-"""Singular values below this share of the largest are directions that nothing tells."""
+"""Singular values below this share of the largest are directions that nothing determines."""
 FREE: Final = 1e-7
-"""Share of its length that an output may feel of a direction that nothing tells."""
+"""Share of its length that an output may feel of a direction that nothing determines."""
 NAMED: Final = 0.3
 """Share of the largest part of an open direction from which an unknown is named."""
 MAX_ITERATIONS: Final = 50
@@ -49,7 +49,7 @@ NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
 HALVINGS: Final = 20
 SURELY: Final = 0.9
-"""Share of a limit below which bounds that are found by iteration need not be told exactly."""
+"""Share of a limit below which bounds that are found by iteration need not be known exactly."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -66,7 +66,7 @@ class Whole(NamedTuple):
 
     @property
     def rank(self) -> int:
-        """How many unknowns are told."""
+        """How many unknowns are determined."""
         return int(self.basis.shape[1])
 
     def among(self, rows: Ints) -> Floats:
@@ -159,7 +159,7 @@ class Fit:
 
     @property
     def dof(self) -> int:
-        """Observations in use minus unknowns that they tell."""
+        """Observations in use minus unknowns that they determine."""
         return int(self.used.sum()) - self.cofactors.rank
 
     @cached_property
@@ -279,7 +279,7 @@ class Fit:
     def far_worse_than(self, other: Fit, factor: float) -> bool:
         """Whether an output is less sure than by ``factor`` times of another fit.
 
-        Raises ObservabilityError where one is not told at all.
+        Raises ObservabilityError where one is not determined at all.
         """
         mine, others = self._iterated, other._iterated
         if mine is not None and others is not None:
@@ -297,7 +297,7 @@ class Fit:
         return Iterated.of(self.jacobian.weighted(self.used / self.std))
 
     def without(self, rows: Ints) -> tuple[float, int] | None:
-        """Return chi-squared and the unknowns that are told without some ``rows`` (k,).
+        """Return chi-squared and the unknowns that are determined without some ``rows`` (k,).
 
         Of circles; None of others, or where those rows leave what is not firm.
         """
@@ -330,7 +330,7 @@ class Fit:
 
 
 def require_determined(model: Model) -> None:
-    """Refuse a model whose outputs feel what no observation tells.
+    """Refuse a model whose outputs feel what no observation determines.
 
     Raises ObservabilityError with the unknowns.
     """
@@ -349,7 +349,7 @@ def require_determined(model: Model) -> None:
 def _by_order(model: Model, design: Circular) -> Cofactors | None:
     """Return the cofactors of a whitened design; None where they are not firm, or outputs felt it.
 
-    Then the whole design tells which unknowns are at fault.
+    Then the whole design shows which unknowns are at fault.
     """
     found = Cofactors.of(design)
     if found is None:
@@ -484,12 +484,14 @@ def _require_told(model: Model, design: Circular) -> None:
         raise _untold(_in_words(model, unseen, np.zeros((model.size[0], len(felt)), np.bool_)))
     if design.turns.size >= LARGE:  # no whole matrix of so many
         raise ObservabilityError(
-            "the observations cannot tell apart the places of the circles: measure what joins them"
+            "the observations cannot separate the places of the circles: measure what joins them"
         )
 
 
 def _untold(names: str) -> ObservabilityError:
-    return ObservabilityError(f"no observation tells of {names}: measure them, or leave them out")
+    return ObservabilityError(
+        f"no observation determines {names}: measure them, or leave them out"
+    )
 
 
 def _moving(model: Model, unknowns: int) -> Ints | slice:
@@ -522,7 +524,7 @@ def _factored(model: Model, white: Floats) -> Whole:
     """Return the cofactors of a whitened design (n, p).
 
     Of columns that were brought to length one: by QR, or by SVD where that is not firm. What is
-    open is told by small singular values, whatever the units of the unknowns.
+    open is shown by small singular values, whatever the units of the unknowns.
     """
     scale = np.linalg.norm(white, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -545,7 +547,7 @@ def _factored(model: Model, white: Floats) -> Whole:
 
 
 def _is_open(model: Model, scale: Floats, unit: Floats, basis: Floats, upper: Floats) -> bool:
-    """Whether the unknowns that stand still are told by nothing, and felt by no output.
+    """Whether the unknowns that stand still are determined by nothing, and felt by no output.
 
     ``unit`` (n, p + q) of unknowns times ``scale`` (p + q,); ``basis`` and ``upper``: the QR
     decomposition of those that move.
@@ -575,7 +577,7 @@ def _are_small(felt: Floats, outputs: Floats, directions: Floats) -> bool:
 def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) -> None:
     """Raise ObservabilityError where an output feels one of the ``open_`` directions (k, p + q).
 
-    Both in unknowns times ``scale`` (p + q,); ``telling`` (n, p + q): which observations tell of
+    Both in unknowns times ``scale`` (p + q,); ``telling`` (n, p + q): which observations depend on
     which. What is open else, such as a zero that all readings share, is no matter.
     """
     outputs = _padded(model.every_output, len(scale)) / scale
@@ -597,18 +599,18 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) 
         if (others := np.flatnonzero(wanted & ~named)).size:
             part, rest = (_in_words(model, k, telling) for k in (np.flatnonzero(named), others))
             raise ObservabilityError(
-                f"the observations cannot tell {part} from {rest}: measure what joins them"
+                f"the observations cannot separate {part} from {rest}: measure what joins them"
             )
     names = _in_words(model, np.flatnonzero(named), telling)
     raise ObservabilityError(
-        f"the observations cannot tell apart {names}: measure what joins them to the others"
+        f"the observations cannot separate {names}: measure what joins them to the others"
     )
 
 
 def _in_words(model: Model, unknowns: Ints, telling: Bools) -> str:
-    """Return the names of unknowns, and in brackets the groups of observations that tell of them.
+    """Return the names of unknowns, in brackets the groups of observations that depend on them.
 
-    Kinds of groups of which all, or very many, tell of them say nothing.
+    Kinds of groups of which all, or very many, depend on them say nothing.
     """
     most = 8
     names = [model.name_of(k) for k in unknowns[:most].tolist()]

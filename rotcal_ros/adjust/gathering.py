@@ -1,7 +1,7 @@
 """What was found to gather, kept from step to step, and said in words: the same for all methods.
 
 A method hands over its groups and its :class:`Words`; here they are judged, what is found is kept
-in a :class:`Gathering`, and people are told. What is proved the method leaves out; what is only
+in a :class:`Gathering`, and reported. What is proved the method leaves out; what is only
 probable joins the covariance.
 """
 

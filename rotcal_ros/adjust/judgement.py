@@ -47,7 +47,7 @@ ALIKE: Final = 20.0
 CANDIDATES: Final = 12
 """Best shifts of either kind that are tried as what to leave out."""
 DRAWS: Final = 500
-"""Sets of sound residuals that tell how probable a Bayes factor is on sound data."""
+"""Sets of sound residuals that show how probable a Bayes factor is on sound data."""
 POSSIBLE: Final = 0.9
 """Bayes factor below which nothing is suspected."""
 LARGEST_LOG: Final = 690.0
@@ -273,7 +273,7 @@ def _drawn(
         along = np.einsum("qe,ecr->rqc", subsets.astype(np.float64), score)
         if form.axes is not None:
             along = np.einsum("rqa,qab->rqb", along, form.axes)
-        along *= form.values > 0.0  # no residual tells of the others, see UNSEEN
+        along *= form.values > 0.0  # no residual shows the others, see UNSEEN
         mean = _mean_bayes(form.values, along)
         found.append((mean, float(np.log(prior.sum())), k > 0))
     return found
@@ -322,7 +322,7 @@ def blame(group: Group, belief: Belief = BELIEF) -> Blame | None:
     Candidates: shifts of gathered and of any subsets, their complements, and what a forward
     search by free errors finds; the best is polished by exchange of single elements. Compared is
     that they are off by the same or, alike probable, each a little otherwise
-    (:func:`~.explanations.free`): what noise lends to errors of their own does not tell a shift of
+    (:func:`~.explanations.free`): what noise lends to errors of their own does not show a shift of
     one half from that of the other. ``group``: as in a :class:`Judgement`.
     """
     if most_of(group.size) < LEAST:

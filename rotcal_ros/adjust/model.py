@@ -284,9 +284,9 @@ class Model:
 
     ``blocks``: names of the unknowns in the order of x (p,), and how many of each. ``observed``,
     ``std`` (n,): what was read, and its stated standard deviation. ``outputs`` (o, p): C, the
-    result is C x; what nothing tells, such as a zero that all readings share, outputs must not
-    feel. ``also`` (k, p) by name: what else is told with its uncertainty, but counts in no test.
-    ``component`` (n,): which of the ``components`` of noise each observation belongs to.
+    result is C x; what nothing determines, such as a zero that all readings share, outputs must
+    not feel. ``also`` (k, p) by name: what else is reported with its uncertainty, but counts in no
+    test. ``component`` (n,): which of the ``components`` of noise each observation belongs to.
     ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations;
     else they are called by their groups. What is known beforehand joins by :meth:`knowing`.
     """
@@ -376,7 +376,7 @@ class Model:
 
     @cached_property
     def held(self) -> Ints:
-        """Unknowns (k,) that may stand still: the others tell what they do, as a zero of all does.
+        """Unknowns (k,) that may stand still: the others do what they do, as a zero of all does.
 
         Those that pivoted Cholesky finds last at the start values. Who leaves them out must check
         that nothing is lost: it takes what is weak for open, too.
@@ -487,8 +487,8 @@ class Model:
 class CurveModel:
     """A model, and what of its unknowns are deviations: rows (m, p) of each of the ``curves``.
 
-    At the commanded ``angles`` (m,) rad; also those that the model has, but does not tell: the
-    ``mixed`` ones, which other instruments may.
+    At the commanded ``angles`` (m,) rad; also those that the model has, but does not determine:
+    the ``mixed`` ones, which other instruments may.
     """
 
     model: Model

@@ -68,7 +68,7 @@ def stacked(
     """Return the :func:`whitened` models of several instruments, by their names, as one.
 
     The first unknowns of each are those in the blocks ``shared`` (s,); ``outputs`` (o, s) are
-    those of all. What each tells besides is told beside its name.
+    those of all. What each determines besides is reported beside its name.
     """
     width, parts = sum(shared.values()), list(models.values())
     rows = places_of([m.size[0] for m in parts])

@@ -1,7 +1,7 @@
 """One solution of what several instruments observed of one table.
 
 The deviations at all angles are unknowns that every instrument shares. An instrument brings its
-observations, with unknowns, noise, effects and groups of its own, even where these tell nothing
+observations, with unknowns, noise, effects and groups of its own, even where these say nothing
 without the others. Where they are not at hand its result stands for them: values with all their
 covariance, free of the zeros that it leaves open. That is exact for a linear method; what it left
 out stays left out.
@@ -69,7 +69,7 @@ CURVES: Final = "deviations"
 NONE: Final = 1e-9
 """Share of a direction that is rounding."""
 DETERMINED: Final = 1e-7
-"""Share of what observations feel of a direction from which on they tell it from all others."""
+"""Share of what observations feel of a direction from which on they separate it from others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class _Shared:
         return cls(inputs, layouts, every, nothing)
 
     def leaving(self, directions: Floats) -> _Shared:
-        """Return the same without ``directions`` (s, k) of the unknowns, which nobody tells."""
+        """Return the same without ``directions`` (s, k) of the unknowns, which are open."""
         parts = (np.linalg.svd(directions[place], full_matrices=False) for place in self.places)
         return replace(self, left=[ways[:, size > DETERMINED] for ways, size, _ in parts])
 
@@ -204,7 +204,7 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
 
 
 def _observable(model: Model, own: Floats) -> Floats:
-    """Return columns (q, r): what observations tell of unknowns ``own`` (p, q), each as well."""
+    """Return columns (q, r): what observations determine of the unknowns ``own`` (p, q)."""
     felt = dense(model.equations(model.first)[1]) @ own / model.std[:, None]
     scale = np.linalg.norm(felt, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -281,7 +281,7 @@ def _whole_covariance(parts: Sequence[SeenCurves], curves: Curves) -> Floats:
 
 
 def _determined(white: Floats, shared: int) -> Floats:
-    """Return orthonormal rows (r, shared): what observations tell of the first unknowns.
+    """Return orthonormal rows (r, shared): what observations determine of the first unknowns.
 
     ``white`` (n, p): their derivatives, in their noise.
     """
@@ -323,7 +323,7 @@ class _Views:
     def alone(self, name: str, fit: Fit) -> Model:
         """Return what one instrument observed, linear about the ``fit`` of all.
 
-        Its outputs are what it tells of the deviations.
+        Its outputs are what it determines of the deviations.
         """
         model, rows, unknowns = self.models[name], self.rows[name], self.whole.size[1]
         design, width = fit.design[rows, :unknowns], self.shared.basis.shape[1]
@@ -470,7 +470,7 @@ def _covariance(views: _Views, found: Adjusted) -> Floats:
     """Return the covariance (s, s) of the deviations.
 
     A result that agrees with the others better than it says keeps what it says: its scatter there
-    tells nothing of what it alone knows.
+    says nothing of what it alone knows.
     """
     model, response = found.model, found.fit.response[: len(found.model.outputs)]
     smaller = np.minimum(found.diagnosis.noise.factors, 1.0)[model.of_component]

@@ -245,7 +245,7 @@ def test_trials_of_the_noise_scatter_by_order_as_is_said():
 
 @pytest.mark.parametrize(
     ("shifts", "words"),
-    [((0, 4, 8), "cannot tell apart table 0"), ((0, 0), "cannot tell apart table 0")],
+    [((0, 4, 8), "cannot separate table 0"), ((0, 0), "cannot separate table 0")],
 )
 def test_orders_that_are_lost_are_refused_in_the_same_words(shifts, words):
     model = model_of(12, shifts)
@@ -263,14 +263,14 @@ def test_a_place_without_readings_is_named():
     rows = rows_of(24, (0, 1, 5, 2))
     model = model_of(24, (0, 1, 5, 2), keep=rows[1] != 7)
     for each in (model, generally(model)):
-        with pytest.raises(ObservabilityError, match="no observation tells of table 7: measure"):
+        with pytest.raises(ObservabilityError, match="no observation determines table 7: measure"):
             adjust(each)
 
 
 def test_a_place_that_is_left_out_is_not_solved_for():
     """What is left is determined by no order: the whole design, or words, tell."""
     model, rows = model_of(24, (0, 1, 5, 2)), rows_of(24, (0, 1, 5, 2))
-    with pytest.raises(ObservabilityError, match="no observation tells of table 7"):
+    with pytest.raises(ObservabilityError, match="no observation determines table 7"):
         fitted(model, rows[1] != 7, model.std, model.first)
 
 
@@ -378,7 +378,7 @@ def test_a_large_circle_whose_places_are_not_joined_is_refused(large):
     rows = rows_of(24, (0, 1, 5, 2))
     apart = np.isin(rows[1], [7, 8]) ^ np.isin(rows[2], [7, 8])
     model = model_of(24, (0, 1, 5, 2))
-    with pytest.raises(ObservabilityError, match="cannot tell apart the places of the circles"):
+    with pytest.raises(ObservabilityError, match="cannot separate the places of the circles"):
         _ = fitted(model, ~apart, model.std, model.first).output_std
     assert adjust(model).verdict == "ok"
 

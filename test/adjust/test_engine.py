@@ -275,10 +275,10 @@ def test_what_nothing_tells_is_named():
     _, model = comparison()
     kept = np.flatnonzero(model.groupings[1].number != 6)
     part = _rows(model, kept)
-    with pytest.raises(ObservabilityError, match="no observation tells of place 6: measure"):
+    with pytest.raises(ObservabilityError, match="no observation determines place 6: measure"):
         adjust(part)
     from_nowhere = replace(model, outputs=np.eye(PLACES, PLACES + RUNS))
-    with pytest.raises(ObservabilityError, match="cannot tell apart place 0"):
+    with pytest.raises(ObservabilityError, match="cannot separate place 0"):
         adjust(from_nowhere)
     with pytest.raises(DataError, match="nothing was observed"):
         _rows(model, kept[:0])
@@ -290,7 +290,7 @@ def test_parts_that_nothing_joins_are_named_with_their_runs():
     apart = _rows(model, np.flatnonzero((run < 2) == (place < 2)))
     with pytest.raises(ObservabilityError) as refused:
         adjust(apart)
-    assert "tell place 0, place 1 (run 0, run 1) from place 2, place 3, " in str(refused.value)
+    assert "separate place 0, place 1 (run 0, run 1) from place 2, place 3, " in str(refused.value)
     assert "others (run 2, run 3): measure what joins them" in str(refused.value)
 
 
@@ -459,7 +459,7 @@ def test_exact_numbers_of_one_kind_do_not_keep_the_noise_of_another_from_being_e
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"outputs": np.eye(PLACES, PLACES + RUNS)}, "cannot tell apart place 0, place 1"),
+        ({"outputs": np.eye(PLACES, PLACES + RUNS)}, "cannot separate place 0, place 1"),
         ({"also": {"places": np.eye(3)}}, "places of the model: shape"),
         ({"std": np.full(60, np.inf)}, "std of the model: expected finite numbers"),
         ({"start": np.zeros(3)}, "start of the model: shape"),
@@ -700,7 +700,7 @@ def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
     nothing, noise = np.zeros((5, 2)), np.arange(5.0)
     assert adjust(ready(nothing, np.zeros((1, 2)), noise)).value == [0.0]
     for solved in (adjust, lambda m: fitted(m, np.ones(5, dtype=bool), m.std, m.first).cofactors):
-        with pytest.raises(ObservabilityError, match="no observation tells of unknown 0, unk"):
+        with pytest.raises(ObservabilityError, match="no observation determines unknown 0, unk"):
             solved(ready(nothing, np.eye(2), noise))
 
 

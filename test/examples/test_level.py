@@ -136,7 +136,7 @@ def test_the_signs_are_those_of_the_conventions():
 
 
 def test_the_same_as_dense_least_squares():
-    """Independent: rotations, differentiated by differences; a row holds what nothing tells."""
+    """Independent: rotations, differentiated by differences; a row holds what is open."""
     world = World(PLAN)
     value, n, k = world.noisy(np.random.default_rng(3)), 12, 4
 
@@ -249,9 +249,9 @@ def test_what_missing_readings_leave_open_is_named():
     world = World(PLAN)
     some = engine.adjust(world.model(keep=(world.position != 7) | (world.level < 2)))
     assert some.std[7] > 1.3 * some.std[6]
-    with pytest.raises(ObservabilityError, match=r"cannot tell .*E[AB]C 7"):
+    with pytest.raises(ObservabilityError, match=r"cannot separate .*E[AB]C 7"):
         engine.adjust(world.model(keep=(world.position != 7) | (world.level == 2)))
-    with pytest.raises(ObservabilityError, match="tells of EAC 7, EBC 7: measure them"):
+    with pytest.raises(ObservabilityError, match="determines EAC 7, EBC 7: measure them"):
         engine.adjust(world.model(keep=world.position != 7))
 
 

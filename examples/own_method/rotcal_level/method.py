@@ -38,7 +38,7 @@ def plan(configuration: Configuration) -> Plan:
     """Return the plan: ``station`` is a setting of the levels, ``target`` a level in a setting.
 
     Raises ConfigurationError for settings that contradict each other, PlanError for levels or
-    angles that cannot tell EAC and EBC.
+    angles that do not determine EAC and EBC.
     """
     settings: LevelPlanSettings = configuration.plan
     angles, azimuths, levels = table_angles(settings), settings.azimuths_deg, settings.levels
@@ -82,7 +82,7 @@ def model(configuration: Configuration, read: Readings) -> Model:
 
 
 def states(configuration: Configuration, _read: Readings, found: Adjusted) -> Statement:
-    """Return what is done about effects that no reading can tell of."""
+    """Return what is done about effects that no reading can show."""
     seen = "mean values, and what turns with the table, are no part of the curves"
     wrong = "readings that count the other way round fit as well, and turn the sign of the result"
     return Statement(protections=(

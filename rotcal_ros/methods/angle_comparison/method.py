@@ -54,7 +54,7 @@ def plan(configuration: Configuration) -> Plan:
     """Return the plan: ``station`` is the setting of the reference, ``target`` its mark.
 
     Raises ConfigurationError for settings that contradict each other, PlanError for angles that
-    do not ascend. Whether the shifts separate the two circles :func:`model` tells.
+    do not ascend. Whether the shifts separate the two circles :func:`model` shows.
     """
     settings: ComparisonPlanSettings = configuration.plan
     circles = Circles.of(settings)
@@ -98,14 +98,14 @@ def model(configuration: Configuration, read: Readings) -> Model:
     if lost and len(settings.shifts_deg) > 1 and not known_reference(solver, circles):
         orders = ", ".join(map(str, lost[:12])) + (" and more" if len(lost) > 12 else "")
         raise ObservabilityError(
-            f"nothing tells order {orders} of the table from that of the reference: add a shift "
-            f"by one step of the table angles, {360.0 / len(circles.marks):g} deg"
+            f"nothing separates order {orders} of the table from that of the reference: add a "
+            f"shift by one step of the table angles, {360.0 / len(circles.marks):g} deg"
         )
     return model_of(settings, solver, read)
 
 
 def states(configuration: Configuration, _read: Readings, found: Adjusted) -> Statement:
-    """Return what is doubted, and what is done about effects that no reading can tell of."""
+    """Return what is doubted, and what is done about effects that no reading can show."""
     gauge, doubts = Protection("gauge", "estimated", "the shifts separate the two circles"), []
     if REFERENCE not in found.also:
         gauge = Protection("gauge", "not protected", "the reference's errors are in the result")

@@ -12,8 +12,8 @@ complete circle with K shifts s has the normal matrix
 
     [[K, -S], [-conj(S), K]],    S = sum over k of exp(i n s_k),
 
-so that its variance is K / (K^2 - |S|^2) times that of a reading; where |S| = K nothing tells the
-order of the table from that of the reference.
+so that its variance is K / (K^2 - |S|^2) times that of a reading; where |S| = K nothing separates
+the order of the table from that of the reference.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ SAME_DIGITS: Final = 9
 LOST: Final = 1e-9
 """Share of K^2 that K^2 - |S|^2 may be, by rounding, where an order is lost."""
 REFERENCE: Final = "reference error"
-"""What the model tells beside the table's deviations: from their mean, where they are unknown."""
+"""What is determined beside the table's deviations: from their mean, where they are unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def _marks(angles: Floats) -> tuple[Floats, Ints]:
 def lost_orders(circles: Circles, shifts: Floats) -> tuple[int, ...]:
     """Return the orders that ``shifts`` (k,), rad, lose, where both circles have the same grid.
 
-    Where they have not, none are told here: the engine names the unknowns.
+    Where they have not, none are named here: the engine names the unknowns.
     """
     n = len(circles.marks)
     if len(np.unique(_marks(np.array(circles.angles))[1])) != n or not _even(circles.marks):

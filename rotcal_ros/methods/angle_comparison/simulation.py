@@ -17,7 +17,7 @@ from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.simulation.table import harmonics
 
 PER_TURN: Final = 1296000
-"""Marks that can be told apart: one for each second of arc."""
+"""Marks that can be distinguished: one for each second of arc."""
 
 
 class SimulatedComparison(AngleReader):

@@ -79,7 +79,7 @@ KINDS: Final = {
 }
 LARGEST_DISPLACEMENT_M: Final = 0.01
 NEAR_AXIS_M: Final = 5e-3
-"""A ball nearer to the axis tells nothing of its turns."""
+"""A ball nearer to the axis shows nothing of its turns."""
 MISPLACED_M: Final = 0.02
 """A ball that is farther from its planned place is another one, or turns the other way."""
 AXIS_SHOWN: Final = (
@@ -221,7 +221,7 @@ def _check_chain(settings: BallsPlanSettings, source: str) -> None:
         return
     if len(set(tilts)) < 2:
         raise ConfigurationError(
-            f"{source}: plan.tilts_deg: {len(set(tilts))} tilts do not tell where "
+            f"{source}: plan.tilts_deg: {len(set(tilts))} tilts do not determine where "
             f"{letter} stands, expected two or more, as far apart as can be"
         )
     if beyond := [tilt for tilt in tilts if not lowest <= tilt <= highest]:
@@ -264,19 +264,19 @@ def _passed(settings: BallsPlanSettings, targets: Sequence[int]) -> Iterator[tup
 
 
 def check_plan(configuration: Configuration, planned: Plan) -> None:
-    """Raise PlanError for a plan whose balls tell neither the axis nor ECC, with the reason."""
+    """Raise PlanError for a plan whose balls determine neither axis nor ECC, with the reason."""
     balls = balls_of(configuration)
     _check_turns(configuration, planned)
     radius = np.hypot(*balls.places.T[:2])
     if radius.max() < NEAR_AXIS_M:
         raise PlanError(
-            f"all balls stand within {radius.max() / MILLIMETRE:.3g} mm of the axis and tell "
+            f"all balls stand within {radius.max() / MILLIMETRE:.3g} mm of the axis and show "
             "nothing of its turns: put at least one aside, or correct plan.axis_m"
         )
     if "ECC" not in balls.shown:
         raise PlanError(
-            "no set-up of the ball bar tells ECC: add a tangential one to plan.bars_m, such as "
-            "[0.0, 0.1, 0.0]"
+            "no set-up of the ball bar determines ECC: add a tangential one to plan.bars_m, such "
+            "as [0.0, 0.1, 0.0]"
         )
     BY_MODEL.check_plan(configuration, planned)
 
@@ -377,10 +377,11 @@ def _protections(
             yield Protection(
                 effect,
                 "bounded",
-                f"the balls do not tell {names}: the uncertainty holds what is stated of them",
+                f"the balls do not determine {names}: the uncertainty holds what is stated of "
+                "them",
             )
         else:
-            yield Protection(effect, "estimated", "the balls tell it at every angle")
+            yield Protection(effect, "estimated", "the balls determine it at every angle")
     yield Protection("refraction", "harmless", "no light measures")
     for name, effect in OF_AXES.items():
         stated, left = LINEAR[name](configuration), found.also[name][1].max()
@@ -418,13 +419,13 @@ def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     left = found.also["lag"][1][0]
     if np.isclose(left, configuration.solver.lag_std_s, rtol=0.01):
         return Protection(
-            "lag", "harmless", "at one speed a lag only moves the balls: nothing tells it"
+            "lag", "harmless", "at one speed a lag only moves the balls: nothing shows it"
         )
     return Protection(
         "lag",
         "estimated",
-        f"runs of several speeds tell it to {left / MILLISECOND:.3g} ms: play of the table looks "
-        "the same",
+        f"runs of several speeds determine it to {left / MILLISECOND:.3g} ms: play of the table "
+        "looks the same",
     )
 
 
@@ -519,7 +520,7 @@ def _axis(axis: AxisLine) -> str:
 
 
 def _polar(result: Result) -> str:
-    """Draw the motions of the balls or, where they tell those of the table, these."""
+    """Draw the motions of the balls or, where they determine those of the table, these."""
     count, also = len(result.angles), result.details["also"]
     motions = [
         (f"{name} of ball {ball}", value, std)
@@ -538,7 +539,7 @@ def _polar(result: Result) -> str:
 
 
 def _stated(name: str, unit_si: float) -> Callable[[Configuration], float]:
-    """Return what tells a statement of the solver's settings, SI."""
+    """Return what reads a statement of the solver's settings, SI."""
     return lambda configuration: float(getattr(configuration.solver, name)) * unit_si
 
 

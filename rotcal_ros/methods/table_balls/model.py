@@ -6,11 +6,11 @@ With the table at the angle theta the centre of a ball stands in the machine's c
 
 and the machine shows p + S (p - c0). ``q`` is the place of the ball on the table; c = c0 + (XOC,
 YOC, 0) the point of the axis average line at the height of c0, A = Ry(BOC) Rx(AOC) its direction.
-c0 is a nominal point of the axis, at the height for which XOC, YOC, EXC and EYC are told. S, upper
-triangular, holds the scales of x, y, z (how much more they read per length) and by how much x
-reads more per y, x per z, y per z: the squareness of the linear axes. Names and signs of ISO 230-1
-and 230-7; metres, radians. Products of tilts among each other (below 1e-8 of the radius) are left
-out.
+c0 is a nominal point of the axis, at the height for which XOC, YOC, EXC and EYC are stated. S,
+upper triangular, holds the scales of x, y, z (how much more they read per length) and by how much
+x reads more per y, x per z, y per z: the squareness of the linear axes. Names and signs of ISO
+230-1 and 230-7; metres, radians. Products of tilts among each other (below 1e-8 of the radius) are
+left out.
 
 Where the table stands on an axis that tilts it, that is what p is with the tilt at 0, and c0 stays
 where it is: :mod:`.tilting`. The motions of the table are then its own at every tilt.
@@ -22,8 +22,8 @@ the probe is off by a constant that joins p.
 A ball bar reads the length |p - s| + b from the ball to another one in the spindle, which the
 machine shows at s + S (s - c0); b is how much longer the bar is than it says.
 
-What the equations leave open is a matter of definition, see :func:`definitions`. Of the motions
-at one angle that no ball tells, the statement of the settings takes the place of observations.
+What the equations leave open is a matter of definition, see :func:`definitions`. Of the motions at
+one angle that no ball determines, the statement of the settings takes the place of observations.
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ ALSO: Final = ("scale", "squareness", "lag")
 ENTRIES: Final = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 """Rows and columns of S: the blocks ``scale`` and, behind it, ``squareness``."""
 LEFT_OVER: Final = 0.05
-"""A motion is told if no more than this share of its statement is left in it."""
+"""A motion is determined if no more than this share of its statement is left in it."""
 UNSTATED_RAD: Final = 0.1
 """Nothing is stated of ECC: it may be anything up to this."""
 HELD: Final = 1e-3
 """Standard deviation of a definition in those of a centre: it adds a millionth to a variance."""
 WEAK: Final = 3e-4
-"""Singular values below this share of the largest tell nothing that anybody could use."""
+"""Singular values below this share of the largest determine nothing that is of use."""
 SHARED: Final = 0.01
 """Share of a definition that has to be new, beside those before it; of a variance, to be left."""
 WORDS: Final = {
@@ -224,10 +224,11 @@ class BallsOnTable:
         return np.asarray(places @ np.swapaxes(rotation_about_z(self.angles), -1, -2))
 
     def untold(self, places: Floats, seen: Floats | float) -> Floats:
-        """Return rows (t p, 6, 6), per unit of a statement, of motions that no ball tells there.
+        """Return rows (t p, 6, 6), per unit of a statement, of motions that are open there.
 
         Balls at ``places`` (k, 3); ``seen`` (t p, k b, 1, 1): 0 for targets that are not. Rows of
-        zeros are none. A motion counts as told if a reading tells more of it than its statement.
+        zeros are none. A motion counts as determined if a reading says more of it than its
+        statement.
         """
         turned = np.tile(self.turned(self._of_targets(places)), (self.tilts, 1, 1))
         shifts = np.broadcast_to(np.eye(3), (*turned.shape, 3))
@@ -241,7 +242,7 @@ class BallsOnTable:
 
     @cached_property
     def shown(self) -> tuple[str, ...]:
-        """The motions that the targets tell at every angle where all are seen."""
+        """The motions that the targets determine at every angle where all are seen."""
         share = np.linalg.norm(self.untold(self.places, 1.0), axis=1).max(axis=0)
         return tuple(
             name for name, left in zip(COMPONENTS, share, strict=True) if left < LEFT_OVER
@@ -408,7 +409,7 @@ def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
 
     No motion has a mean: that is the place and direction of the average line, of the balls along
     it and around it. EXC, EYC and EAC, EBC have no part that turns with the table: that is the
-    place of the balls. Where balls tell less, fewer of these are needed. Of several ``tilts``
+    place of the balls. Where balls determine less, fewer of these are needed. Of several ``tilts``
     each has its own means: that is the motion of what tilts.
     """
     c, s = np.tile(np.cos(angles), tilts), np.tile(np.sin(angles), tilts)
@@ -421,7 +422,7 @@ def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
 def stated(balls: BallsOnTable, places: Floats) -> Floats:
     """Return rows (k, u) of what is stated beforehand to be zero, per its standard deviation.
 
-    Motions are stated as they are, and told by definition without their means and turning parts
+    Motions are stated as they are, and by definition without their means and turning parts
     (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
     """
     rows = _untold_rows(balls, places)
@@ -437,7 +438,7 @@ def stated(balls: BallsOnTable, places: Floats) -> Floats:
 
 
 def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
-    """Return orthonormal rows (k, u), per unit of a statement, of motions that no ball tells."""
+    """Return orthonormal rows (k, u), per unit of a statement, of motions that are open."""
     count = balls.tilts * len(balls.angles)
     stop, seen = np.arange(count), np.zeros((count, len(balls.aims), 1, 1))
     seen[balls.stop, balls.target] = 1.0
@@ -527,7 +528,7 @@ def untold_of(balls: BallsOnTable) -> dict[str, Floats]:
 
 
 def components_of(balls: BallsOnTable) -> tuple[str, ...]:
-    """Return the deviations that are results: ECC, and what else the balls tell."""
+    """Return the deviations that are results: ECC, and what else the balls determine."""
     return tuple(name for name in COMPONENTS if name == "ECC" or name in balls.shown)
 
 
@@ -536,8 +537,8 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
 
     Outputs are the :func:`components_of` the balls at the table positions, and below them
     :data:`AXIS` at the height of the origin and the line of the tilting axis. ``also``: the
-    motions of each ball where the balls do not tell all six of the table, the errors of the linear
-    axes, and what happens at each tilt. Deviations are the means of the tilts.
+    motions of each ball where the balls do not determine all six of the table, the errors of the
+    linear axes, and what happens at each tilt. Deviations are the means of the tilts.
     """
     balls = BallsOnTable.of(plan, solver, read)
     start, count = balls.started(read.points), balls.coordinates

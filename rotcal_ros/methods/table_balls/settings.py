@@ -130,7 +130,7 @@ class BallsSolverSettings:
     error_motion_std_m: float = setting(
         3e-6,
         doc="m, standard uncertainty (k = 1) of EXC, EYC and EZC at each angle, which counts "
-        "where the balls do not tell them",
+        "where the balls do not determine them",
         minimum=1e-9,
         maximum=1e-2,
         first=True,
@@ -169,7 +169,7 @@ class BallsSolverSettings:
     lag_std_s: float = expert(
         1e-3,
         doc="s, standard uncertainty (k = 1) of how late the linear axes, and so the nest, are "
-        "behind a table that turns; runs of several speeds tell it without that",
+        "behind a table that turns; runs of several speeds determine it without that",
         minimum=1e-9,
         maximum=1.0,
     )

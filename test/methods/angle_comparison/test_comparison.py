@@ -261,13 +261,15 @@ def test_missing_readings_widen_what_they_tell_and_a_position_without_any_is_nam
     some = engine.adjust(world.model(keep=~((world.position == 5) & (world.station > 1))))
     assert some.value == pytest.approx(world.true, abs=1e-17)
     assert some.std[5] > 1.2 * whole.std[5]
-    with pytest.raises(ObservabilityError, match="no observation tells of table angle 7: measure"):
+    with pytest.raises(
+        ObservabilityError, match="no observation determines table angle 7: measure"
+    ):
         engine.adjust(world.model(keep=world.position != 7))
 
 
 def test_on_half_a_turn_the_slope_of_the_table_is_lost_to_the_reference():
     """t + a theta and r + a theta read the same, but for zeros; a whole turn has to close."""
-    with pytest.raises(ObservabilityError, match="cannot tell"):
+    with pytest.raises(ObservabilityError, match="cannot separate"):
         engine.adjust(World(ComparisonPlanSettings(table_positions=7)).model())
 
 
@@ -356,11 +358,11 @@ def configured(**settings):
 @pytest.mark.parametrize(
     ("shifts", "words"),
     [
-        ("[0, 120, 240]", "nothing tells order 3, 6 of the table from that of the reference"),
-        ("[0, 60]", "nothing tells order 6 of the table"),
-        ("[0, 90]", "nothing tells order 4 of the table"),
-        ("[0, 0]", "nothing tells order 1, 2, 3, 4, 5, 6 of the table"),
-        ("[0, 15]", "cannot tell"),
+        ("[0, 120, 240]", "nothing separates order 3, 6 of the table from that of the reference"),
+        ("[0, 60]", "nothing separates order 6 of the table"),
+        ("[0, 90]", "nothing separates order 4 of the table"),
+        ("[0, 0]", "nothing separates order 1, 2, 3, 4, 5, 6 of the table"),
+        ("[0, 15]", "cannot separate"),
     ],
 )
 def test_shifts_that_lose_an_order_are_refused_with_its_number(shifts, words):

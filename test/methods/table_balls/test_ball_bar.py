@@ -198,12 +198,12 @@ def test_lengths_must_come_before_anything_moves_and_no_light_measures_them():
 
 
 def test_set_ups_that_tell_too_little_are_refused():
-    with pytest.raises(PlanError, match="no set-up of the ball bar tells ECC"):
+    with pytest.raises(PlanError, match="no set-up of the ball bar determines ECC"):
         prepare_to_measure(setup("plan.bars_m=[[0.1, 0, 0], [0, 0, 0.1]]"))
-    with pytest.raises(PlanError, match="no observation tells of AOC, BOC"):
+    with pytest.raises(PlanError, match="no observation determines AOC, BOC"):
         prepare_to_measure(setup("plan.bars_m=[[0.1, 0, 0], [0, 0.1, 0]]"))
     # what is outward and up in one reading hides a lean of the axis behind its place
-    with pytest.raises(PlanError, match="cannot tell apart"):
+    with pytest.raises(PlanError, match="cannot separate"):
         prepare_to_measure(setup("plan.bars_m=[[0.1, 0, 0.1], [0, 0.1, 0]]"))
     with pytest.raises(ConfigurationError, match="state at least one set-up"):
         prepare(setup("plan.bars_m=[]"))

@@ -211,13 +211,13 @@ def test_what_does_not_fit_is_refused(tmp_path):
             prepare_to_measure(setup(*more))
 
     refused(ConfigurationError, "no axis of the chain C tilts the table", "plan.chain=C")
-    refused(ConfigurationError, "1 tilts do not tell where A stands", "plan.tilts_deg=[5.0]")
+    refused(ConfigurationError, "1 tilts do not determine where A stands", "plan.tilts_deg=[5.0]")
     refused(
         ConfigurationError, "150 deg is beyond plan.tilt_limits_deg", "plan.tilts_deg=[0, 150]"
     )
     refused(
         PlanError,
-        "with 2 table angles the observations cannot tell apart AOC, BOC",
+        "with 2 table angles the observations cannot separate AOC, BOC",
         "plan.table_positions=2",
     )
     flat = table_of(tmp_path / "flat.csv", "position,ball,x_m,y_m,z_m", [(0, 0, 0.1, 0.0, 0.0)])

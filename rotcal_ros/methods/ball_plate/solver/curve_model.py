@@ -2,7 +2,7 @@
 
 All unknowns of the exact model of :mod:`.estimate`, from the nominal places: its derivatives there
 are those of Eq. 12. Groups of table positions that no ball connects stay in one model, for other
-instruments may tell how they stand to each other.
+instruments may determine how they stand to each other.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def curve_model(problem: BallPlateProblem, angles: Floats) -> tuple[CurveModel, 
     ``angles``, rad, are those of all table positions; also returns which are in use. Centres that
     :func:`~.result.solve` does without at once are left out. Noise in the plane and along the axis
     are two components. Raises DataError as the screening does, and ObservabilityError where no
-    noise is stated and the plate alone cannot tell it.
+    noise is stated and the plate alone cannot determine it.
     """
     whole = screen(closing_apart(problem)[0])[0]
     fields, drifts = model.blocks(whole), 3 * whole.drift
@@ -92,7 +92,7 @@ def _effects(problem: BallPlateProblem) -> tuple[Disturbing, ...]:
 
 
 def _noise(problem: BallPlateProblem) -> Floats:
-    """Return the standard deviations (n, 3), m: as stated, else as the residuals tell them."""
+    """Return the standard deviations (n, 3), m: as stated, else as the residuals show them."""
     if problem.std is not None:
         return problem.std
     stated = adjust(problem).noise.used if problem.sigma is None else problem.sigma

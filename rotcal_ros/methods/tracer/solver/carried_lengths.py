@@ -6,7 +6,7 @@ changes of the start values. What is stated beforehand, such as the coordinates 
 among the observations, never to be left out. Slips that would not be found are errors that
 lengths have in common.
 
-The other instruments may tell what these lengths alone do not.
+The other instruments may determine what these lengths alone do not.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from rotcal_ros.methods.tracer.solver.start import find_any_start
 from rotcal_ros.methods.tracer.solver.zeros import SLIPPED, Slips
 
 CIRCLE: Final = 5
-"""Stations from which on their plane tells the direction of the axis."""
+"""Stations from which on their plane gives the direction of the axis."""
 SMALL: Final = 1e-3
 """Variance, as a share of that of the lengths, that is too small to matter."""
 
@@ -309,8 +309,8 @@ def _error_motion(problem: TracerProblem, solution: TracerSolution | None) -> fl
         return solution.error_motion.used
     if stated is None:
         raise ObservabilityError(
-            "these lengths alone do not tell the error motion of the table, which they have to be "
-            "weighed by beside other instruments: state solver.error_motion_std_m"
+            "these lengths alone do not determine the error motion of the table, which they have "
+            "to be weighed by beside other instruments: state solver.error_motion_std_m"
         )
     return stated
 

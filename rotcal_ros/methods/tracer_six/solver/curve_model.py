@@ -63,7 +63,8 @@ def curve_model(solution: SixSolution) -> CurveModel:
 def _scattered(solution: SixSolution) -> Floats:
     """Return what a unit of each station's scatter does to the lengths, (V, n, 3 V), m.
 
-    Of the scatter that U holds, which is more than the likely one where few contrasts tell it.
+    Of the scatter that U holds, which is more than the likely one where few contrasts determine
+    it.
     """
     unit, scatter = solution.network.slopes.unit, solution.scatter
     if scatter.translation == scatter.rotation == 0.0:
