@@ -106,7 +106,7 @@ def _lines(method: str, known: Known, values: Mapping[str, Any]) -> Iterator[str
     yield from _branch(tree, "")
     if "instruments" not in tree["identity"]:
         yield "  # A certificate names the instruments, each with its last calibration:"
-        yield f"  # {', '.join(field.name for field in fields(Instruments))}."
+        yield from _comment(f"{', '.join(field.name for field in fields(Instruments))}.", "  ")
         yield "  # instruments:"
         yield "  #   machine: {maker: '', model: '', serial: '', calibrated: '', certificate: ''}"
 
@@ -119,9 +119,14 @@ def _branch(tree: Mapping[str, Any], indent: str) -> Iterator[str]:
             yield from _branch(node, f"{indent}  ")
             continue
         meaning, value = node
-        mark = f"{indent}# "
-        yield from textwrap.wrap(
-            meaning, WIDEST, initial_indent=mark, subsequent_indent=mark, break_on_hyphens=False
-        )
+        yield from _comment(meaning, indent)
         in_a_list = yaml.safe_dump([value], default_flow_style=True, width=float("inf"))
         yield f"{indent}{name}: {in_a_list.strip()[1:-1]}"
+
+
+def _comment(text: str, indent: str) -> list[str]:
+    """Return a text as lines of comment."""
+    mark = f"{indent}# "
+    return textwrap.wrap(
+        text, WIDEST, initial_indent=mark, subsequent_indent=mark, break_on_hyphens=False
+    )

@@ -73,13 +73,13 @@ def test_those_for_experts_are_told_to_who_asks():
     told = run("capture").stdout
     assert "capture.window_samples" in told
     assert "capture.spike_limit" not in told
-    assert told.endswith("\nand 10 for experts: rotcal settings capture --expert\n\n")
+    assert told.endswith("\nand 12 for experts: rotcal settings capture --expert\n\n")
     whole = run("capture", "--expert").stdout
     usual, experts = whole.split("\nfor experts\n")
     assert "capture.window_samples" in usual
     assert "capture.window_samples" not in experts
     assert "capture.spike_limit" in experts
-    assert len(re.findall(r"^  capture\.", experts, re.MULTILINE)) == 10
+    assert len(re.findall(r"^  capture\.", experts, re.MULTILINE)) == 12
     assert run("capture", "--all").stdout == whole
     solver = run("plane_mirror", "solver").stdout
     assert "for experts: rotcal settings plane_mirror solver --expert\n" in solver
