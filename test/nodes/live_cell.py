@@ -12,6 +12,8 @@ from threading import Thread
 
 import pytest
 import warm
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rotcal_ros.foundation.machine_load import Patience, in_words, patient
 from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
@@ -172,6 +174,16 @@ class Client:
         for line in self._processes.children[self._name].stdout:
             self._events.put(json.loads(line))
         self._events.put({"event": "end"})
+
+
+def published(bag, topic):
+    """Return what was published on a topic, as mcap and rosbags read it from a bag."""
+    found, store = [], get_typestore(Stores.EMPTY)
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        for schema, _, message in make_reader(stream).iter_messages(topics=[topic]):
+            store.register(get_types_from_msg(schema.data.decode(), schema.name))
+            found.append(store.deserialize_cdr(message.data, schema.name))
+    return found
 
 
 def wait_until(condition, what):

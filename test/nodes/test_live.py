@@ -5,9 +5,7 @@ import signal
 
 import numpy as np
 import pytest
-from live_cell import SUITE, wait_until
-from mcap.reader import make_reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from live_cell import SUITE, published, wait_until
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.storage_scan import FileVerdict
@@ -32,15 +30,7 @@ def verdicts(live) -> tuple[FileVerdict, ...]:
 
 def action_of(live):
     """Return goal, feedback and status of the action as rosbags reads them from the bag."""
-    found = {name: [] for name in names.ACTION}
-    store = get_typestore(Stores.EMPTY)
-    with next(live.bag.glob("*.mcap")).open("rb") as stream:
-        topics = [f"/cell/{name}" for name in names.ACTION]
-        for schema, channel, message in make_reader(stream).iter_messages(topics=topics):
-            store.register(get_types_from_msg(schema.data.decode(), schema.name))
-            read = store.deserialize_cdr(message.data, schema.name)
-            found[channel.topic.removeprefix("/cell/")].append(read)
-    return found.values()
+    return [published(live.bag, f"/cell/{name}") for name in names.ACTION]
 
 
 def check_goal(asked, told):

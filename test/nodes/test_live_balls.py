@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_cell import SUITE, LiveCell
-from rosbags.highlevel import AnyReader
+from live_cell import SUITE, LiveCell, published
 
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -22,13 +21,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 CANCELED = 607
 DEMO = Path(__file__).parents[2] / "config" / "table_balls_demo.yaml"
-
-
-def published(bag, topic):
-    """Return what was published on a topic, as rosbags reads it from a bag."""
-    with AnyReader([bag]) as reader:
-        of_topic = [c for c in reader.connections if c.topic == topic]
-        return [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(of_topic)]
 
 
 def test_both_axes_are_found_live_and_the_bag_repeats_them_bit_for_bit(tmp_path, monkeypatch):
