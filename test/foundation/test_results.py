@@ -10,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import (
+    AxisLine,
     Directions,
     ErrorMotion,
     Placement,
@@ -188,3 +189,35 @@ def test_what_json_lacks_is_null():
     assert json.loads(json.dumps(found, allow_nan=False)) == {
         "size": None, "column": [1.0, None, None], "by_name": {"knock": None, "drift": 2.0},
     }  # fmt: skip
+
+
+NAMES = ("YOA", "ZOA", "BOA", "COA")
+
+
+def line(names=NAMES, **more):
+    given = {"value": np.arange(4.0), "std": np.ones(4), "covariance": np.eye(4) + 0.1}
+    return AxisLine(names, **{**given, "origin": np.array([0.3, 0.0, -0.1]), **more})
+
+
+def test_where_an_axis_stands_comes_back_to_the_last_bit():
+    """Its values 0, 1 m and 2, 3 rad: from (0.3, 0, -0.1) along (1, 3, -2)."""
+    (again,) = Result.from_dict(
+        json.loads(replace(result(np.array([0.0, 1.0])), axes=(line(),)).to_json())
+    ).axes
+    assert (again.names, again.letter) == (NAMES, "A")
+    for name in ("value", "std", "covariance", "origin"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(line(), name))
+    np.testing.assert_array_equal(again.point, [0.3, 0.0, 0.9])
+    np.testing.assert_array_equal(again.direction, [1.0, 3.0, -2.0])
+
+
+@pytest.mark.parametrize(
+    ("more", "match"),
+    [
+        ({"names": ("XOC", "YOC", "AOC", "BOA")}, "expected two places and two turns"),
+        ({"std": np.ones(3)}, r"std has shape \(3,\), expected \(4,\)"),
+    ],
+)
+def test_an_axis_of_other_names_or_shapes_is_refused(more, match):
+    with pytest.raises(DataError, match=match):
+        line(**more)

@@ -125,20 +125,21 @@ def way_figures(ways: Mapping[str, Any]) -> list[Figure]:
 
 @style.styled
 def _circles(ways: Mapping[str, Any]) -> str:
-    first, target = np.asarray(ways["tilt"]) == 0, np.asarray(ways["target"])
+    tilt, target = np.asarray(ways["tilt"]), np.asarray(ways["target"])
     angle, off = np.asarray(ways["angle"]), np.asarray(ways["value"]) @ [1.0, 1.0j, 0.0]
-    mean = {ball: off[first & (target == ball)].mean() for ball in np.unique(target[first])}
-    away = {ball: off[first & (target == ball)] - mean[ball] for ball in mean}
     places = np.asarray(ways["places"]) @ [1.0, 1.0j, 0.0]
-    by = SHARE * np.abs(places).max() / max(np.abs(each).max() for each in away.values())
-    by = float(f"{by:.1g}")
+    of_ball = {k: (tilt == tilt.min()) & (target == k) for k in range(len(places))}
+    of_ball = {k: mine for k, mine in of_ball.items() if mine.any()}
+    away = {k: off[mine] - off[mine].mean() for k, mine in of_ball.items()}
+    farthest = max(np.abs(each).max() for each in away.values())
+    by = float(f"{SHARE * np.abs(places).max() / farthest:.1g}") if farthest else 1.0
     (ax,) = style.grid(height=5.0)
     turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 181))
     for ball, each in away.items():
         _draw(ax, np.abs(places[ball]) * turn, color=style.GREY, linewidth=0.8)
-        way = places[ball] * np.exp(1j * angle[first & (target == ball)])
-        there = way + by * each * way / np.abs(way)
-        _draw(ax, np.append(there, there[0]), marker="o", markersize=3, label=f"ball {ball}")
+        out = np.exp(1j * (angle[of_ball[ball]] + np.angle(places[ball])))
+        there = (np.abs(places[ball]) + by * each) * out
+        _draw(ax, there, marker="o", markersize=3, label=f"ball {ball}")
     ax.set_aspect("equal")
     ax.set_xlabel("x / mm")
     ax.set_ylabel("y / mm")

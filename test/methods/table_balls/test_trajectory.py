@@ -99,3 +99,18 @@ def test_a_circle_is_drawn_for_every_ball():
     world = World(BallsPlanSettings(balls_m=THREE, axis_m=(0.0, 0.0, 0.06)))
     (figure,) = way_figures(ways_of(world, world.readings()))
     assert all(f"ball {k}" in figure.svg for k in range(3))
+
+
+@pytest.mark.parametrize("axis", [(4e-5, -3e-5, 2e-5, -5e-5), (0.0, 0.0, 0.0, 0.0)])
+def test_a_ball_on_the_axis_and_one_that_is_nowhere_off_are_drawn(axis):
+    """The second and third tilt alone were read: what is drawn is the first that there is."""
+    plan = BallsPlanSettings(
+        balls_m=(*ONE, 0.0, 0.0, 0.2), axis_m=(0.0, 0.0, 0.06), chain="AC", runs=1,
+        tilts_deg=(-40.0, 0.0, 50.0), tilting_axis_m=(0.0, 0.02, -0.03),
+    )  # fmt: skip
+    ways = ways_of(World(plan, axis=axis), World(plan, axis=axis).readings())
+    seen = ways["tilt"] > 0
+    later = {n: ways[n][seen] for n in ("tilt", "target", "angle", "value", "std")}
+    (figure,) = way_figures(ways | later)
+    assert "nan" not in figure.svg
+    assert all(f"ball {k}" in figure.svg for k in range(2))
