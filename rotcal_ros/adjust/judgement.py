@@ -369,21 +369,21 @@ def _common(group: Group, subset: Bools) -> Floats:
 
 
 class _Tried:
-    """Merits of subsets that are off together, each worked out once."""
+    """Merits of subsets that are off together, each worked out once: ``known`` by its bytes."""
 
     def __init__(self, group: Group, belief: Belief) -> None:
         self.group, self.belief = group, belief
-        self._known: dict[bytes, float] = {}
+        self.known: dict[bytes, float] = {}
         self._gathered = {subset.tobytes() for subset in group.gathered}
 
     def merit(self, subset: Bools) -> float:
         """Return ln of prior times Bayes factor."""
         key = subset.tobytes()
-        if key not in self._known:
+        if key not in self.known:
             alike, apart = shifts(self.group, subset[None]), free(self.group, subset)
             bayes = np.concatenate([alike.log_bayes()[0], apart.log_bayes()[0]])
-            self._known[key] = float(self._weighed(bayes[None], subset[None])[0])
-        return self._known[key]
+            self.known[key] = float(self._weighed(bayes[None], subset[None])[0])
+        return self.known[key]
 
     def flipped(self, here: FreeExchange) -> Floats:
         """Return the merits (e,) of the subset of ``here`` with one element in or out.
@@ -438,6 +438,9 @@ def _forward(group: Group, tried: _Tried) -> Bools:
     here = FreeExchange(group, np.zeros(group.size, dtype=np.bool_))
     path = []
     for _ in range(most_of(group.size)):
-        here.flip(int(np.argmax(np.where(here.subset, -np.inf, tried.flipped(here)))))
+        merit = np.where(here.subset, -np.inf, tried.flipped(here))
+        best = int(np.argmax(merit))
+        here.flip(best)
         path.append(here.subset.copy())
+        tried.known[path[-1].tobytes()] = float(merit[best])
     return np.array(path)

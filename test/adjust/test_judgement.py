@@ -174,4 +174,4 @@ def test_whom_to_blame_in_a_large_group_costs_few_decompositions(monkeypatch):
     )
     found = blame(group)
     assert np.flatnonzero(found.subset).tolist() == [3, 4, 5, 31, 32, 33]
-    assert len(decomposed) < 4 * e
+    assert len(decomposed) < 2 * e
