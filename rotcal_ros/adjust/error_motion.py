@@ -8,7 +8,7 @@ to the axis average line (ISO 230-7), as what turns with the table does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -56,7 +56,7 @@ class Spectrum:
 
     @classmethod
     def falling(cls, lowest: int, highest: int = HIGHEST) -> Spectrum:
-        """Return the one whose sizes fall as 1 / k from the ``lowest`` order to the ``highest``."""
+        """Return the one whose sizes fall as 1 / k from the ``lowest`` order to ``highest``."""
         order = np.arange(1, highest + 1)
         return cls.of_sizes(np.where(order < lowest, 0.0, 1.0 / order).tolist())
 
@@ -69,6 +69,16 @@ class Spectrum:
         """
         yield WHITE
         yield from (cls((order,), (1.0,)) for order in range(1, highest + 1))
+
+    @classmethod
+    def mean(cls, shares: Mapping[Spectrum, float]) -> Spectrum:
+        """Return the mean of spectra, of each with a share that is 1 in all."""
+        whole: dict[int, float] = {}
+        for spectrum, share in shares.items():
+            for order, own in zip(spectrum.orders, spectrum.shares, strict=True):
+                whole[order] = whole.get(order, 0.0) + share * own
+        white = sum(share * spectrum.white for spectrum, share in shares.items())
+        return cls(tuple(whole), tuple(whole.values()), white)
 
     def root(self, angles: Floats) -> Floats:
         """Return columns (n, r) whose products add up to :meth:`covariance`, of least number."""

@@ -310,7 +310,7 @@ def shifts_flipped(group: Group, subsets: Bools) -> Floats:
 class FreeExchange:
     """The Bayes factors of free subsets that differ from one in a single element, all at once.
 
-    As of :func:`free`, where each costs the cube of the elements; here all of them cost the square.
+    As of :func:`free`, where each costs the cube of the elements; here all cost the square.
     Of a subset T of k elements with own errors of variance v = (OWN t)^2, M = W + I / v and
     P = (M_TT)^-1, the common shift keeps the information G = k I / v - 1'P1 / v^2 and the score
     h = 1'Ps / v:
