@@ -67,6 +67,8 @@ NOTICED: Final = 1.5
 """Error motion, in units of the stations' noise, from which the prior is that of Jeffreys."""
 STEEPNESS: Final = 6
 """Power of sigma by which the prior vanishes below, so that "none" and "some" stay apart."""
+FEW: Final = 64
+"""Stations up to which whole matrices are as quick, and lose no digits where these are exact."""
 SPECTRA: Final[Mapping[Spectrum, float]] = {
     WHITE: 0.4,
     **{
@@ -135,7 +137,7 @@ class CircleResiduals:
             return np.asarray(-0.5 * (np.log(noise).sum() + fit))
         seen = self._open(self.seen[None])
         if columns is None:
-            found = [self._fit(self.noise.lifted(v), seen) for v in variances.tolist()]
+            found = [self._fit(self.noise.lifted(v + TINY**2), seen) for v in variances.tolist()]
             return np.array([-0.5 * (log + squares[0]) for squares, log in found])
         inner, log = self._products(np.column_stack([seen.T, self._open(columns.T).T]))
         values, vectors = np.linalg.eigh(inner[1:, 1:])
@@ -151,7 +153,7 @@ class CircleResiduals:
         return np.maximum(noise, 0.0) + TINY**2, axes
 
     def _products(self, columns: Floats) -> tuple[Floats, float]:
-        """Return C'N^-1 C of open ``columns`` (k, c), N the free part of the noise, and ln det N."""
+        """Return C'N^-1 C of open ``columns`` (k, c), N what is free of the noise; ln det N."""
         noise = self.noise.lifted(TINY**2)
         solved, log = noise.solved(np.column_stack([columns, self.absorbed]))
         inner = np.column_stack([columns, self.absorbed]).T @ solved
@@ -187,7 +189,7 @@ def _circle_residuals(
     """
     direction, absorbed = _radial(motion)
     radial = Slopes.alone(direction @ motion.plane.basis()).spread(total).quick()
-    if radial.columns is not None and circle_std is None:
+    if radial.columns is not None and circle_std is None and len(absorbed) > FEW:
         return CircleResiduals(motion.radial, radial, np.linalg.qr(absorbed)[0])
     free = _free(absorbed)
     seen, noise = free.T @ motion.radial, free.T @ radial.times(free)
