@@ -143,7 +143,7 @@ class BallsSolverSettings:
         minimum=1e-3,
         maximum=3600.0,
     )
-    error_motion_orders: str = setting(
+    error_motion_orders: str = expert(
         ANY,
         doc="how these motions are spread over orders, undulations per turn: in any (the "
         "uncertainty holds the worst), in sizes that are falling as 1 / order to the tenth, white "
