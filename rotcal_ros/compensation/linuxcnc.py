@@ -59,8 +59,8 @@ UNKNOWN_LIMITS: Final = (
     "is not in the stated residual (setting machine_ini, or max_acceleration_deg_s2)"
 )
 UNKNOWN_BACKLASH: Final = (
-    "BACKLASH of the joint is not known: LinuxCNC ignores it once it has a table, and then what it "
-    "corrected during the measurement is missing (setting machine_ini, or backlash_deg, 0 for none)"
+    "BACKLASH of the joint is not known: LinuxCNC ignores it once it has a table, and then what "
+    "it corrected in the measurement is missing (setting machine_ini, or backlash_deg, 0 for none)"
 )
 DECIMALS: Final = 9
 
