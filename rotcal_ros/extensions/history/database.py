@@ -40,7 +40,7 @@ from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import sync_folder
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.untrusted import load_json, require_plain
+from rotcal_ros.foundation.untrusted import load_json, require_no_secret, require_plain
 
 RESULT: Final = "result"
 EVENT: Final = "event"
@@ -223,14 +223,14 @@ class Campaign:
 
 
 class ParkHistory(AbstractContextManager["ParkHistory"]):
-    """An open history; a context manager. ``place`` is its file, or URL without a password.
+    """An open history; a context manager. ``place`` is its file or URL.
 
     Raises BagError where the database does not answer.
     """
 
     def __init__(self, database: str, *, must_exist: bool = False) -> None:
         self._engine = _engine(database, must_exist=must_exist)
-        self.place = _shown(database)
+        self.place = database
         self._joint: sa.Connection | None = None
         with self._connected() as connection:
             _upgrade(connection, database)
@@ -516,15 +516,14 @@ def canonical(result: Result) -> bytes:
 
 def _engine(database: str, *, must_exist: bool) -> sa.Engine:
     """Return the engine; raises ConfigurationError for a URL or a file that cannot be one."""
+    require_no_secret(database, "the history (--database, history.database)")
     if "://" in database:
         try:
             url = make_url(database).set(drivername="postgresql+psycopg")
         except sa.exc.ArgumentError as error:
             raise ConfigurationError(f"the URL of the history cannot be read: {error}") from None
         if not database.startswith("postgresql"):
-            raise ConfigurationError(
-                f"{_shown(database)}: expected a file or postgresql://USER@HOST/NAME"
-            )
+            raise ConfigurationError(f"{database}: expected a file or postgresql://USER@HOST/NAME")
         return sa.create_engine(url, pool_pre_ping=True, connect_args={"connect_timeout": 10})
     path = Path(database).expanduser().absolute()
     if must_exist and not path.is_file():
@@ -578,16 +577,8 @@ def _upgrade(connection: sa.Connection, database: str) -> None:
             command.upgrade(config, "head")
         except CommandError as error:
             raise BagError(
-                f"{_shown(database)} was written by a later rotcal ({error}): update rotcal"
+                f"{database} was written by a later rotcal ({error}): update rotcal"
             ) from error
-
-
-def _shown(database: str) -> str:
-    """Return a file or URL without a password."""
-    with suppress(sa.exc.ArgumentError):
-        if "://" in database:
-            return make_url(database).render_as_string(hide_password=True)
-    return database
 
 
 _LATER: Final = ENTRIES.alias()
