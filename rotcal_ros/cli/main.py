@@ -150,7 +150,7 @@ class LazyGroup(click.Group):
             code = super().invoke(context)
             sys.stdout.flush()
         except click.ClickException as error:
-            error.message = masked(error.message)
+            vars(error)["message"] = masked(error.message)
             raise
         except click.exceptions.Exit:
             raise

@@ -52,7 +52,7 @@ def test_a_secret_is_found_refused_and_masked(text):
     assert not has_secret(masked(text))
     assert SECRET not in str(DataError(f"{text!r} was found", f"log of {text}"))
     assert SECRET not in DataError("", f"log of {text}").log
-    with pytest.raises(ConfigurationError, match="^here: a URL with a secret") as raised:
+    with pytest.raises(ConfigurationError, match=r"^here: a URL with a secret") as raised:
         require_no_secret(text, "here")
     assert SECRET not in str(raised.value)
     assert list(secrets_in({"a": [{"b": text}], text: 1}, "x")) == ["x.a[0].b", "a name in x"]

@@ -87,8 +87,8 @@ def _refuse_lost_reversal(result: Result) -> None:
     apart = float(np.max(np.abs(np.subtract(*means)))) / ARCSEC
     raise DataError(
         f"the {result.method} result has runs from both sides, up to {apart:.3g} arcsec apart, "
-        "and only their mean as a curve (no directions), which would lose this reversal: solve the "
-        "measurement again, or give the runs of each side as a result of its own"
+        "and only their mean as a curve (no directions), which would lose this reversal: solve "
+        "the measurement again, or give the runs of each side as a result of its own"
     )
 
 
