@@ -139,6 +139,12 @@ class Configuration:
         """Return the settings of a group, of this package or of an extension."""
         return self.extensions[name] if name in self.extensions else getattr(self, name)
 
+    def __repr__(self) -> str:
+        """Return in one line what it is for and where it comes from."""
+        cell = "simulated cell" if self.simulated else "cell"
+        named = f" {self.identity.title}" if self.identity.title else ""
+        return f"<Configuration: {self.method.name}, {cell}{named}, from {self.source}>"
+
     @property
     def plan_id(self) -> str:
         """SHA-256 of the text, in hexadecimal: equal for two runs that were configured alike."""

@@ -24,7 +24,7 @@ from rotcal_ros.extensions.history.settings import DOCUMENTS
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.files import scratch_folder, write_atomically
+from rotcal_ros.foundation.files import naming, scratch_folder, write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.untrusted import load_json, read_bytes, read_text
@@ -118,8 +118,9 @@ def _replace(folder: Path, made: Mapping[str, _File]) -> None:
         for name, file in made.items():
             if ours.get(name) != file.hash:
                 new = scratch / Path(name).name
-                new.write_bytes(file.content())
-                new.replace(folder / name)
+                with naming(folder / name):
+                    new.write_bytes(file.content())
+                    new.replace(folder / name)
     for name in ours.keys() - made.keys():
         if ours[name] == _hash_of(folder / name):
             (folder / name).unlink()

@@ -136,6 +136,12 @@ def add(
     done, refused, settings = [], list[RotcalError](), asked.pop("settings")
     given = {**asked, "measured_ns": time_of(measured) if measured else 0}
     with _open(settings, must_exist=False) as history, progress("adding") as shown:
+        known = sorted({item.serial for item in history.items(valid=False)})
+        if asked["serial"] and known and asked["serial"] not in known:
+            say(
+                f"warning: this history has no table {asked['serial']!r} yet, only "
+                f"{', '.join(known[:10])}: if that is a slip, `rotcal history correct` moves it"
+            )
         for number, came in enumerate(add_sources(history, sources, given, kind), 1):
             shown(number, len(sources))
             if isinstance(came, RotcalError):
