@@ -102,7 +102,7 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
             "rc.read_configuration returns"
         )
     seen = list(observations) if isinstance(observations, Iterable) else [observations]
-    if wrong := [one for one in seen if not isinstance(one, Observation)]:
+    if wrong := [each for each in seen if not isinstance(each, Observation)]:
         raise ConfigurationError(
             f"observations hold a {type(wrong[0]).__name__}: expected those of "
             "rc.capture_records, or give a bag or table to rc.read_bag or rc.read_table"

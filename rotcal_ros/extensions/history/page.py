@@ -74,17 +74,17 @@ def _waited_for(folder: Path) -> FolderLock:
 def _write_park(
     history: ParkHistory, outlooks: Sequence[Outlook], folder: Path, today: str
 ) -> Path:
-    rows, made = [], dict[str, _File]()
+    rows, pages = [], dict[str, _File]()
     for number, view in enumerate(outlooks):
         name = f"{FOLDER}/table-{number}.html"
-        made |= _table_files(history, view, name)
+        pages |= _table_files(history, view, name)
         rows.append(_row(view, name, today))
     # No tag can begin in it.
     data = json.dumps(rows).replace("<", "\\u003c")
     counts = {kind: sum(row["state"] == kind for row in rows) for kind in ("look", "well")}
     counts["due"] = sum(row["due"] <= today for row in rows)  # those to look at among them
     text = render("park", data=Markup(data), tables=len(rows), counts=counts, today=today)
-    _replace(folder, made | _text_file(PAGE, text))
+    _replace(folder, pages | _text_file(PAGE, text))
     return folder / PAGE
 
 
@@ -100,10 +100,10 @@ def _text_file(name: str, text: str) -> dict[str, _File]:
     return {name: _File(sha256(content).hexdigest(), lambda: content)}
 
 
-def _replace(folder: Path, made: Mapping[str, _File]) -> None:
+def _replace(folder: Path, pages: Mapping[str, _File]) -> None:
     """Write files by name, the last one at last, in place of those that were written before."""
     ours = _written_before(folder)
-    for name in made:
+    for name in pages:
         path = folder / name
         if os.path.lexists(path) and ours.get(name) != _hash_of(path):
             raise BagError(
@@ -111,17 +111,17 @@ def _replace(folder: Path, made: Mapping[str, _File]) -> None:
                 "name another folder"
             )
     (folder / FOLDER).mkdir(exist_ok=True)
-    hashes = {name: file.hash for name, file in made.items()}
+    hashes = {name: file.hash for name, file in pages.items()}
     # Both are listed meanwhile: whenever this ends, the next page knows what is ours.
     _note(folder, {**ours, **hashes}, ours)
     with scratch_folder(folder / FOLDER) as scratch:
-        for name, file in made.items():
+        for name, file in pages.items():
             if ours.get(name) != file.hash:
                 new = scratch / Path(name).name
                 with naming(folder / name):
                     new.write_bytes(file.content())
                     new.replace(folder / name)
-    for name in ours.keys() - made.keys():
+    for name in ours.keys() - pages.keys():
         if ours[name] == _hash_of(folder / name):
             (folder / name).unlink()
     _note(folder, hashes, {})
