@@ -12,7 +12,12 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.foundation.arrays import Bools, Floats, steps_from
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY, in_degrees
+from rotcal_ros.planning.table_feedback import (
+    PUBLISH_VELOCITY,
+    in_degrees,
+    is_near,
+    other_way,
+)
 
 ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
@@ -114,12 +119,14 @@ def why_not_at_rest(
 
 
 def lasting_feedback_fault(
-    table: Stream, since_ns: int, commanded: float, had_velocity: bool
+    table: Stream, since_ns: int, commanded: float, had_velocity: bool, ordered_ns: int | None
 ) -> str | None:
     """Return why nothing will ever be measured with this feedback, if that is certain.
 
     The fault must have lasted for :data:`STANDING_NS` since ``since_ns``. A
     feedback that ``had_velocity`` before may lack it for a while, until the joint begins to obey.
+    One of the wrong sign must have come there since the order of ``ordered_ns``: it may have stood
+    there before.
     """
     if table.latest is None or table.latest - since_ns < STANDING_NS:
         return None
@@ -131,7 +138,16 @@ def lasting_feedback_fault(
     near = np.abs(offset(rows[:, ANGLE], commanded)) <= _SAME
     if first is None or (near.any() and not np.isnan(rows[-1, VELOCITY])):
         return None
+    angle = float(rows[-1, ANGLE])
+    if other_way(angle, commanded) and not _came_since(table, ordered_ns, angle):
+        return None
     return last
+
+
+def _came_since(table: Stream, since_ns: int | None, angle: float) -> bool:
+    """Return whether the table stood elsewhere than at ``angle`` (rad) at a stamp, if known."""
+    at = len(table.stamps) if since_ns is None else table.index(since_ns)
+    return at < len(table.stamps) and not is_near(float(table.values[at, ANGLE]), angle, DEGREE)
 
 
 def off_in_words(
@@ -156,6 +172,12 @@ def _feedback_fault(angle: float, velocity: float, commanded: float) -> str | No
         return (
             f"it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
             "commanded: degrees? Publish radians, or set topics.angle_unit: deg"
+        )
+    if other_way(angle, commanded):
+        return (
+            f"it says {remainder(angle, 2.0 * pi) / DEGREE:+.6g} deg where "
+            f"{remainder(commanded, 2.0 * pi) / DEGREE:+.6g} deg was commanded: is a sign wrong? "
+            "Positive is counter-clockwise seen from above, in orders and feedback"
         )
     # A settings file with angle_unit: deg for a drive that publishes radians: the number before
     # the conversion is the commanded angle.
