@@ -357,8 +357,7 @@ async def _have_topics(
         roles, publishers = calibration.topics, links.graph.publishers
         await watch.stands_still(lambda: [publishers(links.instrument(r)) for r in roles])
     # What is missing may be there but undiscovered; what is not there is waited for below.
-    if not await watch.is_found(lambda: [] if _halted(watch) else missing()):
-        links.warn(PREFLIGHT, links.elsewhere(calibration.topics))
+    await watch.is_found(lambda: [] if _halted(watch) else missing())
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
         if not _halted(watch):

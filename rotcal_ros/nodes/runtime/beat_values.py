@@ -35,6 +35,8 @@ COMPLAINT: Final = "complaint"
 """What keeps the present order from being measured."""
 PREFLIGHT: Final = "preflight"
 """What looks wrong about the instruments before anything moves."""
+PREFLIGHT_WAITS: Final = "preflight_waits"
+"""What a preflight lacks and waits for."""
 OFFSET: Final = "clock_offset"
 """Streams whose clocks differ, and by how much."""
 CLOCK_DOUBT: Final = "clock_doubt"
@@ -52,8 +54,8 @@ BLOCKED: Final = "blocked"
 SLOW: Final = "slow"
 """The slow nodes that are waited for, with the load of the machine."""
 FOR_PEOPLE: Final = (
-    REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER, SIM_CLOCK,
-    BLOCKED, SLOW,
+    REJECTED, COMPLAINT, PREFLIGHT_WAITS, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER,
+    SIM_CLOCK, BLOCKED, SLOW,
 )  # fmt: skip
 """Values in a beat that are shown to the person who runs a calibration."""
 OF_MACHINES: Final = (BLOCKED, COMPLAINT)
