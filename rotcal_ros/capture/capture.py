@@ -555,7 +555,7 @@ class Answers:
         return None if self._wrong is None else self.unanswered_order()
 
     def _is_on_its_way(self, sample: ProbeSample) -> bool:
-        """Return whether a nest that reads all the time may not have heard the latest order yet."""
+        """Return whether a nest that reads all the time may not know the latest order yet."""
         if sample.kind != PointKind.READING:
             return False
         self.ordered_ns = sample.stamp_ns if self.ordered_ns is None else self.ordered_ns
