@@ -112,9 +112,10 @@ def why_not_at_rest(
             f"{settings.table_silence_s:g} s (capture.table_silence_s)"
         )
     angle, velocity = table.values[last - 1].tolist()
+    had_velocity = bool(np.isfinite(table.values[:last, VELOCITY]).any())
     return (
         f"table not at rest in position for a whole window within {limit:.3g} s: "
-        f"{off_in_words(angle, velocity, commanded, settings)}"
+        f"{off_in_words(angle, velocity, commanded, settings, had_velocity=had_velocity)}"
     )
 
 
@@ -151,15 +152,27 @@ def _came_since(table: Stream, since_ns: int | None, angle: float) -> bool:
 
 
 def off_in_words(
-    angle: float, velocity: float, commanded: float, settings: CaptureSettings
+    angle: float,
+    velocity: float,
+    commanded: float,
+    settings: CaptureSettings,
+    *,
+    had_velocity: bool = False,
 ) -> str:
-    """Return in words how far (rad, rad/s) the last feedback is off its order, and why."""
+    """Return in words how far (rad, rad/s) the last feedback is off its order, and why.
+
+    One that ``had_velocity`` before lacks it while its joint has not begun to obey: so says
+    table_adapter.
+    """
     off = float(offset(np.array([angle]), commanded)[0])
+    speed = f"at {velocity / DEGREE:.3g} deg/s (allowed {settings.velocity_tolerance_deg_s:g})"
+    if isnan(velocity) and had_velocity:
+        speed = "and its driver does not take it for rest: it has not begun to move as ordered"
+        velocity = 0.0
     fault = _feedback_fault(angle, velocity, commanded)
     return (
         f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
-        f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}) at "
-        f"{velocity / DEGREE:.3g} deg/s (allowed {settings.velocity_tolerance_deg_s:g})"
+        f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}) {speed}"
         f"{'' if fault is None else f'; {fault}'}"
     )
 

@@ -27,6 +27,16 @@ def test_feedback_without_velocity_is_named():
         assert "the feedback has no velocity: publish it beside the position" in observation.reason
 
 
+def test_a_velocity_that_a_driver_withholds_is_not_called_missing():
+    """As table_adapter does until its joint has begun to obey."""
+    scene = make_scene(PLAN, 2)
+    scene.edit("table", lambda r: replace(r, velocity=nan), SECOND, 2 * SECOND)
+    first, second = replay(PLAN, scene.by_stamp())
+    assert first.accepted
+    assert "has not begun to move as ordered" in second.reason
+    assert "no velocity" not in second.reason
+
+
 def test_degrees_are_named():
     first, second = replay(PLAN, at_step_1(lambda r: replace(r, angle=degrees(r.angle))))
     assert first.accepted  # zero is zero in any unit

@@ -44,6 +44,7 @@ from rotcal_ros.nodes.runtime.beat_values import (
     other_names,
     reading,
 )
+from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.message_types import message_type
@@ -205,6 +206,9 @@ class InstrumentTopics:
 
         def choose(type_names: Sequence[str]) -> type | None:
             nonlocal chosen
+            if versions := list(CellGraph(self._node).other_versions([self.name(role)])):
+                self.refused[role] = versions[0]  # their messages would end this node
+                return None
             for chosen in type_names:
                 kind, why = _kind(role, chosen)
                 if kind is not None:

@@ -291,6 +291,10 @@ def _topic_line(snapshot: CellSnapshot) -> CheckLine:
     return CheckLine("safety", "emergency_stop", "note", f"no node publishes {name}")
 
 
+_ONE_VERSION: Final = (
+    "build your node and rotcal_ros with one version of the messages, and source that one in both "
+    "shells"
+)
 _PARTS: Final = {names.TABLE_ANGLE: "table", names.PROBE_TARGET: "probe"}
 _TYPES: Final = {
     names.TABLE_ANGLE: "rotcal_msgs/msg/TableAngle",
@@ -338,6 +342,9 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
     """Yield which nodes obey an order, and which nodes besides the planner give it."""
     part, graph = _PARTS[order], snapshot.graph
     name, machines = graph.resolve(order), graph.machines(order)
+    if versions := next(graph.other_versions((), [order]), None):
+        yield CheckLine(part, order, "missing", versions, _ONE_VERSION)
+        return
     if line := brought_line(snapshot, part, order, "obeys it"):
         yield line
     elif snapshot.started_by_us and not machines:
@@ -444,6 +451,8 @@ def _problem(
     """Return why a stream cannot be used to measure; None: it can."""
     kind, name = OWN[topic], snapshot.name(topic)
     limit_s = snapshot.configuration.planner.stream_timeout_s
+    if text := next(snapshot.graph.other_versions([name]), None):
+        return Finding(text, _ONE_VERSION)
     if text := snapshot.values.get(REFUSED + topic):
         return Finding(text, f"publish {kind} on {name}")
     bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line says so

@@ -148,6 +148,8 @@ class CellLinks:
 
     def missing_nodes(self) -> list[str]:
         """Return what keeps the nodes of the suite from working together, in words."""
+        if versions := list(self.graph.other_versions([names.HEARTBEAT])):
+            return list(dict.fromkeys(versions))
         lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
         lost += self.idle_nodes()
         return lost or self.services.missing()[:1]
@@ -166,6 +168,8 @@ class CellLinks:
         """
         graph, heard = self.graph, self.health.values("capture")
         measured = [self.instrument(topic) for topic in topics]
+        if versions := list(graph.other_versions(measured, ORDERS)):
+            return list(dict.fromkeys(versions))
         lacking = [
             text
             for topic, name in zip(topics, measured, strict=True)
