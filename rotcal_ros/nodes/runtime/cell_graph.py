@@ -87,9 +87,7 @@ class CellGraph:
             yield f"{name} has not delivered a valid message (node {publishers[0]})"
         yield from incompatible_listeners(self.node, name, {"capture", "recorder"}.__contains__)
 
-    def other_versions(
-        self, heard: Iterable[str], obeyed: Iterable[str] = ()
-    ) -> Iterator[str]:
+    def other_versions(self, heard: Iterable[str], obeyed: Iterable[str] = ()) -> Iterator[str]:
         """Yield which nodes define messages otherwise than they are here.
 
         Publishers of the topics that are ``heard`` count, and machines that obey the others: such

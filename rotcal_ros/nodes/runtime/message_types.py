@@ -49,6 +49,10 @@ def message_type(type_name: str) -> type:
 _VERSION: Final = re.compile(r"<version>\s*([^<\s]+)\s*</version>")
 _SHOWN: Final = len("RIHS01_") + 8
 """Characters of a hash that are shown."""
+ONE_VERSION: Final = (
+    "build your node and rotcal_ros with one version of the messages, and source that one in both "
+    "shells"
+)
 
 
 def another_version(type_name: str, type_hash: str) -> str | None:
@@ -61,9 +65,8 @@ def another_version(type_name: str, type_hash: str) -> str | None:
         return None
     package = type_name.partition("/")[0]
     return (
-        f"another version of {type_name}: its definition there is {type_hash[:_SHOWN]}, here "
-        f"{here[:_SHOWN]} of {package} {installed_version(package)}; build both sides with one "
-        f"version of {package}"
+        f"another version of {type_name}: {type_hash[:_SHOWN]} there, {here[:_SHOWN]} of "
+        f"{package} {installed_version(package)} here"
     )
 
 
@@ -83,7 +86,7 @@ def installed_hash(type_name: str) -> str | None:
     try:
         described = share_folder(package) / kind / f"{name}.json"
         hashes = json.loads(described.read_text())["type_hashes"] if described.exists() else ()
-    except LookupError:
+    except (LookupError, OSError):  # it is not installed, or no ROS environment is set
         return None
     return next((h["hash_string"] for h in hashes if h["type_name"] == type_name), None)
 
