@@ -165,14 +165,17 @@ def off_in_words(
     table_adapter.
     """
     off = float(offset(np.array([angle]), commanded)[0])
-    speed = f"at {velocity / DEGREE:.3g} deg/s (allowed {settings.velocity_tolerance_deg_s:g})"
     if isnan(velocity) and had_velocity:
-        speed = "and its driver does not take it for rest: it has not begun to move as ordered"
-        velocity = 0.0
+        return (
+            f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
+            f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}), and "
+            "its driver does not take it for rest: it has not begun to move as ordered"
+        )
     fault = _feedback_fault(angle, velocity, commanded)
     return (
         f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
-        f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}) {speed}"
+        f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}) at "
+        f"{velocity / DEGREE:.3g} deg/s (allowed {settings.velocity_tolerance_deg_s:g})"
         f"{'' if fault is None else f'; {fault}'}"
     )
 
