@@ -183,8 +183,10 @@ def undecided(
 
     ``answers`` are values of ``setting`` with what they would mean, ``proposal`` lines below it.
     """
-    advice = f"say which: {' or '.join(option(setting, value) for value, _ in answers)}"
-    return UndecidedError(found, advice, "\n".join(proposal), Question(setting, tuple(answers)))
+    options = [option(setting, value) for value, _ in answers]
+    meant = [f"{way}: {words}" for way, (_, words) in zip(options, answers, strict=True)]
+    advice, log = f"say which: {' or '.join(options)}", "\n".join([*proposal, *meant])
+    return UndecidedError(found, advice, log, Question(setting, tuple(answers)))
 
 
 def known_columns() -> tuple[str, ...]:
