@@ -30,8 +30,9 @@ from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
-from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
-from rotcal_ros.foundation.sheets.words import answer
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
+from rotcal_ros.foundation.sheets.reading import Reading, read_any
+from rotcal_ros.foundation.sheets.words import undecided
 from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -368,9 +369,11 @@ def read_any_runs(
     announce(reading)
     if not reading.angles_deg:
         text = reading.uses["position"].text
-        raise DataError(
-            f"{path}: no column of table angles: {text!r} states no unit of one. If it is one, "
-            f"say so: {answer('angle', text)}"
+        raise undecided(
+            f"{path}: {text!r} may be table angles or numbers of positions, of which ISO 230-2 "
+            "needs the angles",
+            "sheet.columns",
+            [(f"angle={text}", "table angles")],
         )
     if not reading.both_directions:
         raise DataError(

@@ -13,14 +13,9 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.settings import declarations
-from rotcal_ros.foundation.sheets.layout import TableColumn
-from rotcal_ros.foundation.sheets.reading import (
-    AS_IT_STANDS,
-    Known,
-    Reading,
-    SheetSettings,
-    read_any,
-)
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings, remembered
+from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
+from rotcal_ros.foundation.sheets.words import TableColumn
 from rotcal_ros.foundation.tables import (
     Header,
     Row,
@@ -112,7 +107,7 @@ def read_measurements(
     if method.table is None:
         raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")
     _require_own_method(source, configuration)
-    reader, settings = method.table, configuration.sheet
+    reader, settings = method.table, remembered(path, configuration.sheet)
     aim, aimed_by = _targets(source, targets, reader.targets, settings)
 
     def known() -> Mapping[str, Known]:
@@ -140,7 +135,7 @@ def read_measurements(
             f"the positions in {path} stand for: add plan.table_positions, plan.table_step_deg "
             "and plan.table_start_deg, or a column of table angles to the table"
         )
-    announce(replace(reading, sources=(where, *aimed_by), stated=configuration.sheet))
+    announce(replace(reading, sources=(where, *aimed_by)))
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")

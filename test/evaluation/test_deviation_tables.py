@@ -8,7 +8,7 @@ import pytest
 
 from rotcal_ros.evaluation.reference import read_deviations
 from rotcal_ros.foundation.errors import DataError, UndecidedError
-from rotcal_ros.foundation.sheets.reading import SheetSettings
+from rotcal_ros.foundation.sheets.forms import SheetSettings
 from rotcal_ros.foundation.units import ARCSEC
 
 ROWS = [(0, 0.5), (90, -1.5), (180, 2.25), (270, 1.0)]
@@ -80,7 +80,7 @@ def test_names_with_the_units_of_si_leave_nothing_open(tmp_path):
 
 def test_a_correction_is_no_deviation_until_a_person_says_of_which_sign(tmp_path):
     head, name = "Angle [deg],Correction [arcsec],u [arcsec]", "Correction [arcsec]"
-    with pytest.raises(UndecidedError, match="or commanded - actual.*reversed=Correction"):
+    with pytest.raises(UndecidedError, match=r"or commanded - actual.*reversed=Correction"):
         read(tmp_path, head)
     turned = read(tmp_path, head, columns=(f"reversed={name}",)).deviation
     np.testing.assert_allclose(-turned / ARCSEC, [d for _, d in ROWS], rtol=1e-12)

@@ -27,9 +27,9 @@ from rotcal_ros.foundation.errors import Question, RotcalError
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
 from rotcal_ros.foundation.language import phrase, speaking
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.sheets.layout import TableColumn, Use
+from rotcal_ros.foundation.sheets.layout import Use
 from rotcal_ros.foundation.sheets.reading import UNIT_SETTINGS, Reading
-from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS
+from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS, TableColumn
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.methods.configuration import (

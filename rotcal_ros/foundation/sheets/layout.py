@@ -9,6 +9,7 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import UndecidedError
 from rotcal_ros.foundation.sheets.files import Cell, Sheet
+from rotcal_ros.foundation.sheets.forms import texts_of
 from rotcal_ros.foundation.sheets.numerals import parse
 from rotcal_ros.foundation.sheets.words import (
     ACTUAL,
@@ -22,6 +23,7 @@ from rotcal_ros.foundation.sheets.words import (
     TABLE_ANGLE,
     TIME,
     Heading,
+    TableColumn,
     columns_of,
     folded,
     is_commanded,
@@ -34,7 +36,6 @@ from rotcal_ros.foundation.sheets.words import (
 )
 from rotcal_ros.foundation.tables import Header
 
-_SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 TEXTS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
 BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
@@ -55,21 +56,6 @@ _ALL_IN: Final = re.compile(
     r"(?:all|alle|toutes?|tous)\b.*\b(?:in|en)\s+(\S+)",
     re.IGNORECASE,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class TableColumn:
-    """A column of ours: ``name`` without unit, what it measures; empty: a number or a text."""
-
-    header: str
-    name: str
-    quantity: str
-
-    @classmethod
-    def of(cls, header: str) -> TableColumn:
-        """Return the column with the name ``header``, as length_m."""
-        suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
-        return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +86,7 @@ class Layout:
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
     the cells of a matrix, empty for a list. ``aside``: headings that are not needed; ``missing``:
     columns without any; ``doubled``: a column and the headings that mean it. ``first``: index of
-    the first row of values. ``length_unit``: stated above the table.
+    the first row of values, ``form`` the row of its head. ``length_unit``: stated above the table.
     """
 
     sheet: Sheet
@@ -113,6 +99,7 @@ class Layout:
     first: int = 0
     head: tuple[str, ...] = ()
     length_unit: str = ""
+    form: tuple[str, ...] = ()
 
     @property
     def rank(self) -> tuple[bool, int, int, int, int]:
@@ -204,7 +191,7 @@ def _of_sheet(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str])
             for header in headers:
                 layout = _of_heads(sheet, header, heads, named)
                 if layout and (best is None or layout.rank > best.rank):
-                    best = replace(layout, first=row + below)
+                    best = replace(layout, first=row + below, form=texts_of(sheet.rows[row][1]))
     if best is None:
         return None
     return replace(best, length_unit=_stated_unit(sheet, best.first))

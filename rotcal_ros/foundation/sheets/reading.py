@@ -24,15 +24,14 @@ from rotcal_ros.foundation.errors import (
 )
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.sheets.deviations import NEAR, Angles, Deviations
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, TimeCell, sheets
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings, remembered
 from rotcal_ros.foundation.sheets.layout import (
     BESIDE,
     CORNER,
     TEXTS,
     Layout,
-    TableColumn,
     Use,
     best_layout,
     number_of,
@@ -53,6 +52,7 @@ from rotcal_ros.foundation.sheets.words import (
     TIME,
     UNITS,
     Heading,
+    TableColumn,
     answer,
     columns_of,
     folded,
@@ -91,61 +91,6 @@ _SAME_ANGLE: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class SheetSettings:
-    """How a table of numbers is read, where the table does not say so itself."""
-
-    length_unit: str = setting(
-        "", doc="unit of lengths whose column states none", choices=("", *UNITS[LENGTH])
-    )
-    angle_unit: str = setting(
-        "", doc="unit of table angles whose column states none", choices=("", *UNITS[ANGLE])
-    )
-    reading_unit: str = setting(
-        "", doc="unit of deviations and other readings of angles whose column states none",
-        choices=("", *UNITS[ANGLE]),
-    )  # fmt: skip
-    angles: str = setting(
-        "", doc="table angles that count where table and plan differ: those of table or plan",
-        choices=("", "table", "plan"),
-    )  # fmt: skip
-    values: str = setting(
-        "", doc="what stands beside commanded angles: deviations, or positions (actual angles)",
-        choices=("", "deviations", "positions"),
-    )  # fmt: skip
-    time_unit: str = expert(
-        "", doc="unit of times whose column states none", choices=("", *UNITS[TIME])
-    )
-    decimal: str = expert(
-        "", doc="decimal mark, a point or a comma; empty: as the numbers show",
-        choices=("", ".", ","),
-    )  # fmt: skip
-    counted_from: str = expert(
-        "", doc="number of the first position and of the first target; empty: as the numbers show",
-        choices=("", "0", "1"),
-    )  # fmt: skip
-    columns: tuple[str, ...] = setting(
-        (), doc="columns by the text at their head where that says nothing, as length=Messwert"
-    )
-    name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
-
-    def named(self) -> dict[str, str]:
-        """Return column of ours -> text at its head; ConfigurationError for an entry without."""
-        found = {}
-        for entry in self.columns:
-            name, _, text = (part.strip() for part in entry.partition("="))
-            if not name or not text:
-                raise ConfigurationError(
-                    f"sheet.columns: {entry!r}: expected COLUMN=TEXT, as length=Weg"
-                )
-            found[TableColumn.of(name).name] = text
-        return found
-
-
-AS_IT_STANDS: Final = SheetSettings()
-"""For a table that states everything itself."""
-
-
-@dataclass(frozen=True)
 class Known:
     """What a number in a table may be: ``numbers`` of the plan, ascending, perhaps with gaps.
 
@@ -176,7 +121,8 @@ class Reading:
     ``uses`` maps our columns without their units, or TABLE_ANGLE, to where they are, unless that
     is a matrix; ``head`` are the texts at the head of the table. ``passes`` are those of the rows
     where the table came to its angles more than once. ``sources`` say where targets and table
-    angles are from, ``stated`` what a person said of the table.
+    angles are from, ``stated`` what a person said of the table; ``form_head`` is its head as it
+    stands, by which tables of the same form are known.
     """
 
     table: Table
@@ -195,6 +141,7 @@ class Reading:
     passes: tuple[Pass, ...] = ()
     sources: tuple[str, ...] = ()
     stated: SheetSettings = AS_IT_STANDS
+    form_head: tuple[str, ...] = ()
 
     def line(self) -> str:
         """Return it in one line; empty for a table of our own form that states everything."""
@@ -243,10 +190,10 @@ def read_any(
     own = own_table(source, headers)
     if own is not None:
         return Reading(own)
-    named = settings.named()
     if isinstance(source, Table):
         path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
     else:
+        settings = remembered(source, settings)
         path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
     if not found:
         names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
@@ -254,6 +201,7 @@ def read_any(
             f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
             f"{', '.join(names)}"
         )
+    named = settings.named()
     layout = best_layout(found, headers, named, str(path))
     _require_named(path, headers, named, layout.head if layout else _likely_head(found))
     if layout is None or layout.missing:
@@ -261,7 +209,7 @@ def read_any(
     reading = _Rows(path, layout, settings, known()).read()
     in_memory = isinstance(source, Table) and source.in_memory
     table = replace(reading.table, in_memory=in_memory)
-    return replace(reading, table=table, stated=settings)
+    return replace(reading, table=table, stated=settings, form_head=layout.form)
 
 
 def _require_named(

@@ -54,11 +54,27 @@ _QUANTITIES: Final = {
     "time": TIME,
 }
 """TableColumn -> what it measures; all others are numbers from 0, or words."""
+_SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 _LABEL: Final = re.compile(r"(?:(\D*[^\W\d_])[\W_]*|#\s*)?([0-9]{1,9})(?:\.0*)?")
 _APART: Final = re.compile(r"[\W_]+")
 IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
 """A name with a unit, or something else, behind it."""
 _BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumn:
+    """A column of ours: ``name`` without unit, what it measures; empty: a number or a text."""
+
+    header: str
+    name: str
+    quantity: str
+
+    @classmethod
+    def of(cls, header: str) -> TableColumn:
+        """Return the column with the name ``header``, as length_m."""
+        suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
+        return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
 
 
 @dataclass(frozen=True, slots=True)
