@@ -48,7 +48,7 @@ class Angles:
 
     @property
     def rounding(self) -> Decimal:
-        """By how much (rad) a value may be rounded, and a bit more."""
+        """By how much (rad) a value may be rounded, and as much again."""
         sixtieths = any(":" in cell or "°" in cell for cell in self.cells)
         found = [_FRACTION.search(cell) for cell in self.cells]
         digits = min(max(len(each[1]) if each else 0 for each in found), _DIGITS)
@@ -60,7 +60,9 @@ class Deviations:
     """What a table says of its deviations: ``columns`` by what they are, in ``rows`` of a file.
 
     ``where`` names it; ``values`` is what a person said: deviations or positions; ``turned``: the
-    column REVERSED is commanded - actual for sure. ``proposal`` shows the columns side by side.
+    column REVERSED is commanded - actual for sure. ``others`` are angles of no known name: where
+    they follow the commanded ones, within NEAR of the smallest ``step`` (rad), the deviation is
+    held against them. ``proposal`` shows the columns side by side.
     """
 
     where: str
@@ -68,6 +70,7 @@ class Deviations:
     columns: Mapping[str, Angles]
     proposal: Sequence[str]
     step: float
+    others: Sequence[Angles] = ()
     values: str = ""
     turned: bool = False
 
@@ -81,6 +84,10 @@ class Deviations:
         stated = columns.get("deviation")
         if self.values == "positions" and stated and not measured:
             stated, measured = None, stated
+        if commanded and stated and not measured:
+            measured = next(
+                (each for each in self.others if self._is_beside(commanded, each)), None
+            )
         if commanded and measured:
             pairs = zip(measured.values, commanded.values, strict=True)
             found = [_wrapped(actual - angle) for actual, angle in pairs]
@@ -102,6 +109,11 @@ class Deviations:
                 f"{REVERSED}={either.text}": "commanded - actual: its sign is turned",
             },
         )
+
+    def _is_beside(self, commanded: Angles, other: Angles) -> bool:
+        pairs = zip(other.values, commanded.values, strict=True)
+        off = [abs(_wrapped(actual - angle)) for actual, angle in pairs]
+        return 0 < max(off) <= NEAR * self.step and len({*other.values}) > 1
 
     def _asked(
         self, found: str, answers: Mapping[str, str], setting: str = "sheet.columns"
@@ -143,7 +155,7 @@ class Deviations:
 
         They agree within the last digits that stand there.
         """
-        noise = beside.rounding + measured.rounding + commanded.rounding
+        noise = beside.rounding + measured.rounding  # what was commanded is exact
         same = [abs(a - b) for a, b in zip(beside.values, found, strict=True)]
         opposite = max(abs(a + b) for a, b in zip(beside.values, found, strict=True)) <= noise
         checked = phrase("{0} is checked: actual - commanded", repr(beside.text))

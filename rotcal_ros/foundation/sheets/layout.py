@@ -86,7 +86,8 @@ class Layout:
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
     the cells of a matrix, empty for a list. ``aside``: headings that are not needed; ``missing``:
     columns without any; ``doubled``: a column and the headings that mean it. ``first``: index of
-    the first row of values, ``form`` the row of its head. ``length_unit``: stated above the table.
+    the first row of values, ``form`` the row of its head. ``others`` are the columns
+    aside that measure angles. ``length_unit``: stated above the table.
     """
 
     sheet: Sheet
@@ -99,6 +100,7 @@ class Layout:
     first: int = 0
     head: tuple[str, ...] = ()
     length_unit: str = ""
+    others: tuple[Use, ...] = ()
     form: tuple[str, ...] = ()
 
     @property
@@ -270,6 +272,11 @@ def _of_heads(
         tuple(matrix),
         aside=tuple(head.text for head in left.values()),
         missing=tuple(column.header for column in missing),
+        others=tuple(
+            Use(place, head.text, head.units)
+            for place, head in left.items()
+            if len(head.units) == 1 and quantity_of(head.units[0]) == ANGLE
+        ),
         doubled=next(((name, tuple(found)) for name, found in rivals.items()), None),
         head=tuple(head.text for head in heads.values()),
     )
@@ -341,7 +348,8 @@ def strange_unit(layout: Layout) -> tuple[str, str, str] | None:
         if found := IN_BRACKETS.fullmatch(plain(text)):
             for name in _meant(Heading(text, found[1]), -1, wanted, {}):
                 quantity = wanted[name].quantity if name in wanted else ANGLE
-                if quantity and name not in (DIRECTION, RUN):
+                known = {quantity_of(unit) for unit in units_of(found[2])}
+                if quantity and quantity not in known and name not in (DIRECTION, RUN):
                     return text, found[2], quantity
     return None
 

@@ -238,7 +238,9 @@ def _not_understood(
         return BagError(
             f"{path}: no row names the columns: expected {expected}, in any form and language: "
             "add a line of names above the numbers",
-            question=_which_column(headers[0][0], _likely_head(grids)),
+            question=_which_column(
+                dict.fromkeys(_likely_head(grids), TableColumn.of(headers[0][0]).name)
+            ),
         )
     if strange := strange_unit(layout):
         text, unit, quantity = strange
@@ -254,20 +256,25 @@ def _not_understood(
     uses = [Use(place, text) for place, text in enumerate(layout.head)]
     numbers = [use for use in uses if side_by_side(layout, [use])]
     likely = [use.text for use in numbers if use.text in layout.aside] or [u.text for u in numbers]
-    advice = [answer(name, text) for text in likely[:_OFFERED]] or [answer(name, "ITS NAME")]
+    angle = layout.uses.get(TABLE_ANGLE)
+    same = {u.text for u in layout.others if angle and u.units == angle.units}
+    means = {text: ACTUAL if name == "deviation" and text in same else name for text in likely}
+    advice = [answer(means[text], text) for text in likely[:_OFFERED]] or [
+        answer(name, "ITS NAME")
+    ]
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
         f"'{','.join(layout.header)}', in any unit and order. State a column with another name by "
         f"{' or '.join(advice)}",
         "\n".join(side_by_side(layout, uses)),
-        _which_column(name, likely),
+        _which_column(means),
     )
 
 
-def _which_column(header: str, texts: Sequence[str]) -> Question | None:
+def _which_column(means: Mapping[str, str]) -> Question | None:
     """Return the question which of these texts stands at the head of a column of ours."""
-    name = TableColumn.of(header).name
-    return Question("sheet.columns", tuple((f"{name}={t}", t) for t in texts)) if texts else None
+    answers = tuple((f"{name}={text}", text) for text, name in means.items())
+    return Question("sheet.columns", answers) if answers else None
 
 
 def _likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
@@ -505,11 +512,23 @@ class _Rows:
             columns,
             side_by_side(self._layout, self._all_uses()[:_SHOWN]),
             _smallest_step([float(angle) for angle in commanded]) if commanded else 2.0 * pi,
+            self._others(rows, mark) if "deviation" not in self._settings.named() else (),
             self._settings.values,
             REVERSED in self._settings.named(),
         ).read()
         self._remarks += [remark] if remark else []
         return list(map(str, found))
+
+    def _others(self, rows: Sequence[_Row], mark: str) -> list[Angles]:
+        """Return the columns of angles with names of no meaning to us, where all are numbers."""
+        cells = dict(self._layout.sheet.rows)
+        beside = ([(n, {"": (cells[n][use.place], use)}) for n, _ in rows if use.place < len(cells[n])]
+                  for use in self._layout.others)  # fmt: skip
+        return [
+            self._angles("", column, mark)
+            for column in beside
+            if len(column) == len(rows) and all(parse(c[""][0], mark, ANGLE) for _, c in column)
+        ]
 
     def _angles(self, name: str, rows: Sequence[_Row], mark: str) -> Angles:
         """Return a column of angles in rad."""
