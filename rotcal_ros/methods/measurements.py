@@ -198,7 +198,8 @@ def _targets(
     columns = tuple(f"{n}={text}" for n, text in settings.named().items() if n in wanted)
     own = replace(settings, name="", columns=columns)  # those are of the measurements
     if given is not None:
-        return read_targets(given, header, own), ()
+        name = given.path if isinstance(given, Table) else given
+        return read_targets(given, header, own), (phrase("targets of {0}", str(name)),)
     if isinstance(source, Table):
         return None, ()
     found = {

@@ -104,14 +104,15 @@ class Layout:
     form: tuple[str, ...] = ()
 
     @property
-    def rank(self) -> tuple[bool, int, int, int, int]:
+    def rank(self) -> tuple[bool, int, int, int, int, int]:
         """How well it is understood: whole, by how many columns, how few missing and left over.
 
         Of equal ones that with units.
         """
         values = len(self.uses) + len({next(iter(cells.labels)) for cells in self.matrix})
         units = sum(bool(use.units) for use in self.uses.values())
-        return not self.missing, values, -len(self.missing), -len(self.aside), units
+        missing, aside = len(self.missing), len(self.aside)
+        return not missing, values, -missing, len(self.matrix), -aside, units
 
 
 def best_layout(
@@ -217,7 +218,7 @@ def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
         return
     yield heads, 1
     second = [_text(cell) for cell in below]
-    if heads and second and all(isinstance(cell, str) for cell in below):
+    if heads and second and not any(number_of(cell) is not None for cell in below):
         above, joined = Heading(""), dict[int, Heading]()
         for place, text in enumerate(second):
             above, own = heads.get(place, above), Heading.of(text)
@@ -336,6 +337,8 @@ def _meant(
         if folded(name) == folded(head.name) and (not quantities or column.quantity in quantities)
     ]
     known = [name for name in (*own, *columns_of(head)) if name not in named]
+    if "deviation" in wanted and "position" in known:  # there is no plan that counts them
+        known = [TABLE_ANGLE, *known]
     if "ball" in known:
         known.append("ball_step")
     return [name for name in known if name in wanted or name in beside]
@@ -386,8 +389,8 @@ def _matrix(
     names = {column.name for column in columns}
     keys = [column.name for column in missing if not column.quantity and column.name not in TEXTS]
     values = [column for column in missing if column.quantity not in ("", TIME)]
-    if not keys and RUN not in uses and "position" in names:
-        keys = [RUN]
+    if not keys and "position" in names:
+        keys = [DIRECTION if RUN in uses else RUN]
     if len(keys) != 1 or not values:
         return []
     measured = {column.name for column in columns if column.quantity not in ("", TIME)}
@@ -456,6 +459,9 @@ def _labels(
         unit = "°" if bare != rest else f" {angles[0]}" if theirs else ""
         if unit or way or values[0].name == "deviation":
             return "", {TABLE_ANGLE: f"{bare}{unit}", **way}
+    nothing_else = not rest or "deviation" in columns_of(Heading(rest, rest))
+    if way and nothing_else and key in (DIRECTION, RUN):
+        return rest, way
     found = label_of(rest)
     return (found[0], {key: float(found[1]), **way}) if found else ("", {})
 

@@ -522,8 +522,10 @@ class _Rows:
     def _others(self, rows: Sequence[_Row], mark: str) -> list[Angles]:
         """Return the columns of angles with names of no meaning to us, where all are numbers."""
         cells = dict(self._layout.sheet.rows)
-        beside = ([(n, {"": (cells[n][use.place], use)}) for n, _ in rows if use.place < len(cells[n])]
-                  for use in self._layout.others)  # fmt: skip
+        beside = [
+            [(n, {"": (cells[n][use.place], use)}) for n, _ in rows if use.place < len(cells[n])]
+            for use in self._layout.others
+        ]
         return [
             self._angles("", column, mark)
             for column in beside

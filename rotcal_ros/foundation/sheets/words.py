@@ -40,7 +40,8 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     },
     ANGLE: {
         "rad": Decimal(1), "mrad": Decimal("1e-3"), "urad": Decimal("1e-6"), "deg": _PI / 180,
-        "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200, "mgon": _PI / 200_000, "dms": _PI / 180,
+        "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200,
+        "mgon": _PI / 200_000, "dms": _PI / 180,
     },
     TIME: {
         "s": Decimal(1), "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1e-9"),
