@@ -379,6 +379,8 @@ class Result:
         if self.zeros.free:
             verdict = phrase("{0}, {1}", verdict, phrase(self.zeros.in_words()))
         if not self.protections:
+            if self.dof == 0:
+                verdict = phrase("{0}, and nothing checked the values", verdict)
             return phrase("{0}, protection against drift and the like not stated", verdict)
         against = listed([phrase(effect) for effect in self.unprotected], ", ")
         return phrase("{0}, not protected against {1}", verdict, against) if against else verdict

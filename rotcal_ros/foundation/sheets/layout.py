@@ -339,6 +339,8 @@ def _meant(
     known = [name for name in (*own, *columns_of(head)) if name not in named]
     if "deviation" in wanted and "position" in known:  # there is no plan that counts them
         known = [TABLE_ANGLE, *known]
+    elif "deviation" not in wanted and "target" in known and not head.units:
+        known = ["target"]
     if "ball" in known:
         known.append("ball_step")
     return [name for name in known if name in wanted or name in beside]

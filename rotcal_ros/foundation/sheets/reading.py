@@ -510,7 +510,7 @@ class _Rows:
             f"{self._path}: ",
             [number for number, _ in rows],
             columns,
-            side_by_side(self._layout, self._all_uses()[:_SHOWN]),
+            side_by_side(self._layout, [*self._all_uses(), *self._layout.others][:_SHOWN]),
             _smallest_step([float(angle) for angle in commanded]) if commanded else 2.0 * pi,
             self._others(rows, mark) if "deviation" not in self._settings.named() else (),
             self._settings.values,

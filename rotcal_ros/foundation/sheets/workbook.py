@@ -55,8 +55,9 @@ def _plain(value: object) -> object:
             hours=value.hour, minutes=value.minute, seconds=value.second,
             microseconds=value.microsecond,
         )  # fmt: skip
-    elif isinstance(value, datetime) and value.year <= 1900:
-        value = value - datetime(1899, 12, 31)  # hours beyond a day, shown as a date
+    elif isinstance(value, date) and value.year <= 1900:  # hours beyond a day, shown as a date
+        moment = value if isinstance(value, datetime) else datetime(*value.timetuple()[:3])
+        value = moment - datetime(1899, 12, 31)
     if isinstance(value, timedelta):
         seconds, micro = divmod(abs(value) // timedelta(microseconds=1), 1_000_000)
         part = f".{micro:06}".rstrip("0") if micro else ""
