@@ -121,7 +121,7 @@ def read_measurements(
         return found
 
     reading = read_any(source, reader.headers, settings, known)
-    where = f"table angles of the plan in {configuration.source}"
+    where = phrase("table angles of the plan in {0}", configuration.source)
     if reading.angles_deg:
         where = phrase("table angles of the table")
         text = replaced(configuration, "plan", _plan_of(reading, configuration))
