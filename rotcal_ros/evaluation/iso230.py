@@ -32,7 +32,6 @@ from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.sheets.reading import Reading, read_any
-from rotcal_ros.foundation.sheets.words import undecided
 from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -367,14 +366,6 @@ def read_any_runs(
     """
     reading = read_any(path, (("position", "deviation_rad"),), sheet)
     announce(reading)
-    if not reading.angles_deg:
-        text = reading.uses["position"].text
-        raise undecided(
-            f"{path}: {text!r} may be table angles or numbers of positions, of which ISO 230-2 "
-            "needs the angles",
-            "sheet.columns",
-            [(f"angle={text}", "table angles")],
-        )
     if not reading.both_directions:
         raise DataError(
             f"{path}: all angles were approached in one direction, or once: ISO 230-2 needs runs "

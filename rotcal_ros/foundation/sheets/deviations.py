@@ -56,7 +56,7 @@ class Angles:
 
 
 @dataclass(frozen=True)
-class Deviations:
+class StatedDeviations:
     """What a table says of its deviations: ``columns`` by what they are, in ``rows`` of a file.
 
     ``where`` names it; ``values`` is what a person said: deviations or positions; ``turned``: the

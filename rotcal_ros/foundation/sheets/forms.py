@@ -35,15 +35,15 @@ class SheetSettings:
     angle_unit: str = setting(
         "", doc="unit of table angles whose column states none", choices=("", *UNITS[ANGLE])
     )
-    reading_unit: str = setting(
+    reading_unit: str = expert(
         "", doc="unit of deviations and other readings of angles whose column states none",
         choices=("", *UNITS[ANGLE]),
     )  # fmt: skip
-    angles: str = setting(
+    angles: str = expert(
         "", doc="table angles that count where table and plan differ: those of table or plan",
         choices=("", "table", "plan"),
     )  # fmt: skip
-    values: str = setting(
+    values: str = expert(
         "", doc="what stands beside commanded angles: deviations, or positions (actual angles)",
         choices=("", "deviations", "positions"),
     )  # fmt: skip

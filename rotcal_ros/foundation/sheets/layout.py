@@ -238,7 +238,10 @@ def _of_heads(
     columns = [TableColumn.of(name) for name in header]
     wanted = {column.name: column for column in columns}
     uses, rivals = dict[str, Use](), dict[str, list[Use]]()
-    for place, head in heads.items():
+    others = {place: head for place, head in heads.items() if place != min(heads)}
+    alone = not any(_meant(head, place, wanted, named) for place, head in others.items())
+    corner = _corner(heads, wanted, named) if alone else None
+    for place, head in (others if corner else heads).items():
         meant = _meant(head, place, wanted, named)
         use = Use(place, head.text, head.units)
         name = next((name for name in meant if name not in uses), "")
@@ -246,7 +249,6 @@ def _of_heads(
             uses[name] = use
         elif meant and meant[0] not in (DIRECTION, RUN):
             rivals.setdefault(meant[0], [uses[meant[0]]]).append(use)
-    corner = None if uses else _corner(heads, wanted, named)
     if corner:
         uses[corner.name] = Use(min(heads), heads[min(heads)].text)
     uses = _with_roles(uses, wanted, named)
@@ -337,9 +339,7 @@ def _meant(
         if folded(name) == folded(head.name) and (not quantities or column.quantity in quantities)
     ]
     known = [name for name in (*own, *columns_of(head)) if name not in named]
-    if "deviation" in wanted and "position" in known:  # there is no plan that counts them
-        known = [TABLE_ANGLE, *known]
-    elif "deviation" not in wanted and "target" in known and not head.units:
+    if "deviation" not in wanted and "target" in known and not head.units:
         known = ["target"]
     if "ball" in known:
         known.append("ball_step")

@@ -24,7 +24,7 @@ from rotcal_ros.foundation.errors import (
 )
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.sheets.deviations import NEAR, Angles, Deviations
+from rotcal_ros.foundation.sheets.deviations import NEAR, Angles, StatedDeviations
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, TimeCell, sheets
 from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings, remembered
 from rotcal_ros.foundation.sheets.layout import (
@@ -444,6 +444,15 @@ class _Rows:
         name = column.name
         if name == "deviation":
             return self._deviations(rows, mark)
+        bare = name in rows[0][1] and not self._by_angles(name)
+        if name == "position" and bare and "deviation_rad" in self._layout.header:
+            text = self._layout.uses[name].text
+            raise undecided(
+                f"{self._path}: {text!r} may be table angles or numbers of positions, and the "
+                "angles are needed",
+                "sheet.columns",
+                [(f"{TABLE_ANGLE}={text}", "table angles")],
+            )
         if name not in rows[0][1] or self._by_angles(name):
             return self._positions(rows, mark)
         cells = [(number, *row[name]) for number, row in rows]
@@ -478,17 +487,19 @@ class _Rows:
                 continue
             angle = float(self._in_si((number, cell, use), TABLE_ANGLE, ANGLE, mark))
             if abs(remainder(angle - expected, 2.0 * pi)) > self._near(tuple(planned.values())):
-                raise self._other_angles(number, angle, expected)
+                raise self._other_angles(
+                    number, angle, expected, f"position {text} is planned at {expected / DEGREE:g}"
+                )
 
     def _near(self, planned: Sequence[float]) -> float:
         """Return by how much (rad) a table angle may be off a planned one that stands for it."""
         return NEAR * _smallest_step(planned) if self._settings.angles == "plan" else READ_OUT
 
-    def _other_angles(self, row: int, angle: float, planned: float) -> DataError:
+    def _other_angles(self, row: int, angle: float, planned: float, what: str = "") -> DataError:
         """Return the question whether the angles of the table count, or those of the plan."""
         found = (
             f"{self._path}, row {row}: the table angle {angle / DEGREE:.9g} degrees is not in the "
-            f"plan; the nearest there is {planned / DEGREE:.9g} degrees"
+            f"plan; {what or f'the nearest there is {planned / DEGREE:.9g}'} degrees"
         )
         if self._settings.angles:
             return DataError(f"{found}: correct the row, or the angles of the plan")
@@ -506,7 +517,7 @@ class _Rows:
         names = {"deviation", ACTUAL, REVERSED, TABLE_ANGLE} & rows[0][1].keys()
         columns = {name: self._angles(name, rows, mark) for name in names}
         commanded = columns[TABLE_ANGLE].values if TABLE_ANGLE in columns else ()
-        found, remark = Deviations(
+        found, remark = StatedDeviations(
             f"{self._path}: ",
             [number for number, _ in rows],
             columns,

