@@ -2,7 +2,7 @@
 
 A small sigma0 proves nothing about an effect that the residuals cannot show. So every method
 states, effect by effect, whether it is estimated, tested, bounded by a statement, harmless, or
-*not protected*; the verdict is never shown without the last of these.
+*not protected*; the verdict is never shown without the last of these, in the line below it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
+
+from rotcal_ros.foundation.language import phrase
 
 Common = Literal[
     "drift",
@@ -27,10 +29,13 @@ Particular = Literal[
     "slip",
     "tangential motion",
     "uneven drift",
+    "recurring drift",
     "one place",
     "numbering",
     "sign of z",
     "sign of readings",
+    "sense",
+    "gain",
     "probe tip",
     "lag",
 ]
@@ -38,10 +43,12 @@ Effect = Literal[Common, Particular]
 PARTICULAR: Final[tuple[Effect, ...]] = get_args(Particular)
 """Effects that only those methods list whose instruments have them: an artefact that warms and
 grows while it is measured; counted fringes; an instrument on the table, which its mount or cable
-may shift along its circle; one that drifts between two measurements of its nests; an error that
-gathers in one place among many; table positions that are all numbered wrong; a z axis that points
-down, and readings of the other sign, where no measurement would show it; the offset of a probe's
-tip; readings that are late beside the angle of a table that turns."""
+may shift along its circle; one that drifts between two measurements of its nests; a drift that
+comes back with each run; an error that gathers in one place among many; table positions or set-ups
+that are numbered wrong; a z axis that points down, and readings of the other sign, where no
+measurement would show it; a table that turns the other way than is stated; an instrument that
+shows too much or too little; the offset of a probe's tip; readings that are late beside the angle
+of a table that turns."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = get_args(Common)
@@ -93,6 +100,17 @@ def unprotected(protections: Iterable[Protection]) -> tuple[Effect, ...]:
         or (p.treatment == "tested" and p.error is not None and p.error > TOLERABLE)
     }
     return tuple(effect for effect in ALL_EFFECTS if effect in bare)
+
+
+def below(missing: str) -> str:
+    """Return the line below a verdict, which names what is ``missing``; empty for nothing."""
+    return phrase("Not tested for: {0}", missing) if missing else ""
+
+
+def two_lines(verdict_line: str) -> tuple[str, str]:
+    """Return the verdict and what it does not cover, of both as one text."""
+    words, mark, rest = verdict_line.partition(". Not tested for: ")
+    return words, below(rest if mark else "")
 
 
 def ordered(protections: Iterable[Protection]) -> tuple[Protection, ...]:
