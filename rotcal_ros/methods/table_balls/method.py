@@ -64,6 +64,7 @@ from rotcal_ros.methods.table_balls.settings import (
     BallsSimulationSettings,
     BallsSolverSettings,
     below_the_table,
+    sense_of,
 )
 from rotcal_ros.methods.table_balls.simulation import TouchedBalls
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
@@ -376,7 +377,8 @@ def states(configuration: Configuration, read: Readings, found: Adjusted) -> Sta
     if balls.tilting is not None:
         details["tilts"] = np.array(balls.tilting.degrees) * DEGREE
     protections = tuple(_protections(configuration, balls, found))
-    return Statement((), protections, details | {"trajectories": ways}, _axes(balls, found))
+    axes = _axes(balls, found, configuration.plan.chain)
+    return Statement((), protections, details | {"trajectories": ways}, axes)
 
 
 def _protections(
@@ -443,7 +445,7 @@ def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     )
 
 
-def _axes(balls: BallsOnTable, found: Adjusted) -> tuple[AxisLine, ...]:
+def _axes(balls: BallsOnTable, found: Adjusted, chain: str) -> tuple[AxisLine, ...]:
     """Return where the table's axis stands, and the one that tilts it: the last of the outputs."""
     lines: list[tuple[tuple[str, ...], Floats]] = [(AXIS, balls.origin)]
     if balls.tilting is not None:
@@ -452,7 +454,8 @@ def _axes(balls: BallsOnTable, found: Adjusted) -> tuple[AxisLine, ...]:
     for names, origin in lines:
         at = slice(first, first + len(names))
         covariance = found.covariance[at, at]
-        axes.append(AxisLine(names, found.value[at], found.std[at], covariance, origin))
+        sense = round(sense_of(chain, names[0][-1]))
+        axes.append(AxisLine(names, found.value[at], found.std[at], covariance, origin, sense))
         first = at.stop
     return tuple(axes)
 
