@@ -100,6 +100,11 @@ STATED_BY: Final = {
 """Which setting of the solver states each kind of motion."""
 OF_AXES: Final[Mapping[str, Effect]] = {"scale": "scale", "squareness": "gauge"}
 """Blocks of what may be wrong with the linear axes, and the effect that it is."""
+LIKE_MOTIONS: Final[Mapping[Effect, str]] = {
+    "straightness": "what the linear axes err along their ways",
+    "play": "what linear axes or probe lose where they turn round",
+}
+"""Effects that no balls show."""
 AXES: Final = ("axis", "tilting_axis")
 """Tables of where they stand."""
 ARRIVALS: Final = 1.0
@@ -453,6 +458,9 @@ def _protections(
             "not protected",
             "an offset of the probe's tip is in the place of the axis",
         )
+    for effect, what in LIKE_MOTIONS.items():
+        why = f"{what} is the same in every run, and read as motions of the balls"
+        yield Protection(effect, "not protected", why)
     if "lag" in balls.known:
         yield _lag(configuration, found)
     if configuration.plan.runs == 1:
