@@ -29,6 +29,7 @@ from rotcal_ros.foundation.curves.interpolation import (
 )
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.dataframes import ByAngle
+from rotcal_ros.foundation.gum_numbers import uncertainty, value
 from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
@@ -64,6 +65,12 @@ class Comparison(ByAngle):
     agree: bool
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        """Return in one line whether the curves agree; without their unit, which is not known."""
+        counts = f"{len(self.angles)} angles, largest |E_n| {self.largest:.2f}"
+        chance = f"chi2/dof {self.chi2:.4g}/{self.dof}, p {self.p_value:.2g}"
+        return f"<Comparison: {'agree' if self.agree else 'DISAGREE'}, {counts}, {chance}>"
+
     @property
     def largest(self) -> float:
         """The largest |E_n|."""
@@ -86,8 +93,8 @@ class Comparison(ByAngle):
         return [
             (
                 f"{angle / DEGREE:.4f}",
-                f"{difference / unit:+.3f}",
-                f"{COVERAGE_FACTOR * std / unit:.3f}",
+                value(difference / unit, COVERAGE_FACTOR * std / unit),
+                uncertainty(COVERAGE_FACTOR * std / unit),
                 f"{error:+.2f}",
             )
             for angle, difference, std, error in zip(*columns, strict=True)

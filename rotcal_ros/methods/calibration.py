@@ -55,6 +55,10 @@ class Calibration:
     configuration: Configuration
     plan: Plan
 
+    def __repr__(self) -> str:
+        """Return in one line what is measured."""
+        return f"<Calibration: {self.configuration!r}, {len(self.plan.steps)} steps>"
+
     @property
     def method(self) -> Method:
         """What the method of the configuration provides."""

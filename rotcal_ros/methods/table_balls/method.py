@@ -62,10 +62,12 @@ from rotcal_ros.methods.table_balls.settings import (
     BAR,
     DISPLACEMENT,
     FARTHEST_M,
+    STATED,
     BallsPlanSettings,
     BallsSimulationSettings,
     BallsSolverSettings,
     below_the_table,
+    sense_of,
 )
 from rotcal_ros.methods.table_balls.simulation import TouchedBalls
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
@@ -119,6 +121,7 @@ def plan(configuration: Configuration) -> Plan:
     settings: BallsPlanSettings = configuration.plan
     _check_chain(settings, configuration.source)
     _check_turning(settings, configuration.source)
+    _check_orders(configuration.solver, configuration.source)
     balls = balls_of(configuration)
     if not len(balls.places):
         raise ConfigurationError(f"{configuration.source}: plan.balls_m: state at least one ball")
@@ -187,6 +190,18 @@ def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
         if work:
             yield Pause(step.index, step.index, "; ".join(work), move=move)
         before = here
+
+
+def _check_orders(solver: BallsSolverSettings, source: str) -> None:
+    """Raise ConfigurationError for orders of motions that are stated, and all of size zero."""
+    if solver.error_motion_orders != STATED:
+        return
+    for name in ("radial_orders", "axial_orders", "tilt_orders"):
+        if not any(getattr(solver, name)):
+            raise ConfigurationError(
+                f"{source}: solver.{name}: no order has a size above 0: give one, such as "
+                "[0.0, 1.0] for the second, or leave solver.error_motion_orders out"
+            )
 
 
 def _check_turning(settings: BallsPlanSettings, source: str) -> None:
@@ -368,7 +383,8 @@ def states(configuration: Configuration, read: Readings, found: Adjusted) -> Sta
     every = set_up.compared(configuration, read, found.why, partial(model, whole=True))
     protections = (*_protections(configuration, balls, found), *alternatives.protections(every))
     doubts = tuple(alternatives.doubts(every))
-    return Statement(doubts, protections, details | {"trajectories": ways}, _axes(balls, found))
+    axes = _axes(balls, found, configuration.plan.chain)
+    return Statement(doubts, protections, details | {"trajectories": ways}, axes)
 
 
 def _protections(
@@ -435,7 +451,7 @@ def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     )
 
 
-def _axes(balls: BallsOnTable, found: Adjusted) -> tuple[AxisLine, ...]:
+def _axes(balls: BallsOnTable, found: Adjusted, chain: str) -> tuple[AxisLine, ...]:
     """Return where the table's axis stands, and the one that tilts it: the last of the outputs."""
     lines: list[tuple[tuple[str, ...], Floats]] = [(AXIS, balls.origin)]
     if balls.tilting is not None:
@@ -444,7 +460,8 @@ def _axes(balls: BallsOnTable, found: Adjusted) -> tuple[AxisLine, ...]:
     for names, origin in lines:
         at = slice(first, first + len(names))
         covariance = found.covariance[at, at]
-        axes.append(AxisLine(names, found.value[at], found.std[at], covariance, origin))
+        sense = round(sense_of(chain, names[0][-1]))
+        axes.append(AxisLine(names, found.value[at], found.std[at], covariance, origin, sense))
         first = at.stop
     return tuple(axes)
 

@@ -105,7 +105,7 @@ def _signs(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:
 
 
 def _thinned(configuration: Configuration, read: Readings) -> tuple[Configuration, Readings, Ints]:
-    """Return the same at MOST_ANGLES or fewer, evenly, and which (k,) of the readings these are."""
+    """Return the same at MOST_ANGLES or fewer, evenly, and which (k,) readings these are."""
     angles = np.array(table_angles(configuration.plan)) / DEGREE
     every = -(-len(angles) // MOST_ANGLES)
     rows = np.flatnonzero(read.position % every == 0)
