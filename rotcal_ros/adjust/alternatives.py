@@ -142,7 +142,7 @@ def protections(every: Sequence[Compared]) -> Iterator[Protection]:
             why = f"what was read does not exclude that {', or '.join(unseen)}"
             yield Protection(effect, "not protected", why)
             continue
-        why = f"were it that {what}, it would not be read where it was"
+        why = f"that {what} cannot be: such readings are refused"
         if np.isfinite(gain):
             why = f"what was read speaks against it that {what} ({_odds(-gain)} : 1)"
         yield Protection(effect, "tested", why)
