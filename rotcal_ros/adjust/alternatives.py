@@ -4,7 +4,7 @@ A mistake of set-up is no effect of some size that could be taken off. It is ano
 same readings, with the same unknowns, and what speaks for one or the other is how probable each
 makes what was read. The motions of a table are stated; of two models the one in which they have to
 be far larger is the less probable. A scatter, of readings or of motions, that contradicts what is
-stated is estimated for each model by itself: a statement that is too small speaks for neither.
+stated is estimated for each model by itself: a statement of a wrong size speaks for neither.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ By chance sound readings look so less than once in a thousand times.
 
 MOST: Final = np.log(1e9)
 """ln of odds that are named; what is more says no more."""
+LEAST: Final = 0.01
+"""Factor on what is stated beforehand, at least."""
 ROUNDS: Final = 4
 """Steps to the solution of a model that is nearly linear, and to its noise."""
 
@@ -92,9 +94,11 @@ def _improbability(model: Model, gone: Collection[int]) -> float:
 def _restricted(model: Model, used: Floats) -> float:
     """Return -2 ln of the restricted likelihood: what the unknowns take up tells of no noise.
 
-    Patterson and Thompson (1971); the factors on the noise are 1 or more.
+    Patterson and Thompson (1971). The factors on the noise of readings are 1 or more; what is
+    stated beforehand may be far too large, too.
     """
     part = model.of_component == np.arange(len(model.components))[:, None]
+    least = np.where((part & model.may_go).any(axis=1), 1.0, LEAST)
     factors, x, found = np.ones(len(part)), model.first, np.inf
     for _ in range(ROUNDS):
         computed, design = model.equations(x)
@@ -112,7 +116,7 @@ def _restricted(model: Model, used: Floats) -> float:
         squares = part @ left**2
         found = float(squares.sum() + 2.0 * redundancy @ np.log(factors))
         share = np.where(redundancy > CHECKED, squares / np.maximum(redundancy, CHECKED), 1.0)
-        factors = np.maximum(factors * np.sqrt(share), 1.0)
+        factors = np.maximum(factors * np.sqrt(share), least)
     return found
 
 

@@ -348,7 +348,7 @@ def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
     after = diagnosis.holding(found)
     try:
         after.fitted(diagnosis.noise.factors, diagnosis.start)
-    except (ObservabilityError, DataError):
+    except (DataError, ObservabilityError):
         return False
     return bool(after.used.any())
 

@@ -102,6 +102,8 @@ def _text_file(name: str, text: str) -> dict[str, _File]:
 
 def _replace(folder: Path, pages: Mapping[str, _File]) -> None:
     """Write files by name, the last one at last, in place of those that were written before."""
+    if (folder / FOLDER).is_symlink():
+        raise BagError(f"{folder / FOLDER} is a link, through which nothing is written: remove it")
     ours = _written_before(folder)
     for name in pages:
         path = folder / name

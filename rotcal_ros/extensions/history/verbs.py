@@ -26,7 +26,7 @@ from rotcal_ros.extensions.history.settings import (
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.dates import day_of, time_of, today
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
-from rotcal_ros.foundation.files import write_atomically, write_durably
+from rotcal_ros.foundation.files import remove_durably, write_atomically, write_durably
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say, tell
 
@@ -229,6 +229,9 @@ def show(
                 raise ConfigurationError(
                     f"{output} exists and is not overwritten: name another file"
                 ) from error
+            except OSError:
+                remove_durably(output)  # a part of it
+                raise
             say(f"{entry.kind} {entry.what}: {output.absolute()}")
             return 0
         entries = history.of_item(item, valid=False)

@@ -52,7 +52,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.table_balls.motions import correlated, spectra
+from rotcal_ros.methods.table_balls.motions import correlated, drawn, spectra
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     DISPLACEMENT,
@@ -600,10 +600,7 @@ def model_of(
     model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
     if whole or not len(motions):
         return model
-    together = correlated(
-        motions[:, balls.motions], _sums(balls), balls.stated,
-        balls.angles, balls.tilts, spectra(solver),
-    )  # fmt: skip
+    together = correlated(motions[:, balls.motions], moves(balls, solver))
     return replace(model, correlated=(together.below(len(zero)),))
 
 
@@ -639,6 +636,11 @@ def _gain(balls: BallsOnTable, measure: str) -> Iterator[Disturbing]:
         return
     percent = Unit("%", 0.01)
     yield Disturbing("gain", what, lambda computed: (computed - wanted)[:, None], 0.1, percent)
+
+
+def moves(balls: BallsOnTable, solver: BallsSolverSettings) -> dict[str, tuple[Floats, ...]]:
+    """Return how the table may move; see :func:`~.motions.drawn`."""
+    return drawn(_sums(balls), balls.stated, balls.angles, balls.tilts, spectra(solver))
 
 
 def _outputs(balls: BallsOnTable) -> Floats:

@@ -199,6 +199,21 @@ def test_a_page_replaces_only_what_it_wrote(place, tmp_path):
     assert (out / "park" / "table-0.html").read_text() == "my notes"
 
 
+def test_a_page_is_not_written_through_a_link(place, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "out" / "park").symlink_to(tmp_path / "theirs")
+    with ParkHistory(place) as history:
+        with pytest.raises(BagError, match="is a link, through which nothing is written"):
+            write_park(history, park(history, SETTINGS), tmp_path / "out", "2026-03-31")
+        (tmp_path / "out" / "park").unlink()
+        (tmp_path / "out" / "park.html").symlink_to(tmp_path / "nothing.html")
+        with pytest.raises(BagError, match="is not replaced"):
+            write_park(history, park(history, SETTINGS), tmp_path / "out", "2026-03-31")
+    assert list((tmp_path / "theirs").iterdir()) == []
+    assert not (tmp_path / "nothing.html").exists()
+
+
 def test_pages_at_once_are_whole(place, tmp_path):
     out = tmp_path / "out"
     with ParkHistory(place) as history:
