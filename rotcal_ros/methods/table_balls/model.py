@@ -39,6 +39,7 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
+    MOST_MOMENTS,
     Disturbing,
     Grouping,
     Model,
@@ -566,7 +567,7 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
-    shifts = _from_mean(knocks(zero, when), zero)
+    shifts = _from_mean(knocks(zero, when, MOST_MOMENTS), zero)
     run = np.repeat(passes(read.station, read.position, read.order), count)
     each = [recurring(np.where(zero == k, run, -1), when) for k in np.unique(zero)]
     returning = _from_mean(np.concatenate(each, axis=1), zero)
