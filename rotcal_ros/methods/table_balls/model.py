@@ -39,6 +39,7 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
+    MOST_MOMENTS,
     Disturbing,
     Grouping,
     Model,
@@ -570,7 +571,7 @@ def model_of(
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
-    shifts = _from_mean(knocks(zero, when), zero)
+    shifts = _from_mean(knocks(zero, when, MOST_MOMENTS), zero)
     model = Model(
         blocks=balls.blocks,
         observed=read.value if count == 1 else read.points.ravel(),

@@ -1,6 +1,7 @@
 """A fringe that the counter slips in the midst of a run, and nobody says so."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from six_scene import good_targets, scene
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.methods.tracer.solver import TracerLimits
+from rotcal_ros.methods.tracer.solver.zeros import Shifts, slips_among
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 from rotcal_ros.methods.tracer_six.solver.solution import adjust
 
@@ -142,3 +144,18 @@ def test_the_allowance_is_what_plain_solves_make_of_slips():
         allowed = solution.covariance_of(name) - alone.covariance_of(name)
         assert np.abs(allowed - (curve.T * chance) @ curve).max() < 1e-3 * allowed.max(), name
         assert allowed.max() > 0.1 * alone.covariance_of(name).max(), name
+
+
+def test_the_lengths_say_how_probable_an_unseen_slip_is():
+    """By Bayes' theorem of exp(-chi-squared / 2), with a slip at each moment and without."""
+    size, score = 3e-7, np.array([1e7, -6e6, 0.0, 2e6])
+    information = np.array([2e13, 1e13, 1e12, 4e13])
+    timed = SimpleNamespace(side=np.full(4, 100))
+    shifts = Shifts(timed, np.arange(4), score, information, np.ones(4), np.zeros((4, 6)))
+    slips = slips_among(shifts, size, 0.01, asked=True)
+    fits = np.array([[s * u - s**2 * i / 2 for s in (size, -size)] for u, i in
+                     zip(score, information, strict=True)])  # fmt: skip
+    likely = np.exp(fits).mean(axis=1) / 4
+    np.testing.assert_allclose(slips.chance, likely / (1 + likely.sum()), rtol=1e-12)
+    before = slips_among(shifts, size, 0.01)
+    assert (before.chance <= 0.5 / 4).all()
