@@ -56,7 +56,7 @@ class Spectrum:
 
     @classmethod
     def falling(cls, lowest: int, highest: int = HIGHEST) -> Spectrum:
-        """Return the one whose sizes fall as 1 / k from the ``lowest`` order to the ``highest``."""
+        """Return the one whose sizes fall as 1 / k from the ``lowest`` order to ``highest``."""
         order = np.arange(1, highest + 1)
         return cls.of_sizes(np.where(order < lowest, 0.0, 1.0 / order).tolist())
 
