@@ -148,7 +148,7 @@ def reliability(
     """Print the smallest error in one observation of a plan that would be found (Baarda).
 
     The observations are sorted by what a slightly smaller error, which may stay unseen, would do
-    to the deviations, in their standard uncertainties. Before them: U of the plan, and what its
+    to the deviations, in their standard uncertainties. Below them: U of the plan, and what its
     readings could not show; of two circles also what one more setting would bring.
     """
     from rotcal_ros.evaluation.reliability import effects_on_deviations
@@ -169,8 +169,8 @@ def reliability(
     if as_json:
         print_json({**data, "prospects": [each.to_dict() for each in expected]})
     else:
-        print_words(*(each.in_words(expected[0]) for each in expected))
         _print_reliability(data)
+        print_words(*(each.in_words(expected[0]) for each in expected))
     return 0
 
 

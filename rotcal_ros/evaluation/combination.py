@@ -52,6 +52,8 @@ from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Result, Verdict, Zeros
 
 METHOD: Final = "combination"
+REFERENCE: Final = "reference"
+"""The method of a table of values."""
 UNCHECKED: Final = "nothing checked its values: none was measured twice"
 UNTOLD: Final = (Protection("single readings", "not protected", UNCHECKED),)
 
@@ -88,7 +90,7 @@ class CombinationInput:
         """
         if isinstance(source, MeasuredCurve):
             known = Circumstances(simulated=True) if source.simulated else None
-            measured = cls(name, "reference", {"ECC": source}, circumstances=known)
+            measured = cls(name, REFERENCE, {"ECC": source}, circumstances=known)
         else:
             measured = cls(
                 name,
@@ -298,17 +300,18 @@ def _linked(
 
     Not protected where a single one does: nothing checks the error of that link.
     """
-    links = [link for g in groups for link in g.links if link.input == name]
-    if not links:
+    own = [link for g in groups for link in g.links if link.input == name]
+    if not own:
         return tuple(protections)
-    bare = {link.name: link.others[0] for link in links if not link.checked}
-    others = sorted({other for link in links for other in link.others})
+    bare = {link.name: link.others[0] for link in own if not link.checked}
+    others = sorted({other for link in own for other in link.others})
     joined = Protection(
         "gauge", "estimated", f"the offsets that it leaves open come from {', '.join(others)}"
     )
     if bare:
-        told = ", ".join(f"the offset between {what} comes from {o}" for what, o in bare.items())
-        joined = Protection("gauge", "not protected", f"{told} alone, whose error nothing checks")
+        links = [f"the offset between {what} comes from {other}" for what, other in bare.items()]
+        why = f"{', '.join(links)} alone, whose error nothing checks"
+        joined = Protection("gauge", "not protected", why)
     return (*(p for p in protections if p.effect != "gauge"), joined)
 
 
@@ -332,13 +335,9 @@ def _adjacent(
 
 
 def _unchecked(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> list[str]:
-    """Return the inputs that state no protection and whose values no other measured again."""
-    silent = [m.name for m in inputs if not m.protections]
-    return [
-        name
-        for name in silent
-        if not any(group.dof for group in groups if name in sum(group.members, ()))
-    ]
+    """Return the tables of values that no other input measured again."""
+    checked = {n for group in groups if group.dof for names in group.members for n in names}
+    return [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
 
 
 def _interpolated(
@@ -433,13 +432,13 @@ def join_protections(
     )
 
 
-def weaker(one: Protection, other: Protection) -> Protection:
+def weaker(first: Protection, second: Protection) -> Protection:
     """Return that of two protections against an effect that leaves more unseen."""
 
     def left(p: Protection) -> tuple[bool, int, float]:
         return bool(unprotected([p])), -WEAKEST_FIRST.index(p.treatment), p.error or 0.0
 
-    return max(one, other, key=left)
+    return max(first, second, key=left)
 
 
 def _concerned(

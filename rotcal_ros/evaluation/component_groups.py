@@ -197,14 +197,14 @@ def combine_group(
     )
     counting = weighed_with({name: inputs[name] for name in _telling(inputs)})
 
-    def told(extra: float = 0.0) -> ComponentGroup:
+    def counted(extra: float = 0.0) -> ComponentGroup:
         wider = pool(widened(counting.weighed, extra**2), gauge)
         return _told_by(group, wider, counting.members)
 
     if len(counting.parts) < len(inputs):
-        group = told()
+        group = counted()
     if not group.consistent:
-        group = _enlarged(group, weighed, gauge, enlarge, told)
+        group = _enlarged(group, weighed, gauge, enlarge, counted)
     return replace(group, links=tuple(links_of(group, inputs, parts)))
 
 
@@ -222,23 +222,23 @@ def _telling(inputs: Mapping[str, Curves]) -> list[str]:
     return names
 
 
-def _stands_for(one: Curves, other: Curves) -> bool:
-    """Whether ``one`` evaluates what the ``other`` does, or part of it, more surely."""
-    both = one.keys() & other.keys()
+def _stands_for(surer: Curves, other: Curves) -> bool:
+    """Whether ``surer`` evaluates what the ``other`` does, or part of it, more surely."""
+    both = surer.keys() & other.keys()
     if both != other.keys():
         return False
     here = next(iter(both))
-    mine, theirs = one[here].raw_data, other[here].raw_data
+    mine, theirs = surer[here].raw_data, other[here].raw_data
     ours, _ = mine.shared_with(theirs)
     if not len(ours) or len(ours) < min(len(mine.hashes), len(theirs.hashes)):
         return False
     if any(
-        not same_angles(other[c].angles, one[c].angles, one[c].period).any(axis=1).all()
-        or set(one[c].free_names) - set(other[c].free_names)
+        not same_angles(other[c].angles, surer[c].angles, surer[c].period).any(axis=1).all()
+        or set(surer[c].free_names) - set(other[c].free_names)
         for c in both
     ):
         return False
-    first, second = (sum(_scatter(curves[c]) for c in both) for curves in (one, other))
+    first, second = (sum(_scatter(curves[c]) for c in both) for curves in (surer, other))
     return first <= second
 
 
@@ -359,8 +359,8 @@ def links_of(
                     which = _which(word, column[rows], curves[c], rows)
                     way = part.design[place].T @ column[rows]
                     seen = dict(zip(inputs, parts, strict=True))
-                    told = tuple(n for n in others if seen[n].determines(way)) or others
-                    yield _link(group, part, place, column[rows], (c, name, which, told))
+                    which_ones = tuple(n for n in others if seen[n].determines(way)) or others
+                    yield _link(group, part, place, column[rows], (c, name, which, which_ones))
 
 
 def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
@@ -398,11 +398,11 @@ def _enlarged(
     parts: Sequence[ComponentInput],
     gauge: Floats,
     enlarge: Enlargement,
-    told: Callable[[float], ComponentGroup],
+    counted: Callable[[float], ComponentGroup],
 ) -> ComponentGroup:
     """Return a group with larger uncertainties, because its inputs contradict each other.
 
-    ``told``: the group where every value has so much more of a standard uncertainty.
+    ``counted``: the group where every value has so much more of a standard uncertainty.
     """
     if len(parts) > 2:
         group = replace(group, farthest=group.inputs[farthest(parts, gauge)])
@@ -411,7 +411,7 @@ def _enlarged(
         return replace(group, enlargement=enlarge, factor=factor)
     if enlarge == "mandel-paule":
         extra = common_std(parts, gauge)
-        wider = told(extra).pooled
+        wider = counted(extra).pooled
         return replace(group, enlargement=enlarge, common_std=extra, pooled=wider)
     return group
 

@@ -126,9 +126,9 @@ def states(configuration: Configuration, read: Readings, found: Adjusted) -> Sta
         others = ", or if ".join(rival.better[:MOST_NAMED])
         doubts.append(f"all readings fit if {others}: correct what is stated")
     stated = {p.effect: p for p in (*_unread(), _arrivals(found), _gauge(configuration, found))}
-    for told in rival.protections():
-        if told.treatment == "not protected" or told.effect != "gauge":
-            stated[told.effect] = told
+    for protection in rival.protections():
+        if protection.treatment == "not protected" or protection.effect != "gauge":
+            stated[protection.effect] = protection
     return Statement(doubts, tuple(stated.values()), _details(configuration))
 
 

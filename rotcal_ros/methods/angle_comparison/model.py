@@ -47,7 +47,7 @@ from rotcal_ros.planning.table_angles import table_angles
 
 INSTRUMENT, MOVED = "the instrument", "reference or instrument"
 """What effects are called after."""
-LEANING: Final = "the reference leans, and not alike in all settings"
+LEANING: Final = "the reference leans"
 WORDS: Final = Words(
     "readings", "a draught, heat or a person", "at the reference", "at the reference"
 )
