@@ -400,10 +400,11 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     computed, _ = model.equations(model.first)
     exact = replace(model, observed=computed)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
-    std = fit.noise_std[: len(model.outputs)]
+    every_std = fit.noise_std
+    std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)
+        e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), counting, each)
         for e in model.effects
         if e.whole(computed).any()
     }
@@ -534,14 +535,16 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     counts = std > 0.0
     felt = fit.response_of(rows)[: len(std)][counts] * size / std[counts, None]
     error = float(np.sqrt((felt**2).mean(axis=1)).max(initial=0.0))
-    weak = int((redundancy <= CHECKED).sum())
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)
         return
-    why = f"{weak} of {len(rows)} {words.elements} are checked by no other"
-    if not weak:
-        why = f"{words.elements} hardly check each other"
-    yield Protection("single readings", "not protected", f"{why}: an error in one stays", error)
+    why = f"{words.elements} hardly check each other: an error in one of them stays unseen"
+    if weak := int((redundancy <= CHECKED).sum()):
+        why = (
+            f"{weak} of {len(rows)} {words.elements} are checked by no other: an error in them "
+            "stays unseen"
+        )
+    yield Protection("single readings", "not protected", why, error)
 
 
 def _against_gathering(found: Adjusted) -> Iterator[Protection]:
