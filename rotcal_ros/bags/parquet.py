@@ -18,7 +18,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.files import sync_folder
+from rotcal_ros.foundation.files import naming, sync_folder
 
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 LOG_TIME: Final = "log_time_ns"
@@ -106,7 +106,8 @@ class _Stream:
 
     def __exit__(self, *_: object) -> None:
         if self._writer is not None:
-            self._writer.close()
+            with naming(self.path):
+                self._writer.close()
 
     def add(self, block: Block) -> None:
         """Write the messages of a block as one group of rows."""
@@ -117,7 +118,8 @@ class _Stream:
         rows = list(self._rows(block, self._decoder))
         self._messages += len(rows)
         if rows:
-            self._writer.write_table(pa.Table.from_pylist(rows, self._schema))
+            with naming(self.path):
+                self._writer.write_table(pa.Table.from_pylist(rows, self._schema))
 
     def _rows(self, block: Block, decoder: Decoder) -> Iterator[dict[str, Any]]:
         for index, (log, publish) in enumerate(

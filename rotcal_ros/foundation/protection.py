@@ -40,6 +40,8 @@ Particular = Literal[
     "polygon tilt",
     "probe tip",
     "lag",
+    "straightness",
+    "play",
 ]
 Effect = Literal[Common, Particular]
 PARTICULAR: Final[tuple[Effect, ...]] = get_args(Particular)
@@ -51,7 +53,8 @@ in one place among many; readings that no other checks; table positions or set-u
 numbered wrong; a z axis that points down, and readings of the other sign, where no measurement
 would show it; a table that turns the other way than is stated; an instrument that shows too much
 or too little; a polygon or another reference that leans against the axis; the offset of a probe's
-tip; readings that are late beside the angle of a table that turns."""
+tip; readings that are late beside the angle of a table that turns; linear axes that do not go
+straight, and what they lose where they turn."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = get_args(Common)
