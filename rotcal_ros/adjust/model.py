@@ -31,7 +31,7 @@ from rotcal_ros.adjust.subsets import runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import Effect
-from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC, TURN
 
 FIRM: Final = 1e-6
 """Reciprocal condition number from which on a design needs no singular values."""
@@ -198,6 +198,23 @@ def drifts(run: Ints, when: Floats) -> Floats:
     return np.column_stack([np.zeros((len(run), 0)), *found])
 
 
+def recurring(run: Ints, when: Floats) -> Floats:
+    """Return drifts by one unit that come back with each ``run`` (n,), -1 for none: (n, 3).
+
+    From its first reading to its last: a straight line, one sine and one cosine, whose sums are
+    near to a warm-up, too. Runs that all go the same way leave them open, for they are what a
+    deviation at each place is; there and back leave open what is the same from both ends.
+    """
+    each = [run == number for number in np.unique(run[run >= 0])]
+    spans = [float(np.ptp(when[mine])) for mine in each if np.ptp(when[mine])]
+    gone, span = np.zeros(len(run)), float(np.median(spans)) if spans else 1.0
+    for mine in each:
+        gone[mine] = (when[mine] - when[mine].min()) / span
+    turned = TURN * gone
+    shapes = np.column_stack([gone - 0.5, 0.5 * np.sin(turned), 0.5 * np.cos(turned)])
+    return np.asarray(np.where((run >= 0)[:, None], shapes, 0.0))
+
+
 def knocks(run: Ints, when: Floats) -> Floats:
     """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k)."""
     return Steps(run, when).whole()
@@ -214,11 +231,12 @@ def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
     return np.column_stack([some * each[:, None] for each in felt.T])
 
 
-def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str]:
+def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str, str]:
     """Return what :func:`instrument_effects` are called, in their order."""
     return (
         f"{instrument} drifts",
         f"{instrument} drifts in one run,",
+        f"{instrument} drifts in each run alike",
         f"{moved or instrument} moved",
         f"the scale of {instrument} is wrong",
     )
@@ -236,18 +254,20 @@ def instrument_effects(
 ) -> tuple[Disturbing, ...]:
     """Return what may happen to any instrument: it drifts, something moves, its scale is wrong.
 
-    It drifts in all runs or in one of them. ``run`` (n,): readings from one zero, -1 for none;
-    ``when`` (n,): the order or the time. ``largest``: a drift or a shift that nobody would
-    overlook, ``scale`` the same of its scale, 0.1 for one that may be off by 10 %; ``moved``: what
-    may be moved.
+    It drifts in all runs, in one of them, or in each alike. ``run`` (n,): readings from one zero,
+    -1 for none; ``when`` (n,): the order or the time. ``largest``: a drift or a shift that nobody
+    would overlook, ``scale`` the same of its scale, 0.1 for one that may be off by 10 %;
+    ``moved``: what may be moved.
     """
     drifting, shifted = drifts(run, when), Steps(run, when)
-    drift, alone, moves, wrong = effect_texts(instrument, moved)
+    drift, alone, alike, moves, wrong = effect_texts(instrument, moved)
     found = [Disturbing("drift", drift, drifting, largest, unit)]
     if drifting.shape[1] > 1:
         found.append(Disturbing("drift", alone, drifting, largest, unit, family=True))
+    swings = recurring(run, when)[:, 1:]  # a straight line in each run is among the drifts
     return (
         *found,
+        Disturbing("recurring drift", alike, swings, largest, unit),
         Disturbing("knock", moves, shifted, largest, unit, family=True),
         Disturbing("scale", wrong, _scaled, scale, Unit("%", 0.01)),
     )

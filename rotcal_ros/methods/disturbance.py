@@ -142,12 +142,14 @@ def arrival_errors(plan: Plan, sizes: Sizes, other: np.random.Generator) -> Floa
 def of_readings(
     start: float, largest: float, unit: str = "arcsec", unit_si: float = ARCSEC
 ) -> tuple[Disturbance, ...]:
-    """Return what spoils any readings: drift and knock, of sizes in ``unit``, noise and scale.
+    """Return what spoils any readings: drifts and knock, of sizes in ``unit``, noise and scale.
 
     They are those of :func:`~rotcal_ros.adjust.model.instrument_effects`.
     """
+    again = "over each run alike, with a straight line, a sine and a cosine of so much each"
     return (
         Disturbance("drift", "linearly from one zero to the next", unit, unit_si, start, largest),
+        Disturbance("recurring drift", again, unit, unit_si, start, largest),
         Disturbance("knock", "from one moment on", unit, unit_si, start, largest),
         Disturbance(
             "axis noise", "so many times as stated", "times", 1.0, 1.2, 50.0, scatters=True

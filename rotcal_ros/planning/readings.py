@@ -26,6 +26,22 @@ def time_order(observations: Sequence[Observation]) -> Ints:
     return rank
 
 
+def passes(station: Ints, position: Ints, order: Ints) -> Ints:
+    """Return which pass through the table's positions each reading (n,) belongs to, in time.
+
+    ``order``: their rank in time. A new pass begins with another ``station``, and where the table
+    comes to a ``position`` again.
+    """
+    found, seen, number, before = np.zeros(len(order), np.int64), set[int](), -1, (-1, -1)
+    for row in np.argsort(order, kind="stable").tolist():
+        here = int(station[row]), int(position[row])
+        if here[0] != before[0] or (here != before and here[1] in seen):
+            seen, number = set(), number + 1
+        seen.add(here[1])
+        found[row], before = number, here
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Readings:
     """One row for each of n observations, in their order; numbers as of a step of the plan.

@@ -271,7 +271,8 @@ def test_all_nine_effects_are_stated_and_what_the_readings_cannot_show_is_named(
         (world.position, world.level), counts_from="mean", protections=said,
     )  # fmt: skip
     assert [p.effect for p in result.protections if p.effect in EFFECTS] == list(EFFECTS)
-    bare = {"drift", "knock", "scale", "one place", "sign of readings", *more}
+    always = {"drift", "recurring drift", "knock", "scale", "one place", "sign of readings"}
+    bare = always | {*more}
     assert set(unprotected(result.protections)) == bare
 
 

@@ -46,6 +46,7 @@ from rotcal_ros.adjust.model import (
     block_rows,
     drifts,
     knocks,
+    recurring,
 )
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
@@ -59,7 +60,7 @@ from rotcal_ros.methods.table_balls.settings import (
 )
 from rotcal_ros.methods.table_balls.tilting import Tilting
 from rotcal_ros.planning.points import triples
-from rotcal_ros.planning.readings import Readings
+from rotcal_ros.planning.readings import Readings, passes
 from rotcal_ros.planning.table_angles import table_angles
 
 AXIS: Final = ("XOC", "YOC", "AOC", "BOC")
@@ -86,6 +87,7 @@ WORDS: Final = {
 }
 """What readings of so many values are called."""
 UM: Final = Unit("um", MICROMETRE)
+AGAIN: Final = "machine or table drift in each run alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -549,6 +551,9 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
     shifts = _from_mean(knocks(zero, when), zero)
+    run = np.repeat(passes(read.station, read.position, read.order), count)
+    each = [recurring(np.where(zero == k, run, -1), when) for k in np.unique(zero)]
+    returning = _from_mean(np.concatenate(each, axis=1), zero)
     model = Model(
         blocks=balls.blocks,
         observed=read.value if count == 1 else read.points.ravel(),
@@ -569,6 +574,7 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
         ),
         effects=(
             Disturbing("drift", "machine or table drift", drifts(zero, when), largest, UM),
+            Disturbing("recurring drift", AGAIN, returning, largest, UM),
             Disturbing("knock", "machine or table moved", shifts, largest, UM, family=True),
         ),
         row_names=list(_names(balls, read)),

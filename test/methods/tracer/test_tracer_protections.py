@@ -83,6 +83,7 @@ def test_every_effect_is_stated_once(variant, datum):
     assert tuple(p.effect for p in result.protections) == (
         *EFFECTS,
         "tangential motion",
+        "recurring drift",
         "one place",
         "numbering",
     )
@@ -236,3 +237,16 @@ def test_an_origin_that_drifts_in_step_with_each_turn_is_named_where_the_table_t
     assert "um of it is" in named.why
     once = treatments(solve(measured(2)))["tangential motion"]
     assert "in step with each turn" not in once.why
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-6])
+def test_a_frame_that_swings_in_each_turn_alike_is_named_where_the_turns_do_not_show_it(size):
+    """It moves every station by the same each time: the circle shows its radial part alone."""
+
+    def swinging(share, at, to):
+        wave = np.sin(2.0 * np.pi * share * TARGETS)[:, :, None]
+        return at, to + size * wave * [0.0, 0.0, 1.0]
+
+    result = solve(measured(3, interleaved=True, effect=swinging))
+    assert result.verdict == "ok"
+    assert "recurring drift" in result.unprotected

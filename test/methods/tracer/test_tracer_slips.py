@@ -93,7 +93,10 @@ def test_the_result_says_how_many_slips_would_be_found():
         {p.effect: p for p in solve(measure(n=40, by_target=b).problem(0.5, 0)).protections}
         for b in (True, False)
     )
-    others = ("growth", "uneven drift", "sign of z", "sign of readings", "probe tip", "lag")
+    others = (
+        "growth", "uneven drift", "sign of z", "sign of readings", "sense", "gain", "probe tip",
+        "lag",
+    )  # fmt: skip
     assert tuple(by_target) == (*EFFECTS, *(e for e in PARTICULAR if e not in others))
     assert by_target["slip"].treatment == "bounded"
     assert "is found in 1 % of the cases, by these lengths in this order" in by_target["slip"].why

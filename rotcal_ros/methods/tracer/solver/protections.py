@@ -23,6 +23,7 @@ from rotcal_ros.adjust.closures import closures
 from rotcal_ros.adjust.distributions import chi2_isf, noise_growth, normal_isf
 from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.model import recurring
 from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
@@ -46,6 +47,7 @@ from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
 from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS
 from rotcal_ros.methods.tracer.solver.zeros import largest_share
+from rotcal_ros.planning.readings import passes
 
 LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m, or rad times the largest reach) that could not be overlooked."""
@@ -130,10 +132,13 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
     standing, targets = solution.fit.standing, solution.fit.targets
     distance, _ = ranges(standing, targets)
     air = refracted(distance, standing, targets)
+    moving |= {"recurring drift": returning(solution)}
     worst = _worst(solution, moving | {"scale": distance[None], "refraction": air})
+    alike = "the machine's frame that drifts or turns in each turn of the table alike"
     return ordered(
         (
             *_of_the_order(solution, worst),
+            _moved("recurring drift", worst["recurring drift"], solution, alike),
             noise_protection(float(np.max(_hidden_noise(solution)))),
             _error_motion(solution),
             _repeatability(solution, arrivals),
@@ -383,20 +388,34 @@ def _arrivals(solution: TracerSolution) -> int:
     return int(arrivals[solution.positions].min())
 
 
-def drifts(solution: TracerSolution) -> Floats:
-    """Return the frame of the machine drifting linearly by a metre along x, y, z: (3, m, n)."""
+def drifts(solution: TracerSolution, gone: Floats | None = None) -> Floats:
+    """Return the frame of the machine drifting by a metre along x, y, z: (3, m, n).
+
+    By the share ``gone`` (m, n) at each length; None: linearly over the run.
+    """
     _, unit = ranges(solution.fit.standing, solution.fit.targets)
-    return np.asarray(-_gone(solution) * unit.transpose(2, 0, 1), dtype=np.float64)
+    gone = _gone(solution) if gone is None else gone
+    return np.asarray(-gone * unit.transpose(2, 0, 1), dtype=np.float64)
 
 
-def turning(solution: TracerSolution) -> Floats:
+def turning(solution: TracerSolution, gone: Floats | None = None) -> Floats:
     """Return the frame of the machine turning about the table's axis by a radian: (1, m, n)."""
     motion, fit = solution.motion, solution.fit
     _, unit = ranges(fit.standing, fit.targets)
     arms = cross_matrix(motion.plane.normal[None])[0] @ (fit.targets - motion.centre).T
-    return np.asarray(-_gone(solution) * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[
-        None
-    ]
+    gone = _gone(solution) if gone is None else gone
+    return np.asarray(-gone * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[None]
+
+
+def returning(solution: TracerSolution) -> Floats:
+    """Return the same by a metre, or at the farthest target, in each turn alike: (12, m, n)."""
+    problem, motion = solution.problem, solution.motion
+    reach = float(np.linalg.norm(solution.fit.targets - motion.centre, axis=1).max())
+    order = problem.measuring_order
+    run = passes(np.zeros(len(order), np.int64), problem.position, order)
+    shapes = [solution.grid.placed(shape) for shape in recurring(run, order.astype(np.float64)).T]
+    moves = ((drifts(solution, each), turning(solution, each) / reach) for each in shapes)
+    return np.concatenate([pattern for both in moves for pattern in both])
 
 
 def knocks(solution: TracerSolution) -> Floats:

@@ -1,0 +1,93 @@
+"""How the error motion of a rotary axis is spread over orders: of few undulations, or of many.
+
+A motion of the order k has k undulations in a turn, a cos(k theta) + b sin(k theta) with a and b
+of one variance. The same size in one low order and in all of them (white) are very different
+witnesses: n angles see n independent values of white motion, and two of one order. Order 0 belongs
+to the axis average line (ISO 230-7), as what turns with the table does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats
+
+HIGHEST: Final = 10
+"""Order up to which a motion is held to be one of low orders."""
+ROUNDED: Final = 1e-9
+"""By which shares may miss a whole."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Shares of the variance of a motion: of each of the ``orders``, and of a ``white`` rest.
+
+    ``shares`` belong to the orders; all together are 1. Raises ValueError for others.
+    """
+
+    orders: tuple[int, ...] = ()
+    shares: tuple[float, ...] = ()
+    white: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse shares that are no parts of a whole."""
+        every = (*self.shares, self.white)
+        if len(self.orders) != len(self.shares) or min(self.orders, default=1) < 1:
+            raise ValueError(f"orders {self.orders} from 1 on with as many shares {self.shares}")
+        if min(every) < 0.0 or abs(sum(every) - 1.0) > ROUNDED:
+            raise ValueError(f"shares {self.shares} and white {self.white}: expected a whole of 1")
+
+    @classmethod
+    def of_sizes(cls, sizes: Sequence[float]) -> Spectrum:
+        """Return the spectrum whose orders 1, 2, 3 ... have ``sizes`` in relation to each other.
+
+        Raises ValueError where none is above zero.
+        """
+        squares = np.square(sizes)
+        if not squares.sum() > 0.0:
+            raise ValueError(f"sizes {tuple(sizes)}: expected at least one above 0")
+        shares = squares / squares.sum()
+        kept = np.flatnonzero(shares)
+        return cls(tuple((kept + 1).tolist()), tuple(shares[kept].tolist()))
+
+    @classmethod
+    def falling(cls, lowest: int, highest: int = HIGHEST) -> Spectrum:
+        """Return the one whose sizes fall as 1 / k from the ``lowest`` order to ``highest``."""
+        order = np.arange(1, highest + 1)
+        return cls.of_sizes(np.where(order < lowest, 0.0, 1.0 / order).tolist())
+
+    @classmethod
+    def one_each(cls, highest: int = HIGHEST) -> Iterator[Spectrum]:
+        """Yield white, and each single order up to the ``highest``.
+
+        Every other spectrum of these is a mean of them, and so is what it does to a variance: who
+        holds the worst of them holds all.
+        """
+        yield WHITE
+        yield from (cls((order,), (1.0,)) for order in range(1, highest + 1))
+
+    def root(self, angles: Floats) -> Floats:
+        """Return columns (n, r) whose products add up to :meth:`covariance`, of least number."""
+        phase = np.outer(angles, self.orders)
+        size = np.sqrt(self.shares)
+        columns = [size * np.cos(phase), size * np.sin(phase)]
+        if self.white:
+            columns.append(np.sqrt(self.white) * np.eye(len(angles)))
+        return np.concatenate(columns, axis=1)
+
+    def covariance(self, angles: Floats) -> Floats:
+        """Return the covariance (n, n) of a motion of size 1 between ``angles`` (n,), rad.
+
+        The sum of share cos(order (theta_i - theta_j)); white motion is at each of the angles its
+        own.
+        """
+        columns = self.root(angles)
+        return np.asarray(columns @ columns.T)
+
+
+WHITE: Final = Spectrum(white=1.0)
+"""A motion that is another at every angle."""
