@@ -78,7 +78,7 @@ class Recording:
     for which other axes it did so. ``frames`` are its static transforms, ``unreadable`` says why
     topics could not be read, ``clock`` how the system clock jumped, ``session`` whether all files
     are there, ``dropouts`` what the recorder itself missed, ``foreign_plans`` how many
-    plans belong to no run of the bag's planner.
+    plans belong to no run of the bag's planner, ``stream_faults`` what is wrong with the joints.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -104,6 +104,7 @@ class Recording:
     session: SessionVerdict = field(default_factory=SessionVerdict)
     dropouts: tuple[PlacedDropout, ...] = ()
     foreign_plans: int = 0
+    stream_faults: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> Configuration:
@@ -113,8 +114,8 @@ class Recording:
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit.
 
-        It also carries the warnings about the bag, and its verdict is at best suspect if a file is
-        missing.
+        It also carries the warnings about the bag, and its verdict is at best suspect if the bag
+        or its metadata shows that messages are missing.
         """
         self._require_observations()
         try:
@@ -128,7 +129,8 @@ class Recording:
         """Return a ``result`` of these observations with the warnings about the bag."""
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         warned = replace(result, warnings=(*result.warnings, *further))
-        return warned.doubted() if self.session.missing else warned
+        short = self.session.missing or any(v.proves_loss for v in self.verdicts)
+        return warned.doubted() if short else warned
 
     def of_curves(self) -> CurveModel | None:
         """Return the observations as a model, to be solved with those of other instruments."""
@@ -154,7 +156,8 @@ class Recording:
     def _require_observations(self) -> None:
         """Raise DataError with the reason when no observation was accepted."""
         topics = {name for verdict in self.verdicts for name in verdict.topics}
-        require_accepted(self.observations, self.counts, self.unreadable, self.broken, topics)
+        wrong = *self.stream_faults, *self.unreadable.values()
+        require_accepted(self.observations, self.counts, wrong, self.broken, topics)
 
     def _as_chosen(self) -> methods.Calibration | None:
         """Return the calibration whose policy chose the steps; None if it only listed them."""
@@ -272,6 +275,8 @@ def _recording(
     )
     verdicts = tuple(scan.verdict() for scan in contents.scans)
     _require_messages(verdicts, path)
+    if source == "streams" and (changing := feeder.joints.changing()):
+        raise DataError(changing)
     attached = {text for text, _ in recorded_setup.attached_configurations(contents.scans)}
     differ = len(attached.union(text for _, text in contents.planned)) > 1
     foreign = strangers(files, contents.planned, attached, limits) if differ else frozenset()
@@ -289,6 +294,9 @@ def _recording(
     captured = judged_as_live(feeder.observations, feeder.offsets, judged_live)
     captured = known_to_later_runs(captured, contents.recorded, contents.scans)
     broken = {c.topic: d.broken for c, d in contents.decoders.items() if d.broken}
+    topics.unreadable.update({
+        c.topic: d.unreadable for c, d in contents.decoders.items() if d.unreadable
+    })  # fmt: skip
     note_unread((*topics.unreadable.values(), *_undecoded(broken)))
     subjects = tuple(recorded_setup.recorded_subjects(texts, contents.scans))
     return Recording(
@@ -317,6 +325,7 @@ def _recording(
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
         foreign_plans=len(foreign),
+        stream_faults=tuple(feeder.joints.faults()) if source == "streams" else (),
     )
 
 
