@@ -36,7 +36,7 @@ larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of 
 * *Error* is what the effect does to the deviations unnoticed up to that size, in standard
   uncertainties: the root mean square over the measurements whose verdict stayed `ok`, at the worst
   component and angle. Effects that scatter count over all angles.
-* *Named* says whether the verdict line names the effect ("ok, not protected against ...").
+* *Named* says whether the verdict line names the effect ("Not tested for: ...").
 
 No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. The
 effects are explained below the table, or else below the nearest table above.

@@ -39,6 +39,15 @@ def without(motions, angles, pairs):
     return found
 
 
+def in_orders(orders, angles, rng):
+    """Return a motion (n,) of size 1 that has these orders alike; white without any."""
+    if not orders:
+        return rng.standard_normal(len(angles))
+    phase, size = np.outer(angles, orders), 1.0 / np.sqrt(len(orders))
+    a, b = size * rng.standard_normal((2, len(orders)))
+    return np.cos(phase) @ a + np.sin(phase) @ b
+
+
 @dataclass
 class World:
     """Truth: ``axis`` (4,) place and lean, ``motions`` (6, p), ``linear`` (3, 3), balls as found.
@@ -105,6 +114,16 @@ class World:
             world.tilting = moves[:, None] * rng.standard_normal(world.tilting.shape)
             world.obey_the_definitions()
         return world
+
+    def move(self, rng, radial=(), axial=(), tilt=(), larger=1.0):
+        """Draw motions in orders anew, of the stated sizes or ``larger`` than these."""
+        orders = (radial, radial, axial, tilt, tilt)
+        shift, lean = (
+            self.solver.error_motion_std_m,
+            np.radians(self.solver.tilt_std_arcsec / 3600),
+        )
+        for k, size in enumerate((shift, shift, shift, lean, lean)):
+            self.motions[k] = larger * size * in_orders(orders[k], self.angles, rng)
 
     def obey_the_definitions(self):
         """Take from the motions what belongs to lines, to balls, and to the motions below.

@@ -395,10 +395,11 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     computed, _ = model.equations(model.first)
     exact = replace(model, observed=computed)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
-    std = fit.noise_std[: len(model.outputs)]
+    every_std = fit.noise_std
+    std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), fit.output_std, each)
+        e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), counting, each)
         for e in model.effects
         if e.whole(computed).any()
     }

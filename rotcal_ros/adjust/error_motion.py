@@ -9,12 +9,13 @@ to the axis average line (ISO 230-7), as what turns with the table does.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, Ints
 
 HIGHEST: Final = 10
 """Order up to which a motion is held to be one of low orders."""
@@ -91,3 +92,44 @@ class Spectrum:
 
 WHITE: Final = Spectrum(white=1.0)
 """A motion that is another at every angle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correlated:
+    """What the errors of some ``rows`` (k,) of a model have in common, per standard deviation.
+
+    They are sums of independent ``parts``, as of radial and axial motions. Each part is one of
+    several ways, roots (k, r) whose products are its covariance; which one is not known.
+    """
+
+    rows: Ints
+    parts: tuple[tuple[Floats, ...], ...]
+
+    def below(self, count: int) -> Correlated:
+        """Return the same below ``count`` further rows of a model."""
+        return replace(self, rows=self.rows + count)
+
+    def spread(self, felt: Floats) -> Floats:
+        """Return what independent errors would have to do (o, k) in the place of these.
+
+        ``felt`` (o, k): what errors of the rows do to outputs. The variance of each output is that
+        of the worst way of each part, its correlations are those of the mean of all.
+        """
+        worst = sum(
+            np.max([((felt @ root) ** 2).sum(axis=1) for root in ways], axis=0)
+            for ways in self.parts
+        )
+        spread = felt @ self._mean_root
+        size = (spread**2).sum(axis=1)
+        factor = np.sqrt(np.where(size > 0.0, worst, 0.0) / np.where(size > 0.0, size, 1.0))
+        return np.asarray(spread * factor[:, None])
+
+    @cached_property
+    def _mean_root(self) -> Floats:
+        """Symmetric root (k, k) of the mean covariance."""
+        total = np.zeros((len(self.rows), len(self.rows)))
+        for ways in self.parts:
+            for root in ways:
+                total += root @ root.T / len(ways)
+        size, axes = np.linalg.eigh(total)
+        return np.asarray((axes * np.sqrt(np.maximum(size, 0.0))) @ axes.T)

@@ -194,10 +194,13 @@ class Fit:
 
     @cached_property
     def response(self) -> Floats:
-        """B (o + a, n): what whitened errors do to the outputs."""
+        """B (o + a, n): what whitened errors do to the outputs; correlated ones as independent."""
         found = self.cofactors
         if isinstance(found, Whole):
-            return np.asarray((self.outputs @ found.root) @ found.basis.T)
+            plain = np.asarray((self.outputs @ found.root) @ found.basis.T)
+            for each in self.model.correlated:
+                plain[:, each.rows] = each.spread(plain[:, each.rows])
+            return plain
         return self.response_of(np.arange(len(self.std)))
 
     def response_of(self, rows: Ints) -> Floats:

@@ -26,6 +26,7 @@ from rotcal_ros.adjust.arrow import (
     weighted,
 )
 from rotcal_ros.adjust.circles import Outputs
+from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.subsets import runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -308,7 +309,8 @@ class Model:
     not feel. ``also`` (k, p) by name: what else is reported with its uncertainty, but counts in no
     test. ``component`` (n,): which of the ``components`` of noise each observation belongs to.
     ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations;
-    else they are called by their groups. What is known beforehand joins by :meth:`knowing`.
+    else they are called by their groups. What is known beforehand joins by :meth:`knowing`. Rows
+    that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
     """
 
     blocks: Mapping[str, int]
@@ -326,6 +328,7 @@ class Model:
     groupings: Sequence[Grouping] = ()
     effects: Sequence[Disturbing] = ()
     row_names: Sequence[str] = ()
+    correlated: Sequence[Correlated] = ()
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""

@@ -117,6 +117,11 @@ def stacked(
             for effect in model.effects
         ],
         row_names=[f"{row} of {name}" for name, m in models.items() for row in m.names],
+        correlated=[
+            each.below(at.start)
+            for m, at in zip(parts, rows, strict=True)
+            for each in m.correlated
+        ],
     )
 
 

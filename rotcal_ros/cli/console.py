@@ -118,9 +118,7 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
 
 def print_verdict(verdict_line: str, text: str) -> None:
     """Print the verdict on something other than a result, and what it rests on."""
-    colour = "green" if verdict_line == "ok" else "yellow"
-    if not verdict_line.startswith("ok"):
-        colour = "red"
+    colour = "green" if verdict_line.startswith("ok") else "red"
     tell(f"verdict {verdict_line}: {text}", colour=colour)
 
 
@@ -130,6 +128,7 @@ def print_marks(marks: Sequence[Mapping[str, str]], text: str) -> None:
 
     about, *against = (Mark(**mark) for mark in marks)
     tell(f"{about.line}: {text}", colour=about.colour)
+    tell(*filter(None, [about.remark]))
     for mark in against:
         tell(mark.line, colour=mark.colour)
 

@@ -20,12 +20,14 @@ from rotcal_ros.cli.console import (
 from rotcal_ros.cli.options import configurations, installed, language_option
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import SIMULATED
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.gum_numbers import value
 from rotcal_ros.foundation.language import speaking
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.terminal.console import say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.evaluation.verification import Verification
+    from rotcal_ros.evaluation.verification import Positioning, Verification
 
 
 @click.command()
@@ -184,12 +186,16 @@ def _print(verification: Verification) -> None:
         )
     if verification.effect is not None:
         click.echo(verification.fault or f"table acts:    {verification.effect.in_words()}")
-    for line in verification.reserves:
-        click.echo(line)
     mark = f" ({SIMULATED})" if verification.simulated else ""
     print_verdict(
         f"{verification.verdict}{mark}",
-        f"measured E {before.systematic / ARCSEC:.3f} arcsec before, "
-        f"{after.systematic / ARCSEC:.3f} after compensation, "
+        f"measured E {_measured(before)} arcsec before, {_measured(after)} after compensation, "
         f"{verification.ratio:.0f} times smaller",
     )
+    tell(*verification.reserves)
+
+
+def _measured(run: Positioning) -> str:
+    """Return the range E of what was measured, arcsec, to the digits of its uncertainty."""
+    expanded = COVERAGE_FACTOR * float(run.std.max()) / ARCSEC
+    return value(run.systematic / ARCSEC, expanded).lstrip("+")

@@ -29,6 +29,7 @@ from rotcal_ros.foundation.curves.interpolation import (
 )
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.dataframes import ByAngle
+from rotcal_ros.foundation.gum_numbers import uncertainty, value
 from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
@@ -86,8 +87,8 @@ class Comparison(ByAngle):
         return [
             (
                 f"{angle / DEGREE:.4f}",
-                f"{difference / unit:+.3f}",
-                f"{COVERAGE_FACTOR * std / unit:.3f}",
+                value(difference / unit, COVERAGE_FACTOR * std / unit),
+                uncertainty(COVERAGE_FACTOR * std / unit),
                 f"{error:+.2f}",
             )
             for angle, difference, std, error in zip(*columns, strict=True)

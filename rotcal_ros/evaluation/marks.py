@@ -27,6 +27,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN, TRANSLAT
 from rotcal_ros.foundation.gum_numbers import minus, uncertainty, value_with_uncertainty
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.language import listed, noted, phrase
+from rotcal_ros.foundation.protection import below
 from rotcal_ros.foundation.results import AxisLine, Directions, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 
@@ -126,7 +127,6 @@ BEYOND: Final = "beyond"
 UNDECIDED: Final = "undecided"
 COLOURS: Final[Mapping[str, str]] = {
     "ok": "green",
-    "partly": "yellow",
     "suspect": "red",
     "failed": "red",
     WITHIN: "green",
@@ -140,12 +140,13 @@ COLOURS: Final[Mapping[str, str]] = {
 class Mark:
     """One answer: ``name`` is measurement or tolerance, ``kind`` one of COLOURS.
 
-    ``words`` begin with the answer. An ok that does not cover everything has the kind "partly".
+    ``words`` begin with the answer; ``remark`` is the line below it, what it does not cover.
     """
 
     name: str
     kind: str
     words: str
+    remark: str = ""
 
     @property
     def colour(self) -> str:
@@ -163,17 +164,10 @@ def marks(result: Result, truth: Mapping[str, Any] | None = None) -> tuple[Mark,
 
     ``truth`` is the content of the truth.json of a simulation.
     """
-    covered = bool(result.protections) and not result.unprotected
-    about = measurement(result.verdict, result.verdict_line, covered=covered)
+    about = Mark("measurement", result.verdict, result.verdict_words, below(result.not_tested))
     doubt = withheld(result, truth)
     against = tolerance(result.deviations, result.std, result.circumstances.identity, doubt)
     return (about,) if against is None else (about, against)
-
-
-def measurement(verdict: str, verdict_line: str, *, covered: bool) -> Mark:
-    """Return the mark of a verdict; ``covered``: nothing could have spoiled it without a trace."""
-    kind = "partly" if verdict == "ok" and not covered else verdict
-    return Mark("measurement", kind, verdict_line)
 
 
 def tolerance(

@@ -12,6 +12,7 @@ from rotcal_ros.compensation.held_table import Effect
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.protection import two_lines
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -93,12 +94,14 @@ class Verification:
 
     @property
     def reserves(self) -> tuple[str, ...]:
-        """What the verdicts on the measurements do not cover; both may share such an error."""
-        return tuple(
-            f"measurement {when}: {line}"
-            for when, line in self.verdict_lines.items()
-            if line != "ok"
+        """Measurements that are not ok, and what none covers: they may share such an error."""
+        lines = {when: two_lines(line) for when, line in self.verdict_lines.items()}
+        doubted = (
+            f"measurement {when}: {words}"
+            for when, (words, _) in lines.items()
+            if not words.startswith("ok")
         )
+        return *doubted, *dict.fromkeys(missing for _, missing in lines.values() if missing)
 
     @property
     def verdict(self) -> Verdict:

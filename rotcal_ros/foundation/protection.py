@@ -2,7 +2,7 @@
 
 A small sigma0 proves nothing about an effect that the residuals cannot show. So every method
 states, effect by effect, whether it is estimated, tested, bounded by a statement, harmless, or
-*not protected*; the verdict is never shown without the last of these.
+*not protected*; the verdict is never shown without the last of these, in the line below it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
+
+from rotcal_ros.foundation.language import phrase
 
 Common = Literal[
     "drift",
@@ -98,6 +100,17 @@ def unprotected(protections: Iterable[Protection]) -> tuple[Effect, ...]:
         or (p.treatment == "tested" and p.error is not None and p.error > TOLERABLE)
     }
     return tuple(effect for effect in ALL_EFFECTS if effect in bare)
+
+
+def below(missing: str) -> str:
+    """Return the line below a verdict, which names what is ``missing``; empty for nothing."""
+    return phrase("Not tested for: {0}", missing) if missing else ""
+
+
+def two_lines(verdict_line: str) -> tuple[str, str]:
+    """Return the verdict and what it does not cover, of both as one text."""
+    words, mark, rest = verdict_line.partition(". Not tested for: ")
+    return words, below(rest if mark else "")
 
 
 def ordered(protections: Iterable[Protection]) -> tuple[Protection, ...]:

@@ -371,17 +371,27 @@ class Result:
         return unprotected(self.protections)
 
     @property
-    def verdict_line(self) -> str:
-        """The verdict for people: never without what it does not cover."""
+    def verdict_words(self) -> str:
+        """The verdict for people, the first of the two lines that belong together."""
         verdict: str = phrase(self.verdict)
         if self.simulated:
             verdict = phrase("{0} (SIMULATED)", verdict)
         if self.zeros.free:
             verdict = phrase("{0}, {1}", verdict, phrase(self.zeros.in_words()))
+        return verdict
+
+    @property
+    def not_tested(self) -> str:
+        """What the verdict does not cover; empty where it covers everything."""
         if not self.protections:
-            return phrase("{0}, protection against drift and the like not stated", verdict)
-        against = listed([phrase(effect) for effect in self.unprotected], ", ")
-        return phrase("{0}, not protected against {1}", verdict, against) if against else verdict
+            return phrase("drift and the like (the method says nothing of them)")
+        return listed([phrase(effect) for effect in self.unprotected], ", ")
+
+    @property
+    def verdict_line(self) -> str:
+        """Both lines as one text: the verdict, never without what it does not cover."""
+        words, missing = self.verdict_words, self.not_tested
+        return phrase("{0}. Not tested for: {1}", words, missing) if missing else words
 
     @property
     def verdict_within(self) -> Verdict:

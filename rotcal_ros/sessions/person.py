@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rotcal_ros.foundation.circumstances import SIMULATED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.gum_numbers import uncertainty
 from rotcal_ros.foundation.node_state import PAUSES, RELEASED, STOPS, Why
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import Configuration
@@ -49,15 +50,15 @@ class Display:
 
 
 def describe(feedback: Event) -> str:
-    """Return a feedback in words: activity, goal, largest U of the curve so far, time left."""
+    """Return a feedback in words: activity, goal or else the largest U so far, time left."""
     doing = feedback["doing"]
     waiting = "stopped by an emergency stop" if doing in STOPS else "waiting for a person"
     words = [waiting if doing in PAUSES else str(feedback["activity"])]
     if feedback.get("goal_rad") is not None:
         words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
-    if feedback["current_std_rad"] is not None:
+    elif feedback["current_std_rad"] is not None:
         largest = COVERAGE_FACTOR * feedback["current_std_rad"] / ARCSEC
-        words.append(f"U (k = {COVERAGE_FACTOR:g}) {largest:.2f} arcsec")
+        words.append(f"U (k = {COVERAGE_FACTOR:g}) at most {uncertainty(largest)} arcsec")
     if feedback["time_left_s"] is not None:
         words.append(f"{feedback['time_left_s']:.0f} s left")
     return ", ".join(words)

@@ -33,9 +33,9 @@ def test_without_json_standard_output_is_free():
 
 @pytest.mark.parametrize(
     ("line", "colour"),
-    [("ok", 32), ("ok, not protected against drift", 33), ("suspect", 31), ("failed, x", 31)],
+    [("ok", 32), ("ok (SIMULATED)", 32), ("suspect", 31), ("failed, x", 31)],
 )
-def test_only_an_ok_without_reserve_is_green(line, colour):
+def test_an_ok_is_green_and_nothing_else_is(line, colour):
     @click.command()
     def shown():
         print_verdict(line, "12 steps")

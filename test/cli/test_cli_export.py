@@ -68,7 +68,7 @@ def test_every_controller_gets_its_files(export, tmp_path, controller):
 def test_the_provenance_says_what_the_result_is_not_protected_against(export, tmp_path):
     protections = (Protection("drift", "not protected", ""), Protection("tilt", "harmless", ""))
     source = write_result(tmp_path / "result.json", protections=protections)
-    line = "ok, not protected against drift"
+    line = "ok. Not tested for: drift"
     run = export("--to", "csv", source=source)
     assert run.exit_code == 0
     assert f"warning: the result is {line}" in run.stderr

@@ -55,14 +55,13 @@ def test_the_section_shows_both_and_the_iso_figures():
 
 
 def test_what_the_measurements_do_not_cover_is_told_beside_the_verdict():
-    lines = {"before": "ok", "after": "ok, not protected against drift"}
+    lines = {"before": "suspect. Not tested for: drift", "after": "ok. Not tested for: drift"}
     verification = Verification(run(30.0), run(0.3), 0.0, verdict_lines=lines)
-    assert verification.reserves == ("measurement after: ok, not protected against drift",)
+    reserves = ("measurement before: suspect", "Not tested for: drift")
+    assert verification.reserves == reserves
     assert verification.to_dict()["verdict_lines"] == lines
-    assert (
-        "measurement after: ok, not protected against drift"
-        in verification_section(verification)[1]
-    )
+    section = verification_section(verification)[1]
+    assert all(f"<p>{line}</p>" in section for line in reserves)
 
 
 def test_an_existing_folder_is_not_overwritten(tmp_path):

@@ -234,7 +234,7 @@ def test_an_effect_is_protected_only_where_every_input_is():
     found = combined(drifting, steady)
     assert found.unprotected == ("drift",)
     assert found.protections[0].why == "r0: one round"
-    assert found.verdict_line == "ok, not protected against drift"
+    assert found.verdict_line == "ok. Not tested for: drift"
     assert set(combined(steady, silent).unprotected) == set(EFFECTS)
     assert combined(silent).protections == ()
 

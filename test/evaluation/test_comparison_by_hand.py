@@ -135,9 +135,9 @@ def test_words_and_rows_by_hand():
     metres = comparison(rms=0.25 * MICROMETRE)
     assert metres.in_words(MICROMETRE, "um").startswith("agree: rms 0.25 um, largest")
     assert comparison().rows(ARCSEC) == [
-        ("0.0000", "+1.000", "1.000", "+1.00"),
-        ("45.0000", "-2.500", "2.000", "-1.25"),
-        ("90.0000", "+0.000", "4.000", "+0.00"),
+        ("0.0000", "+1.0", "1.0", "+1.00"),
+        ("45.0000", "-2.5", "2.0", "-1.25"),
+        ("90.0000", "0.0", "4.0", "+0.00"),
     ]
 
 

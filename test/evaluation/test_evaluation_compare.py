@@ -231,13 +231,13 @@ def test_other_columns_are_no_reference(text, found):
 
 
 def test_an_input_that_is_suspect_or_not_protected_is_named_even_where_curves_agree():
-    bare = replace(curve(12), verdict_line="ok, not protected against drift")
+    bare = replace(curve(12), verdict_line="ok. Not tested for: drift")
     odd = replace(curve(24), verdict_line="suspect")
     fine = replace(curve(12), verdict_line="ok")
     pairs = compare_all({"a.json": bare, "b.json": odd, "c.csv": curve(12), "d.json": fine})
     assert pairs["a.json", "b.json"].agree
     assert pairs["a.json", "b.json"].notes[:2] == (
-        "a.json: ok, not protected against drift", "b.json: suspect",
+        "a.json: ok. Not tested for: drift", "b.json: suspect",
     )  # fmt: skip
     assert pairs["b.json", "c.csv"].notes[0] == "b.json: suspect"  # turned round inside
     assert not any("d.json" in note for note in pairs["c.csv", "d.json"].notes)

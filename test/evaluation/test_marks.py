@@ -54,7 +54,7 @@ def test_a_good_measurement_says_nothing_of_the_tolerance_and_the_other_way(
     arcsec, um, kind, words
 ):
     about, against = marks(result(arcsec, tolerance_um=um))
-    assert (about.name, about.kind) == ("measurement", "partly")
+    assert (about.name, about.kind) == ("measurement", "ok")
     assert against.words == words
     assert (against.name, against.kind) == ("tolerance", kind)
 

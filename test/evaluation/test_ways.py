@@ -94,11 +94,10 @@ def test_words_hold_expanded_uncertainties_and_distances_in_their_units():
     doubted = replace(given, verdict="suspect")
     other = Evaluation(("solver.coarser=2",), doubted, {"ECC": 5.0 * ARCSEC, "EXC": 1.25e-6})
     assert in_words([Evaluation((), given, {}), other]) == [
-        "all data: 70 observations, 7 degrees of freedom, verdict ok, not protected against drift",
+        "all data: 70 observations, 7 degrees of freedom, verdict ok. Not tested for: drift",
         "  EXC  U (k = 2) 0.006 µm",
         "  ECC  U (k = 2) 0.001 arcsec",
-        "coarser=2: 70 observations, 7 degrees of freedom, verdict suspect, "
-        "not protected against drift",
+        "coarser=2: 70 observations, 7 degrees of freedom, verdict suspect. Not tested for: drift",
         "  EXC  U (k = 2) not stated, at most 1.250 µm from the first",
         "  ECC  U (k = 2) not stated, at most 5.000 arcsec from the first",
     ]

@@ -44,8 +44,8 @@ def test_a_list_of_phrases_is_said_part_by_part():
         ("no light is used", "es wird kein Licht verwendet"),
         ("3 of 40 centres were rejected", "3 von 40 Kugelmittelpunkten wurden verworfen"),
         ("10 beam broken", "10 Strahl unterbrochen"),
-        ("ok (SIMULATED), not protected against drift, tilt",
-         "in Ordnung (SIMULIERT), nicht abgesichert gegen Drift, Verkippung"),
+        ("ok (SIMULATED). Not tested for: drift, tilt",
+         "in Ordnung (SIMULIERT). Nicht geprüft auf: Drift, Verkippung"),
         # a text in a place of another, and a place that ends at a mere blank
         ("2 of the 9 lengths of station 4 are off together, by about 5 um, and were left out: "
          "look for warm air, a person or an obstacle in the beams",

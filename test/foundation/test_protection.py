@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rotcal_ros.foundation.protection import Effect, Protection, Treatment, ordered
+from rotcal_ros.foundation.protection import Effect, Protection, Treatment, ordered, two_lines
 from rotcal_ros.foundation.results import Result
 
 
@@ -25,9 +25,18 @@ def test_the_verdict_line_names_what_is_not_protected_in_the_fixed_order() -> No
     allowed = Protection("tilt", "bounded", "stated", error=9.0)
     found = result(bare, late, early, allowed)
     assert found.unprotected == ("drift", "gauge")
-    assert found.verdict_line == "ok, not protected against drift, gauge"
+    assert found.verdict_line == "ok. Not tested for: drift, gauge"
     assert result(early, allowed).verdict_line == "ok"
-    assert "not stated" in result().verdict_line
+    assert found.verdict_words == "ok"
+    assert found.not_tested == "drift, gauge"
+    assert "Not tested for: drift and the like" in result().verdict_line
+
+
+def test_both_lines_come_apart_again() -> None:
+    assert two_lines("ok (SIMULATED). Not tested for: drift, tilt") == (
+        "ok (SIMULATED)", "Not tested for: drift, tilt"
+    )  # fmt: skip
+    assert two_lines("suspect") == ("suspect", "")
 
 
 def test_protections_survive_a_file_and_a_file_may_have_none() -> None:
@@ -43,7 +52,7 @@ def test_protections_survive_a_file_and_a_file_may_have_none() -> None:
 def test_the_machine_readable_form_tells_people_the_same() -> None:
     data = result(Protection("tilt", "not protected", "no level")).to_dict()
     assert data["verdict"] == "ok"
-    assert data["verdict_line"] == "ok, not protected against tilt"
+    assert data["verdict_line"] == "ok. Not tested for: tilt"
     assert data["not_protected"] == ["tilt"]
 
 

@@ -124,14 +124,13 @@ def trusting(*protections: Protection) -> str:
     return render_report(replace(REPORT, result=result))
 
 
-def test_an_ok_that_does_not_cover_everything_is_neither_said_nor_painted_as_one() -> None:
+def test_an_ok_is_green_and_the_line_below_says_what_it_does_not_cover() -> None:
     bare = Protection("tilt", "not protected", "nothing sees <the table> lean")
     late = Protection("drift", "tested", "closure", error=2.14)
     whole = Protection("scale", "harmless", "a larger circle")
     page = trusting(bare, late, whole)
-    assert (
-        '<span class="verdict partly">Measurement: ok, not protected against drift, tilt' in page
-    )
+    assert '<span class="verdict ok">Measurement: ok</span>' in page
+    assert '<span class="remark">Not tested for: drift, tilt</span>' in page
     assert "What could be wrong, and would it show?" in page
     assert (
         '<tr class="bare"><th scope="row">tilt</th><td>not protected</td>'
@@ -143,11 +142,12 @@ def test_an_ok_that_does_not_cover_everything_is_neither_said_nor_painted_as_one
     ) in page
     assert '<tr><th scope="row">scale</th>' in page
     assert '<span class="verdict ok">Measurement: ok</span>' in trusting(whole)
+    assert "Not tested for" not in trusting(whole)
 
 
 def test_a_method_that_states_nothing_is_told_from_one_that_is_protected() -> None:
     page = trusting()
-    assert '<span class="verdict partly">Measurement: ok, protection against drift' in page
+    assert "Not tested for: drift and the like" in page
     assert "does not state what it does about drift" in page
 
 

@@ -70,7 +70,7 @@ def _row(view: Outlook, link: str, today: str) -> dict[str, Any]:
         "link": link,
         "last": view.last,
         "verdict": spoken(view.verdict_line),
-        "standing": "partly" if view.verdict == "ok" and not view.covered else view.verdict,
+        "standing": view.verdict,
         "trend": spoken(view.trend),
         "due": view.due,
         "reason": spoken(view.reason),

@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from math import isfinite
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.node_state import RELEASED, STOPS, UNHEARD, NodeState, State, Why
+
+if TYPE_CHECKING:
+    from rotcal_ros.evaluation.marks import Mark
 
 Points = tuple[tuple[float, float], ...]
 Point = tuple[float, float, float]
@@ -81,11 +84,20 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class PageMark:
-    """One answer about a result: ``line`` in words, ``kind`` names its colour."""
+    """One answer about a result: ``line`` in words, ``kind`` names its colour.
+
+    ``remark`` is the line below it: what the answer does not cover.
+    """
 
     name: str
     kind: str
     line: str
+    remark: str = ""
+
+    @classmethod
+    def of(cls, mark: Mark) -> PageMark:
+        """Return the mark of a result as the page has it."""
+        return cls(mark.name, mark.kind, mark.line, mark.remark)
 
 
 @dataclass(frozen=True, slots=True)

@@ -198,7 +198,7 @@ def shown(result: Result) -> Deviations:
         curves=tuple(curves),
         observations=result.n_observations,
         final=True,
-        marks=tuple(PageMark(mark.name, mark.kind, mark.line) for mark in marks(result)),
+        marks=tuple(map(PageMark.of, marks(result))),
         warnings=result.warnings,
         withheld=why or "",
     )

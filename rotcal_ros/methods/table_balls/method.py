@@ -59,6 +59,7 @@ from rotcal_ros.methods.table_balls.settings import (
     BAR,
     DISPLACEMENT,
     FARTHEST_M,
+    STATED,
     BallsPlanSettings,
     BallsSimulationSettings,
     BallsSolverSettings,
@@ -116,6 +117,7 @@ def plan(configuration: Configuration) -> Plan:
     settings: BallsPlanSettings = configuration.plan
     _check_chain(settings, configuration.source)
     _check_turning(settings, configuration.source)
+    _check_orders(configuration.solver, configuration.source)
     balls = balls_of(configuration)
     if not len(balls.places):
         raise ConfigurationError(f"{configuration.source}: plan.balls_m: state at least one ball")
@@ -184,6 +186,18 @@ def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
         if work:
             yield Pause(step.index, step.index, "; ".join(work), move=move)
         before = here
+
+
+def _check_orders(solver: BallsSolverSettings, source: str) -> None:
+    """Raise ConfigurationError for orders of motions that are stated, and all of size zero."""
+    if solver.error_motion_orders != STATED:
+        return
+    for name in ("radial_orders", "axial_orders", "tilt_orders"):
+        if not any(getattr(solver, name)):
+            raise ConfigurationError(
+                f"{source}: solver.{name}: no order has a size above 0: give one, such as "
+                "[0.0, 1.0] for the second, or leave solver.error_motion_orders out"
+            )
 
 
 def _check_turning(settings: BallsPlanSettings, source: str) -> None:

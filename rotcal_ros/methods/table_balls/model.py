@@ -29,7 +29,7 @@ one angle that no ball determines, the statement of the settings takes the place
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
 from typing import Final
@@ -52,6 +52,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
+from rotcal_ros.methods.table_balls.motions import correlated, spectra
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     BallsPlanSettings,
@@ -220,6 +221,11 @@ class BallsOnTable:
         """Number of the first unknown of each kind."""
         ends = np.cumsum([0, *self.blocks.values()]).tolist()
         return dict(zip(self.blocks, ends, strict=False))
+
+    @property
+    def motions(self) -> slice:
+        """Where the motions are among the unknowns."""
+        return slice(self.first["EXC"], self.first["scale"])
 
     def turned(self, places: Floats) -> Floats:
         """Return where balls at ``places`` (k, 3) stand at each angle, (p, k, 3), from c0."""
@@ -421,22 +427,31 @@ def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
         yield from ({x: c, y: s}, {x: -s, y: c})
 
 
-def stated(balls: BallsOnTable, places: Floats) -> Floats:
-    """Return rows (k, u) of what is stated beforehand to be zero, per its standard deviation.
+def stated_motions(balls: BallsOnTable, places: Floats) -> Floats:
+    """Return rows (k, u) of motions that are stated to be zero, per their standard deviation.
 
     Motions are stated as they are, and by definition without their means and turning parts
     (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
     """
-    rows = _untold_rows(balls, places)
-    at = slice(balls.first["EXC"], balls.first["scale"])
-    sums = np.array([_row(balls, each)[at] for each in definitions(balls.angles, balls.tilts)])
-    taken = rows[:, at] @ np.linalg.qr(sums.T)[0]
+    rows, at = _untold_rows(balls, places), balls.motions
+    taken = rows[:, at] @ np.linalg.qr(_sums(balls).T)[0]
     left, ways = np.linalg.eigh(np.eye(len(rows)) - taken @ taken.T)
     kept = left > SHARED
     rows = (ways[:, kept] / np.sqrt(left[kept])).T @ rows
     rows[:, at] /= np.repeat(balls.stated, balls.tilts * len(balls.angles))
+    return np.asarray(rows)
+
+
+def _sums(balls: BallsOnTable) -> Floats:
+    """Return the definitions (d, 6 t p), of the motions alone."""
+    every = definitions(balls.angles, balls.tilts)
+    return np.array([_row(balls, each)[balls.motions] for each in every])
+
+
+def _stated_beside(balls: BallsOnTable) -> Floats:
+    """Return rows (k, u) of what else is stated to be zero, per its standard deviation."""
     known = (block_rows(balls.blocks, n) / std for n, std in balls.known.items() if isfinite(std))
-    return np.concatenate([rows, *known])
+    return np.concatenate([np.zeros((0, sum(balls.blocks.values()))), *known])
 
 
 def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
@@ -545,7 +560,8 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
     balls = BallsOnTable.of(plan, solver, read)
     start, count = balls.started(read.points), balls.coordinates
     design, places = balls(start)[1].toarray(), start[4 : balls.first["EXC"]].reshape(-1, 3)
-    known = stated(balls, places)
+    motions = stated_motions(balls, places)
+    known = np.concatenate([motions, _stated_beside(balls)])
     known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
@@ -579,7 +595,12 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
         ),
         row_names=list(_names(balls, read)),
     )
-    return model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
+    model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
+    together = correlated(
+        motions[:, balls.motions], _sums(balls), balls.stated,
+        balls.angles, balls.tilts, spectra(solver),
+    )  # fmt: skip
+    return replace(model, correlated=(together.below(len(zero)),)) if len(motions) else model
 
 
 def _outputs(balls: BallsOnTable) -> Floats:

@@ -18,6 +18,8 @@ from rotcal_ros.planning.table_angles import TableAngleSettings
 
 DISPLACEMENT: Final = "displacement"
 BAR: Final = "bar"
+ANY, FALLING, WHITE_ONLY, STATED = "any", "falling", "white", "stated"
+"""What may be known of the orders of error motions."""
 FARTHEST_M: Final = 20.0
 """No machine with a rotary table is larger."""
 
@@ -141,6 +143,21 @@ class BallsSolverSettings:
         minimum=1e-3,
         maximum=3600.0,
     )
+    error_motion_orders: str = expert(
+        ANY,
+        doc="how these motions are spread over orders, undulations per turn: in any (the "
+        "uncertainty holds the worst), in sizes that are falling as 1 / order to the tenth, white "
+        "(another at every angle), or as stated",
+        choices=(ANY, FALLING, WHITE_ONLY, STATED),
+    )
+    radial_orders: tuple[float, ...] = expert(
+        (0.0, 1.0),
+        doc="sizes of EXC and EYC in the orders 1, 2, 3 ..., in relation to each other, if they "
+        "are stated",
+        minimum=0.0,
+    )
+    axial_orders: tuple[float, ...] = expert((1.0,), doc="the same of EZC", minimum=0.0)
+    tilt_orders: tuple[float, ...] = expert((0.0, 1.0), doc="the same of EAC and EBC", minimum=0.0)
     squareness_std_um_per_m: float = setting(
         10.0,
         doc="um/m, standard uncertainty (k = 1) of the squareness of each pair of linear axes",

@@ -1,8 +1,9 @@
 """A table in two forms: for people at a terminal, perhaps a narrow one, and as CSV in a pipe.
 
-At a terminal numbers are rounded, and a table that is too wide is split into tables below each
-other, each with the first column, so that no digit and no unit is ever cut. If standard output is
-not a terminal it gets CSV alone, in full precision; all words for people go to standard error.
+Numbers are rounded in both: two digits of U, the value to the same place. All digits are in JSON
+and in files. At a terminal a table that is too wide is split into tables below each other, each
+with the first column, so that no digit and no unit is ever cut. If standard output is not a
+terminal it gets CSV alone; all words for people go to standard error.
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ import csv
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import wrap
 from typing import Any, Final
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.escapes import printable, table_cell
-from rotcal_ros.foundation.gum_numbers import value, value_with_uncertainty
+from rotcal_ros.foundation.gum_numbers import uncertainty, value, value_with_uncertainty
 from rotcal_ros.report.terminal.console import tell
 
 BORDER: Final = 1
@@ -30,24 +31,32 @@ PADDING: Final = 3
 class Column:
     """One column: its ``heading`` names the unit, ``cells`` hold numbers in it, texts, or None.
 
-    ``digits`` is the format of the numbers for people, e.g. ``+.3f``. ``std``, if given, are the
-    standard uncertainties of the cells: for people the expanded ones (k = 2) follow each cell,
-    with suitable digits; in CSV they are a column of their own. They are shown only if ``valid``.
+    ``digits`` is the format of the numbers, e.g. ``+.3f``; ``to``, instead, are expanded
+    uncertainties: each number is shown to the place of the second digit of its own. ``std``, if
+    given, are the standard uncertainties of the cells: at a terminal the expanded ones (k = 2)
+    follow each cell, in CSV they are a column of their own. They are shown only if ``valid``.
     """
 
     heading: str
     cells: Sequence[Any] | Floats | Ints
     digits: str = ""
+    to: Floats | None = None
     std: Floats | None = None
     valid: bool = True
 
     def shown(self) -> list[str]:
         """Return the cells as people read them."""
-        if self.std is None:
+        write = value_with_uncertainty if self.std is not None and self.valid else value
+        if (expanded := self._expanded) is None:
             return [_shown(cell, self.digits) for cell in self.cells]
-        write = value_with_uncertainty if self.valid else value
-        pairs = zip(self.cells, COVERAGE_FACTOR * self.std, strict=True)
-        return [write(float(cell), float(expanded)) for cell, expanded in pairs]
+        return [
+            "" if cell is None else write(float(cell), float(u))
+            for cell, u in zip(self.cells, expanded, strict=True)
+        ]
+
+    @property
+    def _expanded(self) -> Floats | None:
+        return self.to if self.std is None else COVERAGE_FACTOR * self.std
 
     def is_text(self) -> bool:
         """Return whether the cells are words, which may be wrapped at blanks."""
@@ -60,13 +69,22 @@ class Column:
             texts = [word for text in texts for word in text.split()]
         return max(map(len, texts), default=0)
 
-    def plain(self) -> Iterator[tuple[str, Sequence[Any] | Floats | Ints]]:
-        """Yield heading and cells of each column in CSV."""
-        yield self.heading, self.cells
+    def plain(self) -> Iterator[tuple[str, Sequence[str]]]:
+        """Yield heading and cells of each column in CSV; no program takes a text for a formula."""
+        yield (
+            table_cell(self.heading),
+            [
+                table_cell(cell) if isinstance(cell, str) else text.lstrip("+")
+                for cell, text in zip(self.cells, replace(self, valid=False).shown(), strict=True)
+            ],
+        )
         if self.std is not None:
             name, _, unit = self.heading.partition("/")
-            expanded = [COVERAGE_FACTOR * float(std) if self.valid else None for std in self.std]
-            yield f"U({name}) (k = {COVERAGE_FACTOR:g})/{unit}", expanded
+            expanded = COVERAGE_FACTOR * self.std
+            yield (
+                table_cell(f"U({name}) (k = {COVERAGE_FACTOR:g})/{unit}"),
+                [uncertainty(float(u)) if self.valid else "" for u in expanded],
+            )
 
 
 @dataclass(frozen=True)
@@ -99,9 +117,9 @@ def print_tables(tables: Sequence[Titled], key: str = "") -> None:
         plain = [pair for column in table.columns for pair in column.plain()]
         first = [key] if key else []
         if number == 0:
-            writer.writerow([*first, *(table_cell(heading) for heading, _ in plain)])
+            writer.writerow([*first, *(heading for heading, _ in plain)])
         for row in zip(*(cells for _, cells in plain), strict=True):
-            writer.writerow([*([table_cell(table.key)] if key else []), *map(_exact, row)])
+            writer.writerow([*([table_cell(table.key)] if key else []), *row])
 
 
 def print_words(*texts: str, colour: str = "") -> None:
@@ -166,13 +184,6 @@ def _shown(cell: Any, digits: str) -> str:
     if cell is None:
         return ""
     return printable(cell) if isinstance(cell, str) else format(cell, digits)
-
-
-def _exact(cell: Any) -> Any:
-    """Return a cell of CSV: numbers with all digits, texts that no program takes for formulas."""
-    if isinstance(cell, str):
-        return table_cell(cell)
-    return float(cell) if hasattr(cell, "dtype") and cell.dtype.kind == "f" else cell
 
 
 def column_of(heading: str, values: Iterable[Any], unit: float = 1.0, digits: str = "") -> Column:

@@ -11,12 +11,12 @@ from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
 from rotcal_ros.evaluation.marks import beside_the_curves, marks, withheld
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.gum_numbers import uncertainty, value
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.columns import (
     Column,
     Titled,
-    column_of,
     print_table,
     print_tables,
     print_words,
@@ -55,6 +55,7 @@ def print_result(result: Result) -> None:
         f"sigma0 {result.sigma0:.3f}",
         colour=about.colour,
     )
+    print_words(*filter(None, [about.remark]))
     for mark in against:
         print_words(mark.line, colour=mark.colour)
 
@@ -82,8 +83,7 @@ def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], compone
         ]
         columns = [
             _angles(c.angles),
-            Column(f"difference/{label}", c.difference / unit, "+.3f"),
-            Column(f"U (k = 2)/{label}", COVERAGE_FACTOR * c.std / unit, ".3f"),
+            *_with_u(f"difference/{label}", c.difference / unit, c.std / unit, label),
             Column("E_n", c.normalised_error, "+.2f"),
             Column("remarks", remarks),
         ]
@@ -123,10 +123,11 @@ def print_check(check: QuickCheck, component: str) -> None:
     ]
     columns = [
         _angles(check.angles),
-        Column(f"difference/{label}", check.difference / unit, "+.3f"),
-        Column(f"U (k = 2)/{label}", COVERAGE_FACTOR * check.std / unit, ".3f"),
-        Column(f"valid up to/{label}", check.acceptance / unit, ".3f"),
-        Column(f"changed from/{label}", check.alarm / unit, ".3f"),
+        *_with_u(f"difference/{label}", check.difference / unit, check.std / unit, label),
+        Column(
+            f"valid up to/{label}", check.acceptance / unit, to=COVERAGE_FACTOR * check.std / unit
+        ),
+        Column(f"changed from/{label}", check.alarm / unit, to=COVERAGE_FACTOR * check.std / unit),
         Column("remarks", remarks),
     ]
     print_table(columns, f"{component}: new - earlier, aligned")
@@ -144,7 +145,9 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
         "B_i": figures.reversal_i,
         "R_i": figures.repeatability_i,
     }
-    columns = [Column(f"{name}/arcsec", v / ARCSEC, ".3f") for name, v in by_target.items()]
+    expanded = [e for *_, e in figures.summary() if e] or [0.0]
+    to = np.full(len(figures.targets), min(expanded) / ARCSEC)
+    columns = [Column(f"{name}/arcsec", v / ARCSEC, to=to) for name, v in by_target.items()]
     title = f"ISO 230-2, {n_runs} runs in each direction"
     print_table([_angles(figures.targets), *columns], title)
     _say_figures(figures)
@@ -156,9 +159,11 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
 def _say_figures(figures: Iso230) -> None:
     """Print the figures of the axis, for both directions and for each."""
     for name, values, expanded in figures.summary():
-        both, up, down = ("" if v is None else f"{v / ARCSEC:.3f}" for v in values)
+        both, up, down = (
+            "" if v is None else value(v / ARCSEC, expanded / ARCSEC).lstrip("+") for v in values
+        )
         sides = f"; {up} up, {down} down" if up else ""
-        print_words(f"{name}: {both} arcsec, U (95 %) {expanded / ARCSEC:.3f}{sides}")
+        print_words(f"{name}: {both} arcsec, U (95 %) {uncertainty(expanded / ARCSEC)}{sides}")
 
 
 def print_uncertainty(both: Propagated) -> None:
@@ -171,6 +176,7 @@ def print_uncertainty(both: Propagated) -> None:
     tables = []
     for name, part in both.components.items():
         unit, label = unit_of(name)
+        to = COVERAGE_FACTOR * part.std / unit
         columns: dict[str, Floats] = {"value": part.value, "shift": part.mean - part.value}
         stated = {
             f"U solver {k}": COVERAGE_FACTOR * part.linear_std,
@@ -182,9 +188,9 @@ def print_uncertainty(both: Propagated) -> None:
             Titled(
                 [
                     _angles(both.result.angles),
-                    *(column_of(head, v, unit, ".4f") for head, v in columns.items()),
+                    *(Column(head, v / unit, to=to) for head, v in columns.items()),
                     *(
-                        column_of(head, [None] * len(v) if reason else v, unit, ".4f")
+                        Column(head, [None] * len(v) if reason else v / unit, to=to)
                         for head, v in stated.items()
                     ),
                     Column("unit", [label] * len(both.result.angles)),
@@ -199,6 +205,14 @@ def print_uncertainty(both: Propagated) -> None:
         *([f"U: not stated, because {reason}"] if reason else []),
         both.in_words(),
     )
+
+
+def _with_u(
+    heading: str, difference: Floats, std: Floats, unit_name: str
+) -> tuple[Column, Column]:
+    """Return the columns of differences and of their expanded uncertainties."""
+    to = COVERAGE_FACTOR * std
+    return Column(heading, difference, to=to), Column(f"U (k = 2)/{unit_name}", to, to=to)
 
 
 def _angles(angles: Floats) -> Column:

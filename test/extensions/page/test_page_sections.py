@@ -39,12 +39,16 @@ def test_a_final_solution_has_two_marks(tolerance_arcsec, kind):
 
 
 @pytest.mark.parametrize(
-    ("line", "kind"),
-    [("ok (SIMULATED)", "ok"), ("ok, not protected against knock", "partly"), ("", "partly")],
+    ("line", "words", "remark"),
+    [
+        ("ok (SIMULATED)", "ok (SIMULATED)", ""),
+        ("ok. Not tested for: knock", "ok", "Not tested for: knock"),
+        ("", "ok", ""),
+    ],
 )
-def test_the_mark_of_the_measurement_says_what_it_does_not_cover(line, kind):
+def test_the_mark_of_the_measurement_says_below_what_it_does_not_cover(line, words, remark):
     (about,) = shown(solution(verdict_line=line)).marks
-    assert (about.kind, about.line) == (kind, f"measurement: {line or 'ok'}")
+    assert (about.kind, about.line, about.remark) == ("ok", f"measurement: {words}", remark)
 
 
 def test_where_u_may_not_be_stated_the_tolerance_is_undecided():

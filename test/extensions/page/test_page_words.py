@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from rotcal_ros.evaluation.marks import measurement
+from rotcal_ros.evaluation.marks import Mark
 from rotcal_ros.extensions.page.state import (
     Curve,
     Deviations,
@@ -40,7 +40,7 @@ MEASURING = {
 }
 CURVE = Curve("ECC", "arcsec", (0.0, -3.0), (0.0, 0.96))
 MARKS = (
-    PageMark("measurement", "partly", measurement("ok", phrase("ok"), covered=False).line),
+    PageMark.of(Mark("measurement", "ok", phrase("ok"), phrase("Not tested for: {0}", "drift"))),
     PageMark(
         "tolerance",
         "beyond",
@@ -93,10 +93,11 @@ def test_both_marks_stand_under_the_headline_each_in_its_colour(shown, scheme):
         "Measurement: ok", "Tolerance: beyond ±2 arcsec (ECC)"
     ]  # fmt: skip
     style = "e => getComputedStyle(e).backgroundColor"
-    partly, beyond = (mark.evaluate(style) for mark in found)
+    ok, beyond = (mark.evaluate(style) for mark in found)
     known = {"light": "rgb(171, 31, 23)", "dark": "rgb(255, 154, 144)"}
     assert beyond == known[scheme]
-    assert partly != beyond
+    assert ok != beyond
+    assert page.locator("#marks .remark").inner_text() == "Not tested for: drift"
 
 
 def test_there_are_no_marks_before_the_end(shown):

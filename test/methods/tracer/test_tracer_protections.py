@@ -90,7 +90,7 @@ def test_every_effect_is_stated_once(variant, datum):
     stated = treatments(result)
     assert stated["gauge"].treatment == "harmless"
     assert {"drift", "knock", "repeatability"} <= set(result.unprotected)
-    assert result.verdict_line.startswith("ok, not protected against drift, knock")
+    assert result.verdict_line.startswith("ok. Not tested for: drift, knock")
 
 
 def test_what_the_plan_and_the_settings_change():

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from rotcal_msgs.msg import DeviationArray, Pause
 
-from rotcal_ros.evaluation.marks import measurement, tolerance, withheld_by
+from rotcal_ros.evaluation.marks import Mark, tolerance, withheld_by
 from rotcal_ros.extensions.page.state import (
     Cell,
     Curve,
@@ -25,6 +25,7 @@ from rotcal_ros.extensions.page.state import (
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.language import listed, noted, phrase
+from rotcal_ros.foundation.protection import two_lines
 from rotcal_ros.foundation.session_folder import resume_command, unfinished
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Calibration
@@ -119,13 +120,10 @@ def _marks(message: DeviationArray, identity: Identity, why: str | None) -> tupl
         {n: np.array(found) for n in COMPONENTS if len(found := getattr(message, n.lower() + end))}
         for end in ("", "_std")
     )
-    line = message.verdict_line or message.verdict
-    covered = bool(message.verdict_line) and "," not in line  # what is not covered follows
-    verdict, _, rest = line.partition(", ")
-    words = phrase("{0}, {1}", phrase(verdict), rest) if rest else phrase(verdict)
-    about = measurement(message.verdict, words, covered=covered)
+    words, remark = two_lines(message.verdict_line or message.verdict)
+    about = Mark("measurement", message.verdict, phrase(words), remark)
     against = tolerance(values, std, identity, why)
-    return tuple(PageMark(m.name, m.kind, m.line) for m in (about, against) if m is not None)
+    return tuple(PageMark.of(m) for m in (about, against) if m is not None)
 
 
 def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:

@@ -15,7 +15,8 @@ export function showDeviations(found) {
 
 function marks(found) {
   by("marks").hidden = !found.length;
-  by("marks").replaceChildren(...found.map((m) => element("span", sentence(say(m.line)), `mark ${m.kind}`)));
+  const remarks = found.filter((m) => m.remark).map((m) => element("span", say(m.remark), "remark"));
+  by("marks").replaceChildren(...found.map((m) => element("span", sentence(say(m.line)), `mark ${m.kind}`)), ...remarks);
 }
 
 function choices(names, found) {

@@ -225,8 +225,7 @@ class UntilGoal:
 
     @property
     def _learnt(self) -> str:
-        noise, factor = self._stated
-        return f"noise {noise:.3g} times the planned (k = {factor:.3g})"
+        return f"noise {self.noise_factor:.3g} times the planned"
 
     def _uncertainty(self) -> float:
         """Return the uncertainty (rad) of what is measured, with the noise as stated."""

@@ -1,0 +1,145 @@
+"""What is stated of the table's motions: its orders, by closed forms and in drawn worlds."""
+
+import numpy as np
+import pytest
+from ball_world import NAMES, ONE, THREE, World
+from chances import share
+
+from rotcal_ros.adjust.engine import predicted
+from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import prepare, read_configuration
+from rotcal_ros.methods.table_balls.model import model_of
+from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
+
+MOTION, NOISE = 2e-6, 1e-6
+RADIUS = float(np.hypot(*ONE[:2]))
+LOW = tuple(range(2, 11))
+WORLDS = {
+    "white": {},
+    "order 2": {"radial": (2,), "axial": (2,), "tilt": (2,)},
+    "order 1 axial": {"axial": (1,)},
+    "2 to 4": {"radial": LOW[:3], "axial": LOW[:3], "tilt": LOW[:3]},
+    "2 to 10": {"radial": LOW, "axial": LOW, "tilt": LOW},
+}
+STATED = {
+    "white": {"error_motion_orders": "white"},
+    "2 to 4": {
+        "error_motion_orders": "stated",
+        "radial_orders": (0.0, 1.0, 1.0, 1.0),
+        "axial_orders": (0.0, 1.0, 1.0, 1.0),
+        "tilt_orders": (0.0, 1.0, 1.0, 1.0),
+    },
+}
+MEASURES = {
+    "bar": {"measure": "bar"},
+    "R-test": {"measure": "displacement"},
+    "turning": {
+        "measure": "displacement", "turning_deg_s": (20.0, -20.0), "closing": False,
+    },
+}  # fmt: skip
+
+
+def planned(count=12, balls=ONE, **more):
+    return BallsPlanSettings(
+        balls_m=balls, axis_m=(0.0, 0.0, 0.06),
+        table_step_deg=360.0 / count, table_positions=count, **more,
+    )  # fmt: skip
+
+
+def stated(**more):
+    return BallsSolverSettings(**{"error_motion_std_m": MOTION, **more})
+
+
+def covered(plan, solver, orders, runs=150):
+    """Return how often intervals hold the truth: of ECC in the mean, and of the line's four.
+
+    One world is solved; of the others motions and noise are drawn anew, which are small: what
+    they do to the outputs is linear.
+    """
+    rng, inside = np.random.default_rng(11), []
+    world = World.drawn(plan, rng, solver)
+    model = model_of(plan, solver, world.readings())
+    fit = fitted(model, np.ones(model.size[0], dtype=bool), model.std, model.first)
+    count = len(world.readings().value) * (1 if plan.measure == "bar" else 3)
+    unlike = fit.outputs @ fit.cofactors.root @ fit.cofactors.basis[:count].T / NOISE
+    read = fit.computed[:count]
+    for _ in range(runs):
+        world.move(rng, **orders)
+        seen = world.readings(NOISE, rng)
+        seen = seen.value if plan.measure == "bar" else seen.points.ravel()
+        motions, line = world.truth()
+        error = (fit.value + unlike @ (seen - read))[: len(model.outputs)]
+        error -= np.append(motions[NAMES.index("ECC")], line)
+        inside.append(np.abs(error) < HALF_OF_95_PERCENT * fit.noise_std[: len(error)])
+    found = np.mean(inside, axis=0)
+    return np.append(found[:-4].mean(), found[-4:])
+
+
+@pytest.mark.parametrize(
+    ("orders", "measure"),
+    [*((orders, "touch") for orders in WORLDS), *(("order 2", each) for each in MEASURES)],
+)
+def test_intervals_hold_motions_of_any_orders(orders, measure):
+    found = covered(planned(**MEASURES.get(measure, {})), stated(), WORLDS[orders])
+    assert (found >= share(0.95, 150)[0]).all()
+
+
+@pytest.mark.parametrize("orders", STATED)
+def test_intervals_of_stated_orders_are_no_larger_than_needed(orders):
+    found = covered(planned(), stated(**STATED[orders]), WORLDS[orders])
+    low, high = share(0.95, 150)
+    assert ((found >= low) & (found <= high)).all()
+
+
+def line_std(count, orders):
+    """Return standard uncertainties (4,) of the line, without what noise and linear axes do.
+
+    That is the same with white motion, for which the closed form is known.
+    """
+    found = []
+    for each in (orders, "white"):
+        solver = stated(error_motion_orders=each)
+        world = World(planned(count), solver)
+        found.append(predicted(model_of(world.plan, solver, world.readings())).std[-4:])
+    white = expected(1.0 / count, 2.0 / count, 1.0 / count)
+    return np.sqrt(found[0] ** 2 - found[1] ** 2 + white**2)
+
+
+def expected(radial, axial, tilt):
+    """Return standard uncertainties (4,) of the line, by shares of the variances of motions."""
+    place = MOTION * np.sqrt(radial)
+    lean = np.sqrt(axial * (MOTION / RADIUS) ** 2 + tilt * (3.0 * ARCSEC) ** 2)
+    return np.array([place, place, lean, lean])
+
+
+@pytest.mark.parametrize("count", [12, 36])
+@pytest.mark.parametrize("orders", ["any", "stated"])
+def test_more_angles_are_no_more_witnesses_of_one_order(count, orders):
+    # the second harmonic of EXC and EYC passes for a shift, of half its square along each of both
+    assert line_std(count, orders) == pytest.approx(expected(0.5, 1.0, 0.5), rel=1e-2)
+
+
+def test_sizes_fall_with_the_order():
+    second = (1.0 / 4.0) / (1.0 / np.arange(2, 11) ** 2).sum()
+    first = 1.0 / (1.0 / np.arange(1, 11) ** 2).sum()
+    found = line_std(36, "falling")
+    assert found == pytest.approx(expected(second / 2.0, first, second / 2.0), rel=1e-2)
+
+
+def test_what_balls_determine_is_in_no_orders():
+    world = World(planned(balls=THREE))
+    model = model_of(world.plan, world.solver, world.readings())
+    assert not model.correlated
+
+
+def test_sizes_that_are_none(tmp_path):
+    setup = tmp_path / "setup.yaml"
+    setup.write_text(
+        "method: table_balls\nballs_m: [[0.15, 0.0, 0.08]]\nerror_motion_orders: stated\n"
+        "axial_orders: [0.0, 0.0]\n"
+    )
+    with pytest.raises(ConfigurationError, match=r"solver\.axial_orders"):
+        prepare(read_configuration(setup))
