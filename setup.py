@@ -178,7 +178,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"rotcal = {NAME}.cli.main:main",
+            f"rotcal = {NAME}.cli.start:main",
             *(f"{node} = {NAME}.{MODULES[node]}:main" for node in NODES),
         ],
         "rotcal_ros.methods": [

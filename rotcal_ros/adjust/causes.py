@@ -341,11 +341,11 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
 
 
 def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
-    """Whether what is left with an explanation still determines the unknowns."""
+    """Whether what is left with an explanation still determines the unknowns, and settles."""
     after = diagnosis.holding(found)
     try:
         after.fitted(diagnosis.noise.factors, diagnosis.start)
-    except ObservabilityError:
+    except (DataError, ObservabilityError):
         return False
     return bool(after.used.any())
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from rotcal_ros.capture.capture import Record
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.calibration import prepare
@@ -87,7 +87,8 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
 
     The last accepted attempt at every step counts; the order of the observations does not. For
     the result see ``read_result``: SI, deviation = actual - commanded. Raises DataError for data
-    that are contradictory or too few, ObservabilityError if the geometry cannot determine them.
+    that are contradictory or too few, ObservabilityError if the geometry cannot determine them,
+    ConfigurationError for what are no observations or no configuration.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -95,7 +96,22 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
     >>> sorted(result.deviations)
     ['EAC', 'EBC', 'ECC', 'EXC', 'EYC', 'EZC']
     """
-    return prepare(configuration).solve(observations)
+    if not isinstance(configuration, Configuration):
+        raise ConfigurationError(
+            f"configuration is a {type(configuration).__name__}: expected what "
+            "rc.read_configuration returns"
+        )
+    seen = list(observations) if isinstance(observations, Iterable) else [observations]
+    if wrong := [each for each in seen if not isinstance(each, Observation)]:
+        raise ConfigurationError(
+            f"observations hold a {type(wrong[0]).__name__}: expected those of "
+            "rc.capture_records, or give a bag or table to rc.read_bag or rc.read_table"
+        )
+    if not seen:
+        raise DataError(
+            f"observations are empty: there is nothing to solve by {configuration.method.name}"
+        )
+    return prepare(configuration).solve(seen)
 
 
 def _require_simulation(configuration: Configuration) -> None:

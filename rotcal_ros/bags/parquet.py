@@ -20,7 +20,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.files import sync_folder
+from rotcal_ros.foundation.files import naming, sync_folder
 
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 LOG_TIME: Final = "log_time_ns"
@@ -114,7 +114,8 @@ class _Stream:
 
     def __exit__(self, *_: object) -> None:
         if self._writer is not None:
-            self._writer.close()
+            with naming(self.path):
+                self._writer.close()
 
     def add(self, block: Block) -> None:
         """Write the messages of a block as one group of rows."""
@@ -132,7 +133,8 @@ class _Stream:
             log, publish, messages = zip(*found, strict=True)
             times = [pa.array(map(_time, column), pa.int64()) for column in (log, publish)]
             arrays = [*times, *(column.array(messages) for column in self._columns)]
-            self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+            with naming(self.path):
+                self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def summary(self) -> TopicFile:
         broken = self._decoder.broken if self._decoder else self._messages

@@ -26,6 +26,7 @@ from rotcal_ros.capture.attempt import (
     seconds,
 )
 from rotcal_ros.capture.decisions import single_shot_missing
+from rotcal_ros.capture.passage import why_not_turning
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
 from rotcal_ros.capture.table import VELOCITY, lasting_feedback_fault, why_not_at_rest
@@ -49,7 +50,8 @@ _SETTLED_NS: Final = 1_000_000_000
 """Samples stamped less than this after a clock was set back are not used: the other streams may
 follow later."""
 _PATIENCE_NS: Final = 3_000_000_000
-"""A table that is not at rest this long after the probe is in position is reported."""
+"""A table that is not at rest this long after the probe is in position is reported; a nest that
+reads all the time may go on to name the order before for this long."""
 _NEAR_M: Final = 1e-6
 """Points closer than this are the same place, however small their stated deviations are."""
 _WORDS: Final = {
@@ -185,11 +187,12 @@ class Capture:
 
     def complaint(self) -> str | None:
         """Return what keeps the latest order from being measured, well before it is given up."""
-        if not self._pending:
-            return self._answers.complaint()
+        if (wrong := self._answers.complaint()) or not self._pending:
+            return wrong
         attempt, table = self._pending[-1], self._streams.table
         if attempt.step.turn is not None:
-            return None
+            fault = why_not_turning(table, attempt, _PATIENCE_NS)
+            return fault and f"{attempt.step.in_words(attempt.number)}: {fault}"
         reached_ns = self._streams.reached(table, attempt)
         if reached_ns - attempt.begin_ns < _PATIENCE_NS or attempt.search_ns <= reached_ns:
             return None
@@ -206,9 +209,10 @@ class Capture:
         table = self._streams.table
         self._had_velocity |= bool(np.isfinite(table.values[:, VELOCITY]).any())
         fault = lasting_feedback_fault(
-            table, newest.begin_ns, newest.step.table_angle, self._had_velocity
-        )
-        return fault and f"step {newest.step.index}, attempt {newest.number}: {fault}"
+            table, newest.begin_ns, newest.step.table_angle, self._had_velocity,
+            self._answers.ordered_ns,
+        )  # fmt: skip
+        return fault and f"{newest.step.in_words(newest.number)}: {fault}"
 
     def remarks(self) -> tuple[str, ...]:
         """Return and forget what was wrong with records that belong to no observation."""
@@ -234,7 +238,8 @@ class Capture:
             self._commands.unknown_step += 1
             self._remarks.append(f"a command for {self._not_in_plan(command.step)}")
             return ()
-        self._answers.order(command)
+        came = [s.latest for s in self._streams.fast if s.latest is not None]
+        self._answers.order(command, max(came, default=None))
         self._commands.unanswered = self._answers.unanswered
         step = self._plan.steps[command.step]
         if command != (planned := step.command(command.attempt, anew=command.anew)):
@@ -248,9 +253,9 @@ class Capture:
     def _take_probe(self, sample: ProbeSample) -> Observations:
         """Start an attempt, or add a point to the newest one."""
         self._probe.received += 1
+        self._answers.hear(sample)
         if self._goes_on(sample):
             return self._take_reading(sample)
-        self._answers.hear(sample)
         if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
             return ()
         self._admit()
@@ -500,29 +505,31 @@ Key = tuple[int, int]
 class Answers:
     """Orders and the probe points that follow; ``unanswered`` counts orders replaced by the next.
 
+    ``ordered_ns`` is how far the streams had come when the latest order came; None: not known.
     What it reports depends on the order of arrival: it is for people, never for a decision.
     """
 
     def __init__(self) -> None:
         self.unanswered = 0
+        self.ordered_ns: int | None = None
         self._ordered: Key | None = None
         self._answered: dict[Key, None] = {}
         self._wrong: Key | None = None
 
-    def order(self, command: Command) -> None:
-        """Take an order; a repetition of the latest one is ignored."""
+    def order(self, command: Command, now_ns: int | None = None) -> None:
+        """Take an order at the time of the streams; a repetition of the latest is ignored."""
         key = (command.step, command.attempt)
         if key == self._ordered:
             return
         self.unanswered += self._is_open()
-        self._ordered, self._wrong = key, None
+        self._ordered, self._wrong, self.ordered_ns = key, None, now_ns
 
     def hear(self, sample: ProbeSample) -> None:
         """Take a probe point; one that was sent without an order answers none."""
         if sample.kind == PointKind.UNKNOWN:
             return
         key = (sample.step, sample.attempt)
-        if key != self._ordered:
+        if key != self._ordered and not self._is_on_its_way(sample):
             self._wrong = key
         self._answered[key] = None
         if len(self._answered) > _REMEMBERED:
@@ -546,6 +553,13 @@ class Answers:
     def complaint(self) -> str | None:
         """Return in words that the latest order was answered with another step or attempt."""
         return None if self._wrong is None else self.unanswered_order()
+
+    def _is_on_its_way(self, sample: ProbeSample) -> bool:
+        """Return whether a nest that reads all the time may not know the latest order yet."""
+        if sample.kind != PointKind.READING:
+            return False
+        self.ordered_ns = sample.stamp_ns if self.ordered_ns is None else self.ordered_ns
+        return sample.stamp_ns - self.ordered_ns < _PATIENCE_NS
 
     def _is_open(self) -> bool:
         return self._ordered is not None and self._ordered not in self._answered

@@ -6,7 +6,7 @@ which is that of its feedback, interpolated to the stamp of each reading.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import fsum, sqrt
 from typing import Final
 
@@ -32,6 +32,10 @@ from rotcal_ros.planning.plan import Step
 
 FAR: Final = 3.0
 """A table that is so many times as fast as ordered, or as slow, has not begun its turn."""
+_STILL: Final = 0.01 * DEGREE
+"""A table that turns by less than this for some seconds stands still."""
+_ALIKE: Final = 0.1
+"""Speeds that differ by less than this share are the same, in whatever unit."""
 LONG_PAUSE: Final = 3.0
 """Readings this many times as far apart as they usually are: some between them were lost."""
 
@@ -131,11 +135,42 @@ def decide_passage(
         return _observe(attempt, streams, settings, passed) if known else Wait(nest, end_ns)
     if not table.knows(deadline):
         return Wait(table, min(_soonest_ns(table, step, settings), deadline))
+    back = replace(step, turn=replace(_turn(step), speed=-_turn(step).speed))
+    reversed_ = first_passage(table, since_ns, deadline, back) is not None
     raise AttemptRejectedError(
         f"the table did not pass {step.table_angle / DEGREE:.4f} deg at about "
         f"{_turn(step).speed / DEGREE:g} deg/s within {settings.step_timeout_s:g} s of the order "
-        "(capture.step_timeout_s)"
+        f"(capture.step_timeout_s){_THE_OTHER_WAY if reversed_ else ''}"
     )
+
+
+_THE_OTHER_WAY: Final = (
+    "; it passed it the other way: is a sign wrong? Positive is counter-clockwise seen from above"
+)
+
+
+def why_not_turning(table: Stream, attempt: Attempt, patience_ns: int) -> str | None:
+    """Return why the table will not pass its angle, if that has lasted for ``patience_ns``."""
+    turn, newest_ns = _turn(attempt.step), table.latest
+    if newest_ns is None:
+        return "no table feedback has come: does cell.joint name a joint of the feedback?"
+    rows = slice(table.index(newest_ns - patience_ns), None)
+    stamps, angles = table.stamps[rows], table.values[rows, ANGLE]
+    if newest_ns - attempt.search_ns < patience_ns or len(stamps) < 3:
+        return None
+    if np.ptp(angles) < _STILL:
+        return (
+            f"the table stands still at {angles[-1] / DEGREE:.4f} deg, it was ordered to turn "
+            f"from {turn.begin / DEGREE:g} to {turn.end / DEGREE:g} deg at "
+            f"{turn.speed / DEGREE:g} deg/s"
+        )
+    speed = float(np.median(np.abs(np.diff(angles) / (np.diff(stamps) * NANOSECOND))))
+    if abs(speed * DEGREE / abs(turn.speed) - 1.0) < _ALIKE:
+        return (
+            f"the feedback turns at {speed:.4g} rad/s where {abs(turn.speed) / DEGREE:g} deg/s "
+            "were ordered: degrees? Publish radians, or set topics.angle_unit: deg"
+        )
+    return None
 
 
 def first_passage(table: Stream, since_ns: int, until_ns: int, step: Step) -> Passage | None:

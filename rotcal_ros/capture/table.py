@@ -12,7 +12,12 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.foundation.arrays import Bools, Floats, steps_from
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY, in_degrees
+from rotcal_ros.planning.table_feedback import (
+    PUBLISH_VELOCITY,
+    in_degrees,
+    is_near,
+    other_way,
+)
 
 ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
@@ -107,19 +112,22 @@ def why_not_at_rest(
             f"{settings.table_silence_s:g} s (capture.table_silence_s)"
         )
     angle, velocity = table.values[last - 1].tolist()
+    had_velocity = bool(np.isfinite(table.values[:last, VELOCITY]).any())
     return (
         f"table not at rest in position for a whole window within {limit:.3g} s: "
-        f"{off_in_words(angle, velocity, commanded, settings)}"
+        f"{off_in_words(angle, velocity, commanded, settings, had_velocity=had_velocity)}"
     )
 
 
 def lasting_feedback_fault(
-    table: Stream, since_ns: int, commanded: float, had_velocity: bool
+    table: Stream, since_ns: int, commanded: float, had_velocity: bool, ordered_ns: int | None
 ) -> str | None:
     """Return why nothing will ever be measured with this feedback, if that is certain.
 
     The fault must have lasted for :data:`STANDING_NS` since ``since_ns``. A
     feedback that ``had_velocity`` before may lack it for a while, until the joint begins to obey.
+    One of the wrong sign must have come there since the order of ``ordered_ns``: it may have stood
+    there before.
     """
     if table.latest is None or table.latest - since_ns < STANDING_NS:
         return None
@@ -131,14 +139,38 @@ def lasting_feedback_fault(
     near = np.abs(offset(rows[:, ANGLE], commanded)) <= _SAME
     if first is None or (near.any() and not np.isnan(rows[-1, VELOCITY])):
         return None
+    angle = float(rows[-1, ANGLE])
+    if other_way(angle, commanded) and not _came_since(table, ordered_ns, angle):
+        return None
     return last
 
 
+def _came_since(table: Stream, since_ns: int | None, angle: float) -> bool:
+    """Return whether the table stood elsewhere than at ``angle`` (rad) at a stamp, if known."""
+    at = len(table.stamps) if since_ns is None else table.index(since_ns)
+    return at < len(table.stamps) and not is_near(float(table.values[at, ANGLE]), angle, DEGREE)
+
+
 def off_in_words(
-    angle: float, velocity: float, commanded: float, settings: CaptureSettings
+    angle: float,
+    velocity: float,
+    commanded: float,
+    settings: CaptureSettings,
+    *,
+    had_velocity: bool = False,
 ) -> str:
-    """Return in words how far (rad, rad/s) the last feedback is off its order, and why."""
+    """Return in words how far (rad, rad/s) the last feedback is off its order, and why.
+
+    One that ``had_velocity`` before lacks it while its joint has not begun to obey: so says
+    table_adapter.
+    """
     off = float(offset(np.array([angle]), commanded)[0])
+    if isnan(velocity) and had_velocity:
+        return (
+            f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
+            f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}), and "
+            "its driver does not take it for rest: it has not begun to move as ordered"
+        )
     fault = _feedback_fault(angle, velocity, commanded)
     return (
         f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
@@ -156,6 +188,12 @@ def _feedback_fault(angle: float, velocity: float, commanded: float) -> str | No
         return (
             f"it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
             "commanded: degrees? Publish radians, or set topics.angle_unit: deg"
+        )
+    if other_way(angle, commanded):
+        return (
+            f"it says {remainder(angle, 2.0 * pi) / DEGREE:+.6g} deg where "
+            f"{remainder(commanded, 2.0 * pi) / DEGREE:+.6g} deg was commanded: is a sign wrong? "
+            "Positive is counter-clockwise seen from above, in orders and feedback"
         )
     # A settings file with angle_unit: deg for a drive that publishes radians: the number before
     # the conversion is the commanded angle.

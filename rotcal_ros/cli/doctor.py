@@ -93,7 +93,7 @@ def tables(machine_ini: Path) -> Iterator[Check]:
     try:
         found = list(hook_up(machine_ini))
     except ConfigurationError as error:
-        found = [(str(machine_ini), (str(error),))]
+        found = [(machine_ini.name, (str(error),))]
     for about, wrong in found:
         yield Check("LinuxCNC table", not wrong, "; ".join((about, *wrong)), advice)
     if not found:

@@ -15,6 +15,7 @@ from rotcal_ros import __version__
 from rotcal_ros.cli.console import INTERRUPTED, in_lines
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.url_secrets import masked
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.plugins import Verb
@@ -148,7 +149,10 @@ class LazyGroup(click.Group):
         try:
             code = super().invoke(context)
             sys.stdout.flush()
-        except (click.ClickException, click.exceptions.Exit):
+        except click.ClickException as error:
+            vars(error)["message"] = masked(error.message)
+            raise
+        except click.exceptions.Exit:
             raise
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

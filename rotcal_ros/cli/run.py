@@ -16,7 +16,10 @@ from rotcal_ros.report.terminal.console import tell
 
 
 @click.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@click.argument(
+    "configuration", type=path_type, metavar="[CONFIG]", required=False,
+    shell_complete=configurations,
+)  # fmt: skip
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
 )
@@ -25,7 +28,8 @@ from rotcal_ros.report.terminal.console import tell
     "--resume",
     type=path_type,
     metavar="FOLDER",
-    help="Continue the interrupted calibration in FOLDER from its first missing step.",
+    help="Continue the interrupted calibration in FOLDER from its first missing step; CONFIG may "
+    "be left out.",
 )
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @language_option
@@ -44,7 +48,7 @@ from rotcal_ros.report.terminal.console import tell
 @click.option("--detach", is_flag=True, help="Go on in the background; see 'rotcal attach'.")
 @json_option
 def command(
-    configuration: Path,
+    configuration: Path | None,
     output: Path | None,
     changes: tuple[str, ...],
     resume: Path | None,
@@ -75,6 +79,8 @@ def command(
     from rotcal_ros.sessions.running import calibrate
     from rotcal_ros.sessions.session import prepare_session, resume_session
 
+    if configuration is None and resume is None:
+        raise click.UsageError("give a CONFIG, or --resume FOLDER")
     if detach and as_json:
         raise click.UsageError(
             "--json prints the outcome, for which --detach does not wait: leave one out"
@@ -84,6 +90,7 @@ def command(
         changes = (*changes, f"history.database={json.dumps(history)}")
     started = time.monotonic()
     if resume is None:
+        assert configuration is not None
         folder = output or Path("out") / configuration.stem
         session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
     elif output is None and not keep_previous:

@@ -92,9 +92,9 @@ def require(
     """Return in words the accepted contradictions between ``measured`` and ``machines``.
 
     The keys of ``machines`` are names for people. The measurement was made at ``made_ns`` (since
-    1970; 0: not known, which is reported too, since an unknown age must not count as young) and
-    must not be older at ``now_ns`` than accepted. Raises DataError with every contradiction that
-    is not accepted, and its word.
+    1970; 0: not known) and must not be older at ``now_ns`` than accepted. An unknown age and an
+    unknown item are reported too: they must not count as young, and as the right one. Raises
+    DataError with every contradiction that is not accepted, and its word.
     """
     found = _contradictions(measured, machines)
     limit = f"at most {accepted.largest_age_days:g} are accepted (--max-age, bridge.max_age_days)"
@@ -110,8 +110,15 @@ def require(
             f"(bridge.accept: [{', '.join(refused)}]); nothing was written",
             question=Question(ACCEPT, tuple((word, "; ".join(found[word])) for word in refused)),
         )
-    undated = () if made_ns else (f"it is not known how many days ago this was measured, {limit}",)
-    return undated + tuple(
+    unknown = [] if made_ns else [f"it is not known how many days ago this was measured, {limit}"]
+    if not measured.serial:
+        unknown += [
+            f"it is not known which item was measured: nothing shows that it is {machine.serial}, "
+            f"as {name} says"
+            for name, machine in machines.items()
+            if machine.serial
+        ]
+    return tuple(unknown) + tuple(
         f"{text}: accepted by a person ({word})" for word, texts in found.items() for text in texts
     )
 

@@ -40,7 +40,8 @@ def in_words(line: AxisLine) -> str:
         unit, word = (MICROMETRE, "um") if name[0] in "XYZ" else (ARCSEC, "arcsec")
         u = COVERAGE_FACTOR * std / unit
         parts.append(f"{name} {value / unit:.4g} {word} (U {u:.2g})")
-    return f"{line.letter} at ({x:.4f}, {y:.4f}, {z:.4f}) mm: {', '.join(parts)}"
+    turns = {1: "", -1: ", which turns clockwise,", 0: ", whose sense is not known,"}[line.sense]
+    return f"{line.letter}{turns} at ({x:.4f}, {y:.4f}, {z:.4f}) mm: {', '.join(parts)}"
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,7 @@ def prepare_location(
             line.letter: {
                 "point_m": line.point.tolist(),
                 "direction": line.direction.tolist(),
+                "sense": line.sense,
                 "found": {
                     name: {"value": float(value), "std": float(std)}
                     for name, value, std in zip(line.names, line.value, line.std, strict=True)

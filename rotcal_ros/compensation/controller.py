@@ -103,6 +103,16 @@ class Controller(ABC):
         del axis
         return self
 
+    def without_table(self, approach: Approach) -> float:
+        """Return the radians that the control adds to the command as long as it has no table."""
+        del approach
+        return 0.0
+
+    def replaced(self, table: CompensationTable) -> str:
+        """Say in words what of :meth:`without_table` is in ``table``, and what of it is not."""
+        del table
+        return ""
+
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
         """Return what remains because the correction lags behind the rows of ``table``.
 

@@ -38,6 +38,7 @@ def to_be_in_force(
     DataError for a contradiction that is not ``accepted``, and if nothing says what was in force;
     ConfigurationError if both options are given.
     """
+    make_controller(controller_name)  # a misspelt one is said before all else
     if replaces and add_to is not None:
         raise ConfigurationError(
             "replacing the table in force (--replace) and adding to it (--add-to) exclude each "

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from typing import Any, Final
 
@@ -117,17 +117,18 @@ def prepare_export(
     _refuse(table, controller, axis, accept_unverified=accept_unverified)
     usual = default_stem(table.axis, controller_name)
     name = stem_of(stem, usual, simulated=table.simulated)
-    shifted = resample(table, reference_angle=reference_angle)
+    measured = resample(table, reference_angle=reference_angle)
+    shifted = _completed(measured, controller)
     rows = chosen_rows(shifted, controller) if spacing is None else resample(shifted, spacing)
     files = controller.write(rows, name)
     if table.simulated:
         files = controller.marked(files, NOTHING_MEASURED)
     rule = controller.read(files)
     lag = controller.lag(rule, rows)
-    residual = residual_budget(shifted, rows, controller, rule, lag)
+    residual = residual_budget(shifted, rows, controller, rule, lag, measured)
     _refuse_harm(residual, lag, controller.facts.title)
     warnings = (
-        *_warnings(table, controller),
+        *_warnings(shifted, controller),
         *_too_wide(shifted, rows, residual, spacing),
         *lag.notes,
     )
@@ -148,6 +149,23 @@ def prepare_export(
         table=rows,
         confirmation=confirmation,
         controller=controller,
+    )
+
+
+def _completed(table: CompensationTable, controller: Controller) -> CompensationTable:
+    """Return ``table`` with what the control corrects of itself until it is given a table.
+
+    A measurement without a table has seen it act, one on top of a table has not.
+    """
+    note = controller.replaced(table)
+    table = replace(table, warnings=(*table.warnings, *([note] if note else [])))
+    up, down = map(controller.without_table, DIRECTIONS)
+    if table.adds_to or up == down == 0.0:
+        return table
+    return replace(
+        table,
+        correction_forward=table.correction_forward + up,
+        correction_reverse=table.correction_reverse + down,
     )
 
 
@@ -418,11 +436,13 @@ def residual_budget(
     controller: Controller,
     rule: Rule,
     lag: Lag = NO_LAG,
+    measured: CompensationTable | None = None,
 ) -> ResidualBudget:
     """Return what is left of the deviations in ``table`` when the control follows ``rule``.
 
     ``table`` holds the measured rows (their smooth curve counts as true), ``rows`` those that
     ``controller`` wrote, ``rule`` is what it read from its files, ``lag`` what comes too late.
+    ``measured`` is ``table`` without what the control did by itself, if it did anything.
     """
     grid = _fine_grid(table, rows)
     needed = [Correction(table)(grid, approach) for approach in DIRECTIONS]
@@ -435,14 +455,17 @@ def residual_budget(
     rounding = controller.resolution(rows) / 2.0
     rounding += steepest * controller.position_resolution
     sampling = CERTAIN * table.between_std
-    before = _largest(needed)
+    whole = _largest(needed)
+    seen = whole
+    if measured is not None:
+        seen = _largest([Correction(measured)(grid, approach) for approach in DIRECTIONS])
     return ResidualBudget(
-        before=before,
+        before=seen,
         interpolation=interpolation,
         sampling=sampling,
         rounding=rounding,
         direction=direction,
-        second_order=steepest * (before + interpolation + sampling + rounding + direction),
+        second_order=steepest * (whole + interpolation + sampling + rounding + direction),
         simulated=simulate(table, controller, rule, grid) + lag.simulated,
         std=table.largest_std,
         following=lag.bound,

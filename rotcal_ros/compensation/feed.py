@@ -180,7 +180,7 @@ class Feed:
         old = self._store.read(offer.files)
         self._agreeing(offer.table, offer.stamp_ns, self._now_ns(), machine_of(old))
         rows = offer.export.table.angles
-        change = largest_change(self._controller, old, offer.files, rows)
+        change = self._change(old, offer.files, rows)
         self._refuse_large(change, self.settings.max_change_arcsec)
         return self._exchange(
             ("applying", "applied"), old, offer.files, change, offer.table.table_hash
@@ -198,7 +198,7 @@ class Feed:
         kept = self._journal.kept_before(entry)
         present = self._store.read(kept)
         try:
-            change = largest_change(self._controller, present, texts_of(kept))
+            change = self._change(present, texts_of(kept))
         except RotcalError as error:
             change = float("nan")
             if not max_change_arcsec and entry != self._journal.unfinished():
@@ -364,6 +364,9 @@ class Feed:
             return None
         return held_table(self._controller, self._present())
 
+    def _change(self, old: Mapping[str, str], new: Mapping[str, str], *rows: Floats) -> float:
+        return largest_change(self._controller.for_axis(self.axis), old, new, *rows)
+
     def _refuse_large(self, change: float, limit_arcsec: float) -> None:
         if not change <= limit_arcsec * ARCSEC:
             raise DataError(
@@ -438,7 +441,7 @@ def _correction(
 ) -> Floats:
     tables = of_the_controller(files)
     if not tables:
-        return np.zeros_like(grid)
+        return np.full_like(grid, controller.without_table(approach))
     try:
         rule = controller.read(tables)
     except RotcalError as error:

@@ -40,7 +40,7 @@ from rotcal_ros.compensation.linuxcnc_machine import (
     SERVO_PERIOD_NS,
     Ini,
     Joint,
-    joints_with_tables,
+    every_joint,
 )
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -57,6 +57,10 @@ LINES: Final = ("COMP_FILE", "COMP_FILE_TYPE")
 UNKNOWN_LIMITS: Final = (
     "MAX_ACCELERATION of the joint is not known: what stays in the dead band of LinuxCNC's trim "
     "is not in the stated residual (setting machine_ini, or max_acceleration_deg_s2)"
+)
+UNKNOWN_BACKLASH: Final = (
+    "BACKLASH of the joint is not known: LinuxCNC ignores it once it has a table, and then what "
+    "it corrected in the measurement is missing (setting machine_ini, or backlash_deg, 0 for none)"
 )
 DECIMALS: Final = 9
 
@@ -121,6 +125,11 @@ class LinuxCnc(EveryTurnController):
         0.0, doc="deg/s, fastest programmed feed; 0: MAX_VELOCITY", minimum=0.0
     )
     home_deg: float = setting(0.0, doc="deg, HOME of the joint, where the trim begins with 0")
+    backlash_deg: float | None = setting(
+        None,
+        doc="deg, BACKLASH of the joint during a measurement without table; none: that of "
+        "machine_ini",
+    )
     kinematics: str = setting(
         KINEMATICS[0],
         doc="that get the place of the axes, in mm; machine_ini states both",
@@ -200,6 +209,28 @@ class LinuxCnc(EveryTurnController):
             max_velocity_deg_s=self.max_velocity_deg_s or joint.velocity,
             servo_period_ns=self.servo_period_ns or joint.servo_period_ns,
             home_deg=self.home_deg or joint.home_deg,
+            backlash_deg=joint.backlash_deg if self.backlash_deg is None else self.backlash_deg,
+        )
+
+    def without_table(self, approach: Approach) -> float:
+        """Return half of BACKLASH, added from below and taken off from above."""
+        half = 0.5 * (self.backlash_deg or 0.0) * DEGREE
+        return half if approach is Approach.POSITIVE else -half
+
+    def replaced(self, table: CompensationTable) -> str:
+        """Say what became of BACKLASH, which LinuxCNC ignores once the joint has a table."""
+        if self.backlash_deg is None:
+            return "" if table.adds_to else UNKNOWN_BACKLASH
+        if not self.backlash_deg:
+            return self._joint(table.axis).misplaced if self.machine_ini else ""
+        about = f"BACKLASH = {self.backlash_deg:g} deg, which LinuxCNC ignores with a table"
+        if table.adds_to:
+            return f"{about}, did not act in the measurement either: nothing of it is added"
+        half = self.without_table(Approach.POSITIVE) / ARCSEC
+        return (
+            f"{about}, is in the table: {half:+.6g} arcsec in the forward column and {-half:+.6g} "
+            "in the reverse one, because it acted in the measurement. If it was another one then, "
+            "state it: backlash_deg, 0 for none"
         )
 
     def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
@@ -457,14 +488,21 @@ LARGEST_TRIM_DEG = 1.0
 def hook_up(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield every table that the machine of the ini file ``path`` loads, with its faults.
 
-    A machine without a table yields nothing. Raises ConfigurationError when the ini file cannot be
-    read or makes no sense.
+    A rotary joint without a table is among them if it has a BACKLASH, which a table would put out
+    of force. Raises ConfigurationError when the ini file cannot be read or makes no sense.
     """
-    ini = Ini.read(path)
-    for joint in joints_with_tables(ini):
-        assert joint.table_path is not None
-        about = f"[{joint.section}] {joint.table_path.name}, type {joint.table_type}"
-        yield about, tuple(_complaints(joint, joint.table_path))
+    for joint in every_joint(Ini.read(path)):
+        amount, table = joint.backlash_deg, joint.table_path
+        faults = [joint.misplaced] if joint.misplaced else []
+        size = f" deg ({amount * DEGREE / ARCSEC:.6g} arcsec)" if joint.is_angular else ""
+        own = f"BACKLASH = {amount:g}{size}"
+        if table is not None:
+            about = f"[{joint.section}] {table.name}, type {joint.table_type}"
+            about += f"; {own} is ignored with this table" if amount else ""
+            yield about, (*faults, *_complaints(joint, table))
+        elif joint.is_angular and (amount or faults):
+            acts = [f"{own} acts only until it has one, whose columns have to hold it"]
+            yield f"[{joint.section}] no table", (*faults, *(acts if amount else []))
 
 
 def _complaints(joint: Joint, table: Path) -> Iterator[str]:
@@ -481,6 +519,11 @@ def _complaints(joint: Joint, table: Path) -> Iterator[str]:
         yield f"of {lines} lines LinuxCNC uses {len(loaded.nominal_deg)}"
     if len(loaded.nominal_deg) == 0:
         return
+    if joint.backlash_deg and np.array_equal(loaded.forward_deg, loaded.reverse_deg):
+        yield (
+            f"BACKLASH = {joint.backlash_deg:g} is ignored, and both columns are equal: nothing "
+            "corrects the reversal"
+        )
     largest = float(np.max(np.abs([loaded.forward_deg, loaded.reverse_deg])))
     if largest > LARGEST_TRIM_DEG:
         yield (

@@ -86,6 +86,11 @@ def _left(table: AxisLine, tilting: Sequence[AxisLine], letter: str, across: str
             f"it by as much the other way, so that {letter} stays where it is"
         )
     for line in (table, *tilting):
+        if line.sense < 0:
+            yield (
+                f"{line.letter} turns clockwise (plan.chain), and these kinematics turn the work "
+                "counter-clockwise: reverse the sign of its joint, or of it in programs"
+            )
         for name, angle, std in zip(line.names, line.value, line.std, strict=True):
             if name[0] not in "ABC" or abs(angle) < COVERAGE_FACTOR * std:
                 continue

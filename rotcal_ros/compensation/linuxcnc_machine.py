@@ -63,11 +63,11 @@ class Joint:
             number = found[0]
         ini.require_once(f"JOINT_{number}")
         joint = cls(ini, number, letter)
-        kind, unit = joint._text("TYPE") or "LINEAR", ini.value("TRAJ", "ANGULAR_UNITS")
-        if kind != "ANGULAR":
+        unit = ini.value("TRAJ", "ANGULAR_UNITS")
+        if not joint.is_angular:
             raise ConfigurationError(
-                f"{ini.path}: [{joint.section}] TYPE = {kind}, a table of degrees needs "
-                "ANGULAR: name the joint of the rotary axis"
+                f"{ini.path}: [{joint.section}] TYPE = {joint._text('TYPE') or 'LINEAR'}, a table "
+                "of degrees needs ANGULAR: name the joint of the rotary axis"
             )
         if unit not in DEGREE_WORDS:
             raise ConfigurationError(
@@ -80,6 +80,11 @@ class Joint:
     def section(self) -> str:
         """The name of its section."""
         return f"JOINT_{self.number}"
+
+    @property
+    def is_angular(self) -> bool:
+        """Whether it turns; without a TYPE LinuxCNC takes LINEAR."""
+        return self._text("TYPE") == "ANGULAR"
 
     @property
     def acceleration(self) -> float:
@@ -108,6 +113,21 @@ class Joint:
         lower = [self.ini.number(s, "MIN_LIMIT", -UNLIMITED_DEG) for s in sections]
         upper = [self.ini.number(s, "MAX_LIMIT", UNLIMITED_DEG) for s in sections]
         return max(lower), min(upper)
+
+    @property
+    def backlash_deg(self) -> float:
+        """BACKLASH, whose halves LinuxCNC adds and takes off until the joint loads a table."""
+        return self.ini.number(self.section, "BACKLASH", 0.0)
+
+    @property
+    def misplaced(self) -> str:
+        """That BACKLASH stands where LinuxCNC does not look for it; empty if it does not."""
+        axis = f"AXIS_{self.letter}"
+        value = self.ini.value(axis, "BACKLASH")
+        return "" if value is None else (
+            f"{self.ini.path}: [{axis}] BACKLASH = {value}: LinuxCNC reads it in [{self.section}] "
+            "only, so it does not act"
+        )  # fmt: skip
 
     @property
     def table_path(self) -> Path | None:
@@ -156,16 +176,15 @@ class Joint:
         return self.ini.value(self.section, key)
 
 
-def joints_with_tables(ini: Ini) -> list[Joint]:
-    """Return the joints that load a table; ConfigurationError for more than there can be."""
+def every_joint(ini: Ini) -> list[Joint]:
+    """Return all joints; ConfigurationError for more than there can be."""
     count = int(ini.number("KINS", "JOINTS", 1))
     if count > MOST_JOINTS:
         raise ConfigurationError(
             f"{ini.path}: [KINS] JOINTS = {count}, LinuxCNC has at most {MOST_JOINTS}; correct it"
         )
     letters = _coordinates(ini)
-    joints = [Joint(ini, n, letters[n] if n < len(letters) else "") for n in range(count)]
-    return [joint for joint in joints if joint.table_path is not None]
+    return [Joint(ini, n, letters[n] if n < len(letters) else "") for n in range(count)]
 
 
 def agent_command(ini: str, axis: str, number: int) -> list[str]:
@@ -207,7 +226,7 @@ ENCODING: Final = "latin-1"
 _SECTION: Final = re.compile(r"\s*\[([^\]]*)\]")
 _PAIR: Final = re.compile(r"\s*([^\s=#;][^\s=]*)\s*=\s*(.*?)\s*")
 _INCLUDE: Final = re.compile(r"#INCLUDE\s+(\S+)\s*")
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\d.xX])")
 
 
 @dataclass(frozen=True)

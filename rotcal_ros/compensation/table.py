@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from rotcal_ros.compensation.interpolation_uncertainty import Weights, variances, without_gaps
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.directional import DirectionalCurve, directional_curve
 from rotcal_ros.foundation.curves.interpolation import (
     SAME_ANGLE,
@@ -29,6 +29,7 @@ from rotcal_ros.foundation.curves.interpolation import (
 )
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed, check_in_force, contradiction
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result, Verdict
@@ -128,6 +129,19 @@ class CompensationTable:
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise DataError(f"compensation table: {name} is {value} rad, expected 0 or more")
+
+    def __repr__(self) -> str:
+        """Return in one line what it corrects, and by how much."""
+        of = f"{self.axis} by {self.method}, {self.verdict_line or self.verdict}"
+        kind = "full circle" if self.closed else "arc"
+        ways = "both directions" if self.directional else "one curve for both directions"
+        sizes = np.abs([self.correction_forward, self.correction_reverse])
+        largest, u = float(np.max(sizes)) / ARCSEC, COVERAGE_FACTOR * self.largest_std / ARCSEC
+        size = value_with_uncertainty(largest, u).lstrip("+")
+        return (
+            f"<CompensationTable: {of}: {len(self.angles)} angles, {kind}, {ways}, up to {size} "
+            f"arcsec (k = {COVERAGE_FACTOR:g})>"
+        )
 
     def std_of(self, approach: Approach) -> Floats:
         """Return the standard uncertainty (n,) of the correction for one side of the approach."""

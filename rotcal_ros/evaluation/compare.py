@@ -65,6 +65,12 @@ class Comparison(ByAngle):
     agree: bool
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        """Return in one line whether the curves agree; without their unit, which is not known."""
+        counts = f"{len(self.angles)} angles, largest |E_n| {self.largest:.2f}"
+        chance = f"chi2/dof {self.chi2:.4g}/{self.dof}, p {self.p_value:.2g}"
+        return f"<Comparison: {'agree' if self.agree else 'DISAGREE'}, {counts}, {chance}>"
+
     @property
     def largest(self) -> float:
         """The largest |E_n|."""

@@ -8,10 +8,11 @@ seed alone, and not on the number or speed of the workers.
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, pi, sqrt
@@ -164,13 +165,27 @@ def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) ->
         ahead: deque[Future[Floats]] = deque()
         try:
             for index in range(n_blocks):
-                ahead.append(pool.submit(_run_block, seed, index, block))
+                with _left_alone_by_ctrl_c():
+                    ahead.append(pool.submit(_run_block, seed, index, block))
                 if len(ahead) > workers:
                     yield ahead.popleft().result()
             while ahead:
                 yield ahead.popleft().result()
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _left_alone_by_ctrl_c() -> Iterator[None]:
+    """Start workers that leave Ctrl-C in the terminal to this process, from their first moment."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _stream(seed: int, index: int) -> np.random.Generator:

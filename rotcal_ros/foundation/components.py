@@ -27,12 +27,19 @@ SHOWN_IN: Final = {"m": (MICROMETRE, "µm"), "rad": (ARCSEC, "arcsec")}
 def unit_of(component: str) -> tuple[float, str]:
     """Return factor and label of the unit in which a deviation is shown.
 
+    Raises ConfigurationError for a name that is none of ISO 230-1, such as EXC, EAA or YOA.
+
     >>> import rotcal_ros as rc
     >>> factor, label = rc.unit_of("ECC")
     >>> f"{2 * rc.ARCSEC / factor:g} {label}"
     '2 arcsec'
     """
-    return SHOWN_IN["m" if component in TRANSLATIONS else "rad"]
+    if not re.fullmatch(r"E[XYZABC][ABC]|[XYZABC]O[ABC]", component):
+        raise ConfigurationError(
+            f"{component!r} is no deviation of a rotary axis: expected one of "
+            f"{', '.join(COMPONENTS)}"
+        )
+    return SHOWN_IN["rad" if component.strip("EO")[0] in "ABC" else "m"]
 
 
 def check_axis(axis: str) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.foundation.escapes import printable, shortened
+from rotcal_ros.foundation.url_secrets import masked
 
 LONGEST: Final = 2000
 """Longest error in characters; a longer one loses its middle."""
@@ -44,11 +45,12 @@ class RotcalError(Exception):
     def __init__(self, text: str = "", log: str = "", question: Question | None = None) -> None:
         """Set ``text``; ``log`` has further lines, such as a list or what another process said.
 
-        Whatever names from elsewhere are in it, the text is one line of visible characters.
+        Whatever names from elsewhere are in it, the text is one line of visible characters, and
+        without the secrets of URLs.
         ``question``: an answer to it would mend the error.
         """
-        super().__init__(shortened(printable(text), LONGEST))
-        self.log = log
+        super().__init__(shortened(printable(masked(text)), LONGEST))
+        self.log = masked(log)
         self.question = question
 
 

@@ -8,9 +8,13 @@ import secrets
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.untrusted import require_plain
+
+_UNFINISHED: Final = ".rotcal-"
+"""Begin of the name of a folder with unfinished files."""
 
 
 class DurableFile:
@@ -33,7 +37,7 @@ class DurableFile:
 
     def write(self, data: bytes) -> int:
         """Append ``data``; on OSError the file is as it was before."""
-        with _undone(self._descriptor, self._size):
+        with naming(self.path), _undone(self._descriptor, self._size):
             _write_whole(self._descriptor, data)
         self._size += len(data)
         return len(data)
@@ -56,7 +60,8 @@ class DurableFile:
         if self._sync_error is not None:
             raise self._sync_error
         try:
-            disk.sync(self._descriptor)
+            with naming(self.path):
+                disk.sync(self._descriptor)
         except OSError as error:
             self._sync_error = error
             raise
@@ -66,6 +71,20 @@ class DurableFile:
         if not self._closed:
             self._closed = True
             disk.close(self._descriptor)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an OSError name ``path`` if it names no file, or an unfinished one.
+
+    The system names none where a disk is full: it knows the descriptor alone.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.strerror and (error.filename is None or _UNFINISHED in str(error.filename)):
+            error.filename = str(path)
+        raise
 
 
 def write_atomically(path: Path, text: str, encoding: str = "utf-8") -> None:
@@ -82,13 +101,14 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     device, a pipe or a folder.
     """
     require_plain(path)
-    with scratch_folder(path.parent) as scratch:
-        temporary = scratch / path.name
-        write(temporary)
-        # Without this, a crash after the rename may leave the new name with no content.
-        sync_file(temporary)
-        disk.replace(temporary, path)
-    sync_folder(path.parent)
+    with naming(path):
+        with scratch_folder(path.parent) as scratch:
+            temporary = scratch / path.name
+            write(temporary)
+            # Without this, a crash after the rename may leave the new name with no content.
+            sync_file(temporary)
+            disk.replace(temporary, path)
+        sync_folder(path.parent)
 
 
 @contextmanager
@@ -98,7 +118,7 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
     No other user may enter it: under a name that can be guessed, a planted link would redirect the
     writing. If a failing disk does not release it, it stays behind.
     """
-    folder = parent / f".rotcal-{secrets.token_hex(8)}"
+    folder = parent / f"{_UNFINISHED}{secrets.token_hex(8)}"
     disk.make_folder(folder, 0o700)
     try:
         yield folder
@@ -151,7 +171,7 @@ def append_line(path: Path, line: bytes) -> None:
         with open(descriptor, "rb", closefd=False) as file:
             end = file.read().rfind(b"\n") + 1
         disk.truncate(descriptor, end)
-        with _undone(descriptor, end):
+        with naming(path), _undone(descriptor, end):
             _write_whole(descriptor, line)
             disk.sync(descriptor)
     finally:

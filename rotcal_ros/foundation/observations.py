@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 from rotcal_ros.foundation.language import phrase
 
@@ -174,18 +175,25 @@ class Command:
         )
 
 
+ATTEMPTS_PER_RUN: Final = 1_000_000
+"""Attempts of run k count from k times this on, so that none repeats an order of an earlier run.
+
+More than a person has patience for; 4000 runs fit the messages' 32 bits.
+"""
+
+
 def place_in_words(table_position: int, target: int, attempt: int = 0) -> str:
-    """Return a step for people: its place, and from the second on the attempt.
+    """Return a step for people: its place, and from the second of its run on the attempt.
 
     The number of a step in its plan does not count what was done: a policy takes few of them, in
     any order.
 
-    >>> place_in_words(3, 30), place_in_words(3, 30, 1)
+    >>> place_in_words(3, 30), place_in_words(3, 30, ATTEMPTS_PER_RUN + 1)
     ('table position 3, target 30', 'table position 3, target 30 (attempt 2)')
     """
     place = (table_position, target)
-    if attempt:
-        return phrase("table position {0}, target {1} (attempt {2})", *place, attempt + 1)
+    if tried := attempt % ATTEMPTS_PER_RUN:
+        return phrase("table position {0}, target {1} (attempt {2})", *place, tried + 1)
     return phrase("table position {0}, target {1}", *place)
 
 

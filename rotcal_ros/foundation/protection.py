@@ -38,6 +38,8 @@ Particular = Literal[
     "gain",
     "probe tip",
     "lag",
+    "straightness",
+    "play",
 ]
 Effect = Literal[Common, Particular]
 PARTICULAR: Final[tuple[Effect, ...]] = get_args(Particular)
@@ -48,7 +50,7 @@ comes back with each run; an error that gathers in one place among many; table p
 that are numbered wrong; a z axis that points down, and readings of the other sign, where no
 measurement would show it; a table that turns the other way than is stated; an instrument that
 shows too much or too little; the offset of a probe's tip; readings that are late beside the angle
-of a table that turns."""
+of a table that turns; linear axes that do not go straight, and what they lose where they turn."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = get_args(Common)

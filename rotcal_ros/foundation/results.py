@@ -167,7 +167,9 @@ class AxisLine:
 
     ``names`` (4,) after ISO 230-1: two places (m), then two small turns (rad), as XOC, YOC, AOC,
     BOC; ``value`` and ``std`` (4,) in their order, ``covariance`` (4, 4). ``origin`` (3,), m, is a
-    nominal point: the places hold at its plane. All with the other rotary axes at zero.
+    nominal point: the places hold at its plane. All with the other rotary axes at zero. ``sense``
+    is 1 if it turns the work counter-clockwise about :attr:`direction` for growing angles, -1 if
+    clockwise, 0 if that is not known, as of results of before.
     """
 
     names: tuple[str, ...]
@@ -175,6 +177,7 @@ class AxisLine:
     std: Floats
     covariance: Floats
     origin: Floats
+    sense: int = 0
 
     def __post_init__(self) -> None:
         """Raise DataError for names that are no places and turns, and shapes that do not fit."""
@@ -183,6 +186,8 @@ class AxisLine:
                 f"axes: the names {', '.join(self.names)}: expected two places and two turns of "
                 "an axis, as XOC, YOC, AOC, BOC"
             )
+        if self.sense not in (-1, 0, 1):
+            raise DataError(f"axes: sense is {self.sense}, expected 1, -1, or 0 if not known")
         shapes = {"value": (4,), "std": (4,), "covariance": (4, 4), "origin": (3,)}
         for name, wanted in shapes.items():
             found = np.shape(getattr(self, name))
@@ -780,7 +785,8 @@ def _axis(data: Mapping[str, Any]) -> AxisLine:
     if not np.all(np.isfinite(covariance)):
         raise ValueError("axes.covariance: expected finite numbers")
     value, std, origin = (finite_column(data[n], f"axes.{n}") for n in ("value", "std", "origin"))
-    return AxisLine(tuple(map(str, data["names"])), value, std, covariance, origin)
+    names, sense = tuple(map(str, data["names"])), data.get("sense", 0)
+    return AxisLine(names, value, std, covariance, origin, sense)
 
 
 def _side(values: Any, targets: int, name: str) -> Floats | None:

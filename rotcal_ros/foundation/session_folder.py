@@ -81,8 +81,7 @@ def resume_command(session: Path) -> str:
     for whole in (session, session.parent):
         if (whole / REQUEST).is_file():
             return shlex.join(("rotcal", "verify", "--resume", str(whole)))
-    configuration = str(SessionFolder(session).configuration)
-    return shlex.join(("rotcal", "run", configuration, "--resume", str(session)))
+    return shlex.join(("rotcal", "run", "--resume", str(session)))
 
 
 def unfinished(session: Path) -> bool:

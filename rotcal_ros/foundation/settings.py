@@ -18,6 +18,8 @@ from typing import Any, Final, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.url_secrets import in_words as secret_found
+from rotcal_ros.foundation.url_secrets import secrets_in
 
 T = TypeVar("T")
 
@@ -125,9 +127,11 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
 
     ``where`` names the place in error texts, e.g. ``demo.yaml: plan``. Raises
     ConfigurationError for unknown names (with the nearest known one), missing required
-    settings, wrong types and values out of range.
+    settings, wrong types, values out of range, and URLs that carry a secret.
     """
     values = {} if values is None else values
+    for place in secrets_in(values, where):
+        raise ConfigurationError(secret_found(place))
     if not isinstance(values, Mapping):
         raise ConfigurationError(
             f"{where}: expected a group of settings, found {values!r:.80}: "

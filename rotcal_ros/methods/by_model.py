@@ -76,6 +76,14 @@ class Statement:
 
 
 @dataclass(frozen=True)
+class Restated:
+    """A configuration whose statements fit what was found, and why others did not."""
+
+    configuration: Configuration
+    doubts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class ByModel:
     """A method with the ``name``, by its ``model`` of readings.
 
@@ -88,7 +96,9 @@ class ByModel:
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
     the result, and the curves from each side. ``nominal``: what is read at a step where nothing is
     wrong. ``wrong``: blocks of what may be wrong beside the table, with the effect that it is.
-    ``sign``: -1.0 where the model takes a reading with the other sign.
+    ``sign``: -1.0 where the model takes a reading with the other sign. ``restated`` returns a
+    configuration whose statements fit what was found, and what is doubtful of them; None where
+    they fit as they are.
     """
 
     name: str
@@ -105,12 +115,16 @@ class ByModel:
     counts_from: str = "first angle"
     wrong: Mapping[str, Effect] = field(default_factory=dict)
     sign: Callable[[Configuration], float] = lambda _configuration: 1.0
+    restated: Callable[[Configuration, Readings, Adjusted], Restated | None] = (
+        lambda _configuration, _read, _found: None
+    )
 
     def solve(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
     ) -> Result:
         """Return the result of accepted observations."""
-        found, read = self._adjusted(configuration, observations), Readings.of(observations)
+        found, restated = self._adjusted(configuration, observations)
+        configuration, read = restated.configuration, Readings.of(observations)
         statement = self.states(configuration, read, found)
         parts, count = self._parts(configuration, found.model)
         arrivals = self.arrivals(configuration)
@@ -121,7 +135,7 @@ class ByModel:
             (read.position % count, read.target),
             counts_from=self.counts_from,
             coordinates=self.coordinates(configuration),
-            doubts=statement.doubts,
+            doubts=(*restated.doubts, *statement.doubts),
             protections=statement.protections,
             details=statement.details,
             joint=arrivals is not None,
@@ -173,7 +187,7 @@ class ByModel:
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
     ) -> Trials:
         """Prepare Monte Carlo trials about accepted observations."""
-        prepared = self._adjusted(configuration, observations).trials
+        prepared = self._adjusted(configuration, observations)[0].trials
         if further := self.further(configuration):
             prepared = DrawnTrials(prepared.value[:-further], prepared.causes[:-further])
         arrivals = self.arrivals(configuration)
@@ -234,10 +248,16 @@ class ByModel:
 
     def _adjusted(
         self, configuration: Configuration, observations: Sequence[Observation]
-    ) -> Adjusted:
+    ) -> tuple[Adjusted, Restated]:
+        """Return the solution, with statements that fit it, and what these are."""
         if not observations:
             raise DataError("nothing was read: there is nothing to solve")
-        return adjust(self.model(configuration, Readings.of(observations)))
+        read = Readings.of(observations)
+        found = adjust(self.model(configuration, read))
+        restated = self.restated(configuration, read, found)
+        if restated is None:
+            return found, Restated(configuration)
+        return adjust(self.model(restated.configuration, read)), restated
 
     def _curves(
         self, configuration: Configuration, outputs: Floats, plan: Plan

@@ -18,7 +18,7 @@ from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
-from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN, Observation
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
@@ -28,7 +28,7 @@ from rotcal_ros.methods.air import Refraction
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.clock_errors import arrival_std, require_settled, with_clock_errors
 from rotcal_ros.methods.configuration import Configuration, read_policy
-from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation, continued
+from rotcal_ros.methods.continuation import Continuation, continued
 from rotcal_ros.methods.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.methods.frame_conflicts import frame_conflicts
 from rotcal_ros.methods.method import Adaptive, Method, Stations, Trials
@@ -54,6 +54,10 @@ class Calibration:
 
     configuration: Configuration
     plan: Plan
+
+    def __repr__(self) -> str:
+        """Return in one line what is measured."""
+        return f"<Calibration: {self.configuration!r}, {len(self.plan.steps)} steps>"
 
     @property
     def method(self) -> Method:

@@ -33,7 +33,14 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.sheets.reading import SheetSettings
-from rotcal_ros.foundation.untrusted import composed, line_of, load_yaml, read_text, reading
+from rotcal_ros.foundation.untrusted import (
+    composed,
+    line_of,
+    load_yaml,
+    read_text,
+    reading,
+    require_no_secret,
+)
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
 from rotcal_ros.planning.choices import AS_LISTED
@@ -132,6 +139,12 @@ class Configuration:
         """Return the settings of a group, of this package or of an extension."""
         return self.extensions[name] if name in self.extensions else getattr(self, name)
 
+    def __repr__(self) -> str:
+        """Return in one line what it is for and where it comes from."""
+        cell = "simulated cell" if self.simulated else "cell"
+        named = f" {self.identity.title}" if self.identity.title else ""
+        return f"<Configuration: {self.method.name}, {cell}{named}, from {self.source}>"
+
     @property
     def plan_id(self) -> str:
         """SHA-256 of the text, in hexadecimal: equal for two runs that were configured alike."""
@@ -146,10 +159,13 @@ def read_configuration(path: Path) -> Configuration:
 def configuration_text(path: Path) -> str:
     """Return the text of a configuration file, with the content of the files that it names.
 
-    Raises ConfigurationError when one of them cannot be read.
+    Raises ConfigurationError when one of them cannot be read, or a URL carries a secret: the text
+    is kept as it is, comments included.
     """
     with reading(path, ConfigurationError, "the configuration "):
         text = read_text(path)
+    for number, line in enumerate(text.splitlines(), start=1):
+        require_no_secret(line, f"{path}, line {number}")
     return _with_contents(text, str(path), path.parent)
 
 

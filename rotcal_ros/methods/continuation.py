@@ -1,7 +1,7 @@
 """A plan that was interrupted is continued in another run of the same session.
 
-Every run numbers its attempts from ``run * ATTEMPTS_PER_RUN`` on, so that no order of a later run
-repeats one of an earlier run: a late answer is never taken for a new one.
+Every run numbers its attempts from ``run * ATTEMPTS_PER_RUN`` on: a late answer to an order of an
+earlier run is never taken for a new one.
 """
 
 from __future__ import annotations
@@ -11,16 +11,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import takewhile
-from typing import Final
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.untrusted import load_json
 from rotcal_ros.planning.plan import Plan
-
-ATTEMPTS_PER_RUN: Final = 1_000_000
-"""More attempts than a person has patience for; 4000 runs fit the messages' 32 bits."""
 
 
 @dataclass(frozen=True)

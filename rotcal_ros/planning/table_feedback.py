@@ -38,6 +38,15 @@ def in_degrees(angle: float, commanded: float) -> bool:
     return abs(off_deg) <= _SAME_DEG and of_size and abs(angle - commanded) > DEGREE
 
 
+def other_way(angle: float, commanded: float) -> bool:
+    """Return whether a feedback ``angle`` (rad) is where the opposite one was commanded to.
+
+    Near 0 and 180 degrees it decides nothing: there both are one.
+    """
+    same = _SAME_DEG * DEGREE
+    return is_near(angle, -commanded, same) and not is_near(commanded, -commanded, DEGREE)
+
+
 class TableSpeed:
     """Turns angles (rad) of the table into feedback with a speed, over at least ``span_s``."""
 

@@ -34,6 +34,7 @@ from rotcal_ros.bags.storage_scan import (
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.capture import messages as records
+from rotcal_ros.capture.announced_runs import strangers
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.heard import run_name
 from rotcal_ros.capture.instruments.steps import StepFinder
@@ -49,7 +50,6 @@ from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings import recorded_setup
-from rotcal_ros.recordings.announced_runs import strangers
 from rotcal_ros.recordings.missing_data import (
     PlacedDropout,
     doubtful,

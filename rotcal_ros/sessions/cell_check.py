@@ -24,6 +24,8 @@ from rotcal_ros.sessions.processes import Processes, node_environment
 
 _GRACE_S: Final = 30.0
 """Time for the start of the process and for working out the plan."""
+LONGER_S: Final = 60.0
+"""It listens for so much longer at most, if it could not hear enough to judge the clocks."""
 _END_S: Final = 5.0
 _POLL_S: Final = 0.1
 _TRIAL_S: Final = 150.0
@@ -32,6 +34,9 @@ _TRIAL_S: Final = 150.0
 
 def check_cell(path: Path | None, namespace: str = "", seconds: float = 5.0) -> CellReport:
     """Listen for ``seconds`` to the cell of a configuration file, or of a ``namespace``.
+
+    It takes up to twice as long where too little has come to judge the clocks, more on a busy
+    machine.
 
     Raises ConfigurationError for a configuration that cannot be used, RotcalError when the
     process that listens ends without an answer.
@@ -82,7 +87,7 @@ def move_cell(path: Path, report: CellReport) -> CellReport:
 def _answer(command: list[str], seconds: float) -> CellReport:
     """Return what the process found; end it in any case."""
     environment, late = {**os.environ, **node_environment(alone=False)}, False
-    limit_s = seconds + patient(_GRACE_S)
+    limit_s = seconds + min(patient(seconds), LONGER_S) + patient(_GRACE_S)
     with tempfile.TemporaryFile("w+", errors="replace") as log:
         child = subprocess.Popen(
             command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log,

@@ -75,7 +75,7 @@ def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
 class Person:
     """Does a person's work of a plan, or says when it is done.
 
-    In a simulated cell, or with ``at_once``, the work counts as done as soon as it is asked for,
+    With a simulated person, or ``at_once``, the work counts as done as soon as it is asked for,
     but not for a viewer who is only ``watching`` from another terminal. In a terminal Enter
     confirms it. Without a terminal only others can: an attached viewer, or the service ``resume``
     of the cell. After an emergency stop nothing is confirmed at once, and while it lasts nothing
@@ -86,8 +86,8 @@ class Person:
         self, configuration: Configuration, at_once: bool, *, watching: bool = False
     ) -> None:
         self._service = f"{configuration.cell.namespace.rstrip('/')}/resume"
-        self._simulated = configuration.simulated
-        self._as_done = at_once or configuration.simulated
+        self._simulated = configuration.simulated and configuration.simulation.person
+        self._as_done = at_once or self._simulated
         self._at_once = self._as_done and not watching
         self._asked = self._confirmed = self._paused = False
         self._code = int(Why.UNKNOWN)

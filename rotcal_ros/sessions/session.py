@@ -18,6 +18,7 @@ from typing import Final
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.session_identity import require_one_session
+from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.files import make_folder, write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
@@ -222,16 +223,19 @@ LOCK_TIMEOUT_S: Final = 40.0
 _POLL_S: Final = 0.2
 
 
-def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
+def resume_session(source: Path | None, path: Path, changes: Sequence[str]) -> Session:
     """Return the session that continues the one in the folder ``path``.
 
-    Its raw streams say what is left to measure.
+    Its raw streams say what is left to measure. Without a ``source`` its own configuration is
+    used.
 
     Raises ConfigurationError when there is no such session, it is finished, or it was configured
     differently; BagError when another process works there.
     """
     folder = SessionFolder(path.absolute())
-    calibration = checked_calibration(source, changes)
+    if source is None:
+        _require_begun(folder)
+    calibration = checked_calibration(source or folder.configuration, changes)
     _check_folder(folder, calibration)
     _wait_for_lock(folder.path)
     _check_folder(folder, calibration)  # whoever held the lock may have finished it
@@ -253,10 +257,14 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
     return session
 
 
-def _check_folder(folder: SessionFolder, calibration: Calibration) -> None:
-    known = folder.configuration
-    if not known.is_file():
+def _require_begun(folder: SessionFolder) -> None:
+    if not (known := folder.configuration).is_file():
         raise ConfigurationError(f"{folder.path} holds no session: {known.name} is missing")
+
+
+def _check_folder(folder: SessionFolder, calibration: Calibration) -> None:
+    _require_begun(folder)
+    known = folder.configuration
     if folder.result.exists():
         raise ConfigurationError(
             f"the calibration in {folder.path} is finished: its {folder.result.name} is there"
@@ -280,9 +288,13 @@ def _wait_for_lock(folder: Path) -> None:
 
 
 def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
-    """Return what was recorded; nothing when the recorder died before the first message."""
+    """Return what was recorded; nothing when the recorder died before the first message.
+
+    What an interrupted file lacks is said here, and measured again. It does not count against the
+    verb: the recorder closes that file, and the report reads the whole bag once more.
+    """
     try:
-        with progress("reading what is there") as shown:
+        with unread(), progress("reading what is there") as shown:
             recording = read_recording(
                 bag, configuration=calibration.configuration, progress=shown
             )

@@ -268,7 +268,7 @@ def _read_request(folder: Path) -> Request:
     except FileNotFoundError:
         raise ConfigurationError(
             f"{folder} holds no verification: its {REQUEST} is missing; begin one with 'rotcal "
-            "verify CONFIG', or go on with a single measurement: rotcal run CONFIG --resume "
+            "verify CONFIG', or go on with a single measurement: rotcal run --resume "
             f"{folder}"
         ) from None
     except (OSError, ValueError) as error:

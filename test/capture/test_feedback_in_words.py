@@ -27,6 +27,16 @@ def test_feedback_without_velocity_is_named():
         assert "the feedback has no velocity: publish it beside the position" in observation.reason
 
 
+def test_a_velocity_that_a_driver_withholds_is_not_called_missing():
+    """As table_adapter does until its joint has begun to obey."""
+    scene = make_scene(PLAN, 2)
+    scene.edit("table", lambda r: replace(r, velocity=nan), SECOND, 2 * SECOND)
+    first, second = replay(PLAN, scene.by_stamp())
+    assert first.accepted
+    assert "has not begun to move as ordered" in second.reason
+    assert "no velocity" not in second.reason
+
+
 def test_degrees_are_named():
     first, second = replay(PLAN, at_step_1(lambda r: replace(r, angle=degrees(r.angle))))
     assert first.accepted  # zero is zero in any unit
@@ -56,7 +66,7 @@ def test_a_table_that_is_not_in_position_is_told_long_before_the_attempt_is_give
     assert "table position 1, target 0: table not at rest in position" in said[5]
     assert "degrees?" in said[5]
     assert hopeless[1] is None
-    assert hopeless[3].startswith("step 1, attempt 0: it says 28.6479 where 0.5 rad")
+    assert hopeless[3].startswith("table position 1, target 0: it says 28.6479 where 0.5 rad")
 
 
 @pytest.mark.parametrize(
@@ -84,3 +94,25 @@ def test_only_what_no_patience_mends_is_hopeless(feedback, since_ns, words):
     hopeless = capture.hopeless()
     assert (words is None) == (hopeless is None)
     assert words is None or words in hopeless
+
+
+@pytest.mark.parametrize(("stood", "named"), [(0.0, True), (-ANGLE, False)])
+def test_a_table_of_the_wrong_sign_is_named_at_the_first_attempt(stood, named):
+    """Unless it has stood there since before the order: then it may just not have begun."""
+    capture = Capture(PLAN, replace(SETTINGS, step_timeout_s=30.0), RULES)
+    scene = make_scene(PLAN, 6)
+    scene.probe = scene.probe[:2]
+    scene.edit("table", lambda r: replace(r, angle=stood, velocity=0.0), -SECOND, SECOND)
+    scene.edit("table", lambda r: replace(r, angle=-ANGLE, velocity=0.0), SECOND, 7 * SECOND)
+    ordered = False
+    for record in scene.by_stamp():
+        if record.stamp_ns >= SECOND // 2 and not ordered:
+            ordered = True
+            capture.feed(PLAN.steps[1].command(0))
+        capture.feed(record)
+    if named:
+        assert "says -28.6479 deg where +28.6479 deg was commanded: is a sign wrong?" in (
+            capture.hopeless()
+        )
+    else:
+        assert capture.hopeless() is None

@@ -244,3 +244,48 @@ def test_what_a_nest_still_sends_for_an_earlier_run_begins_nothing():
         assert [(o.step, o.attempt, o.accepted) for o in found] == [
             (step, later, True) for step in range(3)
         ]
+
+
+def complaints(plan, *streams, orders):
+    """Return what the capture complains about at every whole second since the start.
+
+    ``orders``: (s, step, attempt), as the planner gives them.
+    """
+    capture, said = Capture(plan, replace(SETTINGS, step_timeout_s=30.0), RULES), {}
+    given = [(START + round(t * SECOND), plan.steps[k].command(a)) for t, k, a in orders]
+    records = [(r.stamp_ns, r) for stream in streams for r in stream] + given
+    for stamp_ns, record in sorted(records, key=lambda each: each[0]):
+        capture.feed(record)
+        said[(stamp_ns - START) // SECOND] = capture.complaint()
+    return said
+
+
+def test_a_nest_that_names_an_earlier_order_is_told_after_three_seconds_of_turning():
+    """Its first readings after an order may still name the one before: they were on their way."""
+    plan = turning_plan()
+    late = tuple((t + 0.3, step, attempt) for t, step, attempt in IN_TURN[1:])
+    sound = readings(plan, (IN_TURN[0], *late), 20.0)
+    assert not any(complaints(plan, table(20.0), sound, orders=IN_TURN).values())
+    mute = readings(plan, ((0.0, 0, 0),), 20.0)  # names step 0, attempt 0 for ever
+    said = complaints(plan, table(20.0), mute, orders=IN_TURN[:2])
+    assert not any(said[s] for s in range(3))
+    assert "step 1, attempt 0: no point on probe_point answers the order" in said[4]
+    assert "names step 0, attempt 0: the machine must echo both" in said[4]
+
+
+def test_a_table_that_does_not_turn_as_ordered_is_told_after_three_seconds():
+    plan, order = turning_plan(), ((0.0, 0, 0),)
+    nest = readings(plan, order, 20.0)
+    said = complaints(plan, table(1e-9), nest, orders=order)
+    assert not any(said[s] for s in range(3))
+    assert "the table stands still at -10.0000 deg, it was ordered to turn" in said[4]
+    in_degrees = [replace(r, angle=np.degrees(r.angle)) for r in table(20.0)]
+    said = complaints(plan, in_degrees, nest, orders=order)
+    assert "turns at 20 rad/s where 20 deg/s were ordered: degrees?" in said[4]
+
+
+def test_a_table_that_passes_the_other_way_is_called_reversed():
+    plan = turning_plan()
+    back = [replace(r, angle=-r.angle) for r in table(20.0, lasting_s=9.0)]
+    (found,) = captured(plan, back, readings(plan, ((0.0, 0, 0),), 20.0))
+    assert "it passed it the other way: is a sign wrong?" in found.reason

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -25,11 +26,12 @@ B = ((0.34, -0.2, -0.04), (0.0, 0.0))
 
 
 def found(names, nominal, value):
-    return AxisLine(names, np.array(value), np.full(4, 1e-6), 1e-12 * np.eye(4), np.array(nominal))
+    covariance = 1e-12 * np.eye(4)
+    return AxisLine(names, np.array(value), np.full(4, 1e-6), covariance, np.array(nominal), 1)
 
 
-def measured(tilting=None, verdict="ok", **more):
-    """Return a result that gives C and, with its letter, what tilts it."""
+def measured(tilting=None, verdict="ok", senses=(1, 1), **more):
+    """Return a result that gives C and, with its letter, what tilts it, and how they turn."""
     (x, y, z), lean = C
     axes = [found(("XOC", "YOC", "AOC", "BOC"), [0.3, -0.2, z], [x - 0.3, y + 0.2, *lean])]
     if tilting == "A":
@@ -38,6 +40,7 @@ def measured(tilting=None, verdict="ok", **more):
         axes.append(found(("YOA", "ZOA", "BOA", "COA"), [x, -0.15, -0.04], value))
     if tilting == "B":
         axes.append(found(("XOB", "ZOB", "AOB", "COB"), B[0], [0.0] * 4))
+    axes = [replace(line, sense=sense) for line, sense in zip(axes, senses, strict=False)]
     return Result(
         method="table_balls", angles=np.zeros(1), deviations={"ECC": np.zeros(1)},
         std={"ECC": np.ones(1)}, covariance={}, sigma0=1.0, dof=1, n_observations=2,
@@ -104,8 +107,23 @@ def test_the_plain_list_holds_points_and_directions():
     assert numbers[1] == pytest.approx([300.0, -150.03, -40.02, 1.0, -5e-5, -4e-5], abs=1e-9)
 
 
-def test_the_vectors_of_sinumerik_close_and_turn_the_work():
-    files, _ = location(measured("A"), "sinumerik", accept_unverified=True)
+def turned_by_vectors(work, i2, i3, v1, v2, first, second):
+    """Where a point (3,) of the work stands by the vectors of a swivel table (type 40), mm.
+
+    Each axis turns right-handed about its vector for a growing angle (deg): from the machine's
+    zero by I2 to the first axis, by I3 to the second.
+    """
+    turn, tilt = (
+        Rotation.from_rotvec(np.radians(angle) * v / np.linalg.norm(v))
+        for v, angle in ((v2, second), (v1, first))
+    )
+    return i2 + tilt.apply(i3 + turn.apply(work - i2 - i3))
+
+
+@pytest.mark.parametrize("senses", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_the_vectors_of_sinumerik_close_and_turn_the_work_as_the_chain_says(senses):
+    table_sense, tilt_sense = senses
+    files, words = location(measured("A", senses=senses), "sinumerik", accept_unverified=True)
     found = re.findall(r"\$MC_TRAFO5_(\w+)\[(\d)\]=(\S+)", files["c_sinumerik_axis.ini"])
     data = {(name, int(k)): float(x) for name, k, x in found}
     names = ("BASE_TOOL_1", "JOINT_OFFSET_PART_1", "PART_OFFSET_1", "AXIS1_1", "AXIS2_1")
@@ -113,8 +131,23 @@ def test_the_vectors_of_sinumerik_close_and_turn_the_work():
     assert i2 + i3 + i4 == pytest.approx(0.0, abs=2e-6)
     assert i2 == pytest.approx(1e3 * np.array(A[0]))
     assert i2 + i3 == pytest.approx(1e3 * np.array(C[0]), abs=2e-6)
-    assert v1 == pytest.approx([-1.0, 5e-5, 4e-5])
-    assert v2 == pytest.approx([3e-5, 2e-5, -1.0])
+    upright, lying = np.array([-3e-5, -2e-5, 1.0]), np.array([1.0, -5e-5, -4e-5])
+    work = np.array([150.0, 20.0, 80.0])
+    for tilt, turn in ((25.0, 40.0), (-90.0, 100.0)):
+        stands = about(work, (1e3 * np.array(C[0]), upright), table_sense * turn)
+        stands = about(stands, (1e3 * np.array(A[0]), lying), tilt_sense * tilt)
+        away = turned_by_vectors(work, i2, i3, v1, v2, tilt, turn) - stands
+        assert np.abs(away).max() < 4e-6
+    assert ["clockwise" in word for word in words[:2]] == [sense < 0 for sense in senses]
+
+
+def test_a_table_that_turns_clockwise_by_iso_841_has_its_vector_reversed():
+    files, _ = location(measured(senses=(-1,)), "sinumerik", accept_unverified=True)
+    assert "$MC_TRAFO5_AXIS2_1[2]=-1." in files["c_sinumerik_axis.ini"]
+    with pytest.raises(DataError, match="does not say which way C turns"):
+        location(measured(senses=(0,)), "sinumerik", accept_unverified=True)
+    _, words = location(measured(senses=(-1,)), "linuxcnc")
+    assert any("reverse the sign of its joint" in word for word in words)
 
 
 def test_the_rows_of_heidenhain_lead_from_axis_to_axis():

@@ -386,3 +386,32 @@ def test_a_table_that_the_machine_would_not_use_is_not_applied(cell):
     machine.write_text(MACHINE + f"COMP_FILE = {COMP}\nCOMP_FILE_TYPE = 1\n")
     applied(feed, table_of())
     assert COMP in cell.files()
+
+
+MACHINE = """[EMC]
+[KINS]
+JOINTS = 1
+KINEMATICS = trivkins coordinates=C
+[TRAJ]
+ANGULAR_UNITS = degree
+[JOINT_0]
+TYPE = ANGULAR
+MIN_LIMIT = 0
+MAX_LIMIT = 360
+MAX_VELOCITY = 90
+MAX_ACCELERATION = 2000
+BACKLASH = 0.01
+"""
+
+
+def test_the_bridge_puts_what_backlash_did_into_the_table_and_says_so(cell, tmp_path):
+    machine = tmp_path / "machine.ini"
+    machine.write_text(MACHINE)
+    feed = cell.feed(options=(f"machine_ini={machine}",))
+    feed.take(table_of(), cell.clock.ns)
+    _, up, down = np.array(
+        [line.split() for line in feed.offer.files[COMP].splitlines()], dtype=float
+    ).T
+    assert up - down == pytest.approx(0.01, abs=3e-9)
+    (said,) = (text for text in feed.offer.export.warnings if "BACKLASH" in text)
+    assert "+18 arcsec in the forward column and -18 in the reverse one" in said

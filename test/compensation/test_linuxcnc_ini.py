@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
 
+from rotcal_ros.compensation.agreement import Accepted, MachineIdentity
 from rotcal_ros.compensation.controllers import make_controller
+from rotcal_ros.compensation.earlier_export import to_be_in_force
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.linuxcnc import hook_up
+from rotcal_ros.compensation.feed import largest_change
+from rotcal_ros.compensation.held_table import in_force_of
+from rotcal_ros.compensation.linuxcnc import UNKNOWN_BACKLASH, hook_up
 from rotcal_ros.compensation.linuxcnc_machine import Ini, Joint, agent_command
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -208,3 +212,122 @@ def test_the_travel_is_that_of_axis_and_joint(machine):
     free = replace(joint, ini=Ini(machine, TEXT.replace("MAX_LIMIT", "MAXIMUM")))
     assert free.travel_deg == (-360.0, 1e99)
     assert np.char.find(free.travel_beyond(-360.0, 720.0), "revolutions") == -1
+
+
+PLAY = 0.01
+"""BACKLASH of the machine in deg; LinuxCNC 2.9, control.c: half of it for either direction."""
+LINE = "COMP_FILE = old.comp\n"
+
+
+def columns(made):
+    """Forward and reverse trim (deg) of the rows of one turn, whatever the type."""
+    (text,) = (text for name, text in made.files.items() if name.endswith(".comp"))
+    nominal, up, down = np.array([line.split() for line in text.splitlines()], dtype=float).T
+    if made.controller.file_type == 0:
+        up, down = nominal - up, nominal - down
+    turn = (nominal > -1e-9) & (nominal < 359.9)
+    return up[turn], down[turn]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "amount"),
+    [
+        (LINE, f"BACKLASH = {PLAY}\n", PLAY),
+        (LINE, f"{LINE}BACKLASH={PLAY} # measured\nBACKLASH = 7\n", PLAY),
+        (LINE, f"\t BACKLASH =\t-{PLAY};\n", -PLAY),
+        (LINE, "backlash = 7\n# BACKLASH = 7\n;BACKLASH = 7\n", 0.0),
+        ("MAX_LIMIT = 1e6\n", "MAX_LIMIT = 1e6\nBACKLASH = 7\n", 0.0),
+        ("[JOINT_0]\n", "[JOINT_0]\nBACKLASH = 7\n", 0.0),
+    ],
+)
+@pytest.mark.parametrize("file_type", [0, 1])
+def test_what_backlash_corrected_is_in_both_columns(machine, before, after, amount, file_type):
+    plain = columns(exported(machine, file_type=file_type))
+    machine.write_text(TEXT.replace(before, after))
+    made = exported(machine, file_type=file_type)
+    found = np.subtract(columns(made), plain)
+    assert found == pytest.approx(np.tile([[amount / 2], [-amount / 2]], 36), abs=3e-9)
+    said = [text for text in made.warnings if "BACKLASH = " in text]
+    assert [f"{amount * 1800:+.6g} arcsec in the forward column" in text for text in said] == (
+        [True] if amount else [False] * ("1e6" in before)
+    )
+    assert made.residual.simulated <= made.residual.stated < 2.0 * exported_stated(machine)
+
+
+def exported_stated(machine):
+    machine.write_text(TEXT)
+    return exported(machine).residual.stated
+
+
+def test_backlash_is_added_once_and_only_where_it_acted(machine, tmp_path):
+    machine.write_text(TEXT.replace(LINE, f"BACKLASH = {PLAY}\n"))
+    first = exported(machine)
+    machine.write_text(first.with_machine_files()["xyza.ini"])  # the line stays, a table is named
+    assert "BACKLASH" in machine.read_text()
+    assert exported(machine).files["a_linuxcnc.comp"] == first.files["a_linuxcnc.comp"]
+    held = {n: t for n, t in first.files.items() if not n.endswith(".ini")}
+    held |= {"a_linuxcnc.ini": first.files["a_linuxcnc.ini"]}
+    for name, text in held.items():
+        (tmp_path / name).write_text(text)
+    left = replace(
+        table_from_result(result_of(even(36), 0.05 * wavy(even(36))), axis="A"),
+        measured_on=in_force_of(held),
+    )
+    machines = {"machine": MachineIdentity("A", "")}
+    total = to_be_in_force(
+        left, "linuxcnc", machines, Accepted(), 0, measured_ns=1, add_to=tmp_path
+    )
+    settings = {"machine_ini": str(machine), "first_turn": -1, "turns": 3}
+    made = prepare_export(total, "linuxcnc", now=NOW, spacing=TAU / 36, settings=settings)
+    up, down = columns(made)
+    assert up - down == pytest.approx(PLAY, abs=1e-6)
+    assert any("nothing of it is added" in text for text in made.warnings)
+    other = exported(machine, backlash_deg=0.0)  # as a person states of the measurement
+    assert np.ptp(np.subtract(*columns(other))) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_backlash_that_is_not_known_or_not_read_is_said(machine):
+    table = table_from_result(result_of(even(36), wavy(even(36))), axis="A")
+    made = prepare_export(table, "linuxcnc", now=NOW, spacing=TAU / 36)
+    assert UNKNOWN_BACKLASH in made.warnings
+    stated = prepare_export(
+        table, "linuxcnc", now=NOW, spacing=TAU / 36, settings={"backlash_deg": PLAY}
+    )
+    assert UNKNOWN_BACKLASH not in stated.warnings
+    assert np.subtract(*columns(stated)) == pytest.approx(PLAY, abs=3e-9)
+    machine.write_text(TEXT.replace("MAX_LIMIT = 1e6\n", "MAX_LIMIT = 1e6\nBACKLASH = 0.02\n"))
+    (said,) = (text for text in exported(machine).warnings if "BACKLASH" in text)
+    assert "[AXIS_A] BACKLASH = 0.02: LinuxCNC reads it in [JOINT_3] only" in said
+    machine.write_text(TEXT.replace(LINE, "BACKLASH = 0x1p-7\n"))
+    with pytest.raises(ConfigurationError, match="BACKLASH = '0x1p-7', expected a number"):
+        exported(machine)
+
+
+def test_the_hook_up_says_what_becomes_of_backlash(machine, tmp_path):
+    machine.write_text(TEXT.replace(LINE, f"BACKLASH = {PLAY}\n"))
+    ((about, wrong),) = hook_up(machine)
+    assert about == "[JOINT_3] no table"
+    assert "BACKLASH = 0.01 deg (36 arcsec) acts only until it has one" in wrong[0]
+    for name, text in exported(machine).with_machine_files().items():
+        (tmp_path / name).write_text(text)
+    ((about, wrong),) = hook_up(machine)
+    assert about == (
+        "[JOINT_3] a_linuxcnc.comp, type 1; BACKLASH = 0.01 deg (36 arcsec) is ignored with "
+        "this table"
+    )
+    assert wrong == ()
+    for name, text in exported(machine, backlash_deg=0.0).with_machine_files().items():
+        (tmp_path / name).write_text(text)
+    ((_, wrong),) = hook_up(machine)
+    assert wrong == (
+        "BACKLASH = 0.01 is ignored, and both columns are equal: nothing corrects the reversal",
+    )
+
+
+def test_the_bridge_counts_what_backlash_does_without_a_table(machine, tmp_path):
+    machine.write_text(TEXT.replace(LINE, f"BACKLASH = {PLAY}\n"))
+    made = exported(machine)
+    files = {n: t for n, t in made.files.items() if not n.endswith(".json")}
+    change = largest_change(made.controller, {}, files)
+    assert change == pytest.approx(made.residual.before, rel=1e-3)
+    assert largest_change(made.controller, files, {}) == pytest.approx(change)

@@ -12,7 +12,7 @@ from compensation_examples import TAU, d4_table, even, result_of, wavy
 from rotcal_ros.compensation import export as export_module
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import ResidualBudget, prepare_export
-from rotcal_ros.compensation.linuxcnc import UNKNOWN_LIMITS
+from rotcal_ros.compensation.linuxcnc import UNKNOWN_BACKLASH, UNKNOWN_LIMITS
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
@@ -86,6 +86,7 @@ def test_the_side_file_holds_what_the_page_promises(name):
     assert bool(wide) == make_controller(name).staircase
     assert side.pop("warnings") == [
         "a remark",
+        *([UNKNOWN_BACKLASH] if name == "linuxcnc" else []),
         *unverified,
         *wide,
         *([UNKNOWN_LIMITS] if name == "linuxcnc" else []),

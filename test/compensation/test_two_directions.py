@@ -5,6 +5,7 @@ model of each control that knows nothing but the text.
 """
 
 import re
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -18,7 +19,7 @@ from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.results import RepeatedRuns, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 
@@ -311,3 +312,19 @@ def test_volumetric_tables_hold_both_directions():
     for column in ("forward", "reverse"):
         found = data[:, names.index(f"ECC_{column}_rad")]
         np.testing.assert_array_equal(found, getattr(result.directions["ECC"], column))
+
+
+@pytest.mark.parametrize("play", [4.0, 0.01])
+def test_runs_from_both_sides_without_a_curve_of_each_are_refused(play):
+    curve = wavy(even(12))
+    up, down = (np.stack([curve + x * ARCSEC, curve + x * ARCSEC], axis=1) for x in (0.0, play))
+    runs = RepeatedRuns(even(12), up, down)
+    measured = replace(result_of(even(12), curve), runs=runs)
+    with pytest.raises(DataError, match=f"runs from both sides, up to {play:g} arcsec apart"):
+        table_from_result(measured)
+    with pytest.raises(DataError, match="runs from both sides"):
+        table_from_result(result_of(even(12), curve), reverse=measured)
+    down[1:] = np.nan  # one angle that was reached from above, too, is no reversal
+    assert not table_from_result(measured).directional
+    one_side = replace(measured, runs=RepeatedRuns(even(12), up, None))
+    assert not table_from_result(one_side).directional

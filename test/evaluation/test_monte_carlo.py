@@ -1,3 +1,5 @@
+import signal
+
 import numpy as np
 import pytest
 from scipy.stats import chi2, norm
@@ -14,6 +16,12 @@ def squared(rng, count):
     return rng.normal(size=(count, 1)) ** 2
 
 
+def deaf(_rng, count):
+    """Return whether a Ctrl-C in the terminal would reach this worker: 0, it would not."""
+    blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    return np.full((count, 1), 0.0 if blocked else 1.0)
+
+
 def drift_free(rng, count):
     return np.column_stack([np.zeros(count), rng.normal(size=count)])
 
@@ -27,6 +35,12 @@ def test_gaussian_and_chi_square_give_their_own_figures():
     found = propagate(squared, seed=2, max_trials=60_000, probability=0.9)
     assert found.low[0] == pytest.approx(chi2.ppf(0.05, 1), rel=0.08)
     assert found.high[0] == pytest.approx(chi2.ppf(0.95, 1), rel=0.03)
+
+
+def test_workers_leave_ctrl_c_to_the_process_that_waits_for_them():
+    found = propagate(deaf, seed=1, max_trials=20, block=10, workers=2)
+    assert found.mean[0] == 0.0
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 @pytest.mark.slow

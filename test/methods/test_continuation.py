@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.observations import Observation, PointKind
+from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN, Observation, PointKind
 from rotcal_ros.methods import last_accepted
-from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation, continued
+from rotcal_ros.methods.continuation import Continuation, continued
 from rotcal_ros.methods.tracer.plan import tracer_plan
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 

@@ -8,11 +8,11 @@ import pytest
 from mirror_points import points_table
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
-from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN, Approach, PointKind
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
-from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
+from rotcal_ros.methods.continuation import continued
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.problem import problem_from_observations

@@ -2,6 +2,10 @@
 
 from pathlib import Path
 
+import pytest
+
+from rotcal_ros.methods import changed, prepare, read_configuration
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "interfaces.md").read_text(encoding="utf-8")
 
@@ -14,3 +18,25 @@ def test_every_interface_and_error_code_stands_there():
         if line.startswith("uint16 ") and "=" in line:
             name, code = line.split()[1].split("=")
             assert f"| {code} `{name}` |" in PAGE
+
+
+@pytest.mark.parametrize(
+    ("file", "changes"),
+    [
+        ("plane_mirror_demo", ()),
+        ("tracer_six_demo", ()),
+        ("table_balls_demo", ("plan.chain=AC", "plan.tilts_deg=[-60.0, 0.0, 50.0]")),
+        (
+            "table_balls_demo",
+            ("plan.measure=bar", "plan.bars_m=[0.3, 0.0, 0.2, 0.0, 0.3, 0.2, 0.1, 0.1, 0.4]"),
+        ),
+        ("angle_comparison_demo", ("plan.by_hand=true",)),
+    ],
+)
+def test_what_a_robot_is_asked_to_move_stands_on_the_page_of_pauses(file, changes):
+    page = (ROOT / "docs" / "running.md").read_text(encoding="utf-8")
+    (row,) = [line for line in page.splitlines() if line.startswith("| `what`, `station` |")]
+    made = prepare(changed(read_configuration(ROOT / "config" / f"{file}.yaml"), changes))
+    moved = {pause.move.what for pause in made.plan.pauses if pause.move is not None}
+    assert {what for what in moved if f"`{what}`" not in row} == set()
+    assert moved

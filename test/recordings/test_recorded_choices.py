@@ -9,8 +9,9 @@ import pytest
 from chances import LONG
 
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
-from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
+from rotcal_ros.methods.continuation import continued
 from rotcal_ros.planning.choices import StepOutcome
 from rotcal_ros.recordings.recorded_setup import RecordedChoice, differences
 

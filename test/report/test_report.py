@@ -152,7 +152,7 @@ def test_a_method_that_states_nothing_is_told_from_one_that_is_protected() -> No
 
 
 def test_an_unfinished_session_says_how_it_goes_on() -> None:
-    command = "rotcal run '/data/my table/configuration.yaml' --resume '/data/my table'"
+    command = "rotcal run --resume '/data/my table'"
     page = render_report(replace(REPORT, go_on=command))
     shown = command.replace("'", "&#39;")
     assert f"<code>{shown}</code>" in page

@@ -29,8 +29,9 @@ def enter(monkeypatch):
     return press
 
 
-def make(*, simulated=False, yes=False, watching=False):
-    groups = {"cell": {"namespace": "/north"}} | ({"simulation": {}} if simulated else {})
+def make(*, simulated=False, yes=False, watching=False, person=True):
+    simulation = {"simulation": {} if person else {"person": False}} if simulated else {}
+    groups = {"cell": {"namespace": "/north"}} | simulation
     return Person(
         parse_configuration(dump_configuration("plane_mirror", groups)), yes, watching=watching
     )
@@ -52,9 +53,11 @@ def test_a_simulated_person_and_yes_are_done_at_once(kind, words, enter):
     assert not person.is_done()
 
 
-def test_a_person_at_a_terminal_presses_enter(enter):
+@pytest.mark.parametrize("rehearsed", [False, True])
+def test_a_person_at_a_terminal_presses_enter(enter, rehearsed):
+    """At a machine, and where one rehearses in a simulated cell."""
     enter(pressed=False)
-    person = make()
+    person = make(simulated=rehearsed, person=not rehearsed)
     assert person.hear(PAUSED) == "put the tracker there; then press Enter"
     assert person.hear(WAITING) is None
     assert not person.is_done()

@@ -6,13 +6,15 @@ Each function returns what is implausible, in words that follow the name of a to
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
-from math import isfinite
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite, sqrt
 from typing import Final
+
+import numpy as np
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
-from rotcal_ros.foundation.units import NANOSECOND, TURN
+from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND, TURN
 from rotcal_ros.planning.plan import Plan
 
 _NEAR_M: Final = 1.0
@@ -88,12 +90,22 @@ def implausible_position(
 def thousandth_of_plan(
     value: float, plan_m: tuple[float, float], stated: str, setting: str
 ) -> str | None:
-    """Return a text if a number (m) is a thousand times too small for the plan.
+    """Return a text if a number (m) is a thousand times too small or too large for the plan.
 
     ``plan_m`` is its least and largest value in the plan. Zero is always plausible: the probe may
     be parked there, or the instrument set to zero.
     """
     least, largest = plan_m
+    if isfinite(value) and abs(value) > largest * _NEARLY:
+        unit = likely_unit(value, largest * _NEARLY, stated, LENGTH_UNITS)
+        return (
+            (
+                f"says {value:.6g} m, {abs(value) / largest:.3g} times the longest of the plan"
+                f"{_instead(setting, unit)}"
+            )
+            if unit
+            else None
+        )
     if not isfinite(value) or not least / _NEARLY <= abs(value) * _THOUSAND <= largest * _NEARLY:
         return None
     larger = LENGTH_UNITS[stated] * _THOUSAND
@@ -103,6 +115,41 @@ def thousandth_of_plan(
         f"says {value:.6g} m, a thousand times less than the {least:.3g} to {largest:.3g} m of "
         f"the plan{twice}"
     )
+
+
+_FINEST_M: Final = 1e-9
+"""No instrument scatters by less in metres: its lengths are not a thousand times too small."""
+
+
+def scatter_of(values: Sequence[float]) -> float | None:
+    """Return the standard deviation of single readings, None of too few.
+
+    It is taken from second differences: a slow motion does not count, nor does a jump.
+    """
+    if len(values) < _LEAST_SCATTER:
+        return None
+    return float(np.median(np.abs(np.diff(values, 2)))) / (_MEDIAN * sqrt(6.0))
+
+
+_LEAST_SCATTER: Final = 10
+_MEDIAN: Final = 0.6744897501960817
+"""Median of the absolute value of a standard normal variable."""
+
+
+def unsteady(scatter: float, allowed: float, stated: str, setting: str) -> str | None:
+    """Return a text if readings at rest scatter by more (m) than a window ``allowed``."""
+    if not scatter > allowed:
+        return None
+    unit = likely_unit(scatter, allowed, stated, LENGTH_UNITS)
+    return (
+        f"scatters by {scatter / MICROMETRE:.3g} um from reading to reading, allowed "
+        f"{allowed / MICROMETRE:g} um (capture.max_std_m){_instead(setting, unit)}"
+    )
+
+
+def can_be_a_thousandth(scatter: float | None) -> bool:
+    """Return whether readings that ``scatter`` so (m) may be a thousand times too small."""
+    return scatter is None or scatter < _FINEST_M
 
 
 def implausible_air(values: Mapping[str, float]) -> Iterator[tuple[str, str]]:

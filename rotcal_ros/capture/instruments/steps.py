@@ -98,6 +98,7 @@ class StepFinder:
         self._position: Position | None = None
         self._single_shot, self._stands = single_shot, True
         self._feedback: TableSample | None = None
+        self._had_velocity = False
         self._stood: dict[type, Position | TableSample] = {}
         self._moved_ns = 0
 
@@ -164,7 +165,10 @@ class StepFinder:
         table = self._feedback
         if table is None:
             return "no table feedback since the order"
-        return off_in_words(table.angle, table.velocity, step.table_angle, self._settings)
+        return off_in_words(
+            table.angle, table.velocity, step.table_angle, self._settings,
+            had_velocity=self._had_velocity,
+        )  # fmt: skip
 
     def _wrong_factor(self, step: Step) -> float | None:
         """Return the factor by which a position is too large, if another unit would explain it."""
@@ -192,6 +196,7 @@ class StepFinder:
         self._note_motion(stamp_ns, event)
         if isinstance(event, TableSample):
             resting = abs(event.velocity) <= self._speed_limit
+            self._had_velocity |= isfinite(event.velocity)
             self._feedback, self._angle = event, event.angle if resting else None
         elif all(map(isfinite, event.position)):
             self._stands = self._single_shot or self._stays(event)

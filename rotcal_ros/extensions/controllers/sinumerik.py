@@ -34,7 +34,7 @@ from rotcal_ros.compensation.controller_files import (
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import check_axis
-from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
@@ -43,7 +43,7 @@ DECIMALS: Final = 7
 STEP_DEG: Final = 1e-6
 ENC_COMP: Final = "enc_comp"
 AXIS_DECIMALS: Final = 9
-CHAIN_SOURCE: Final = "6FC5397-1DP40-6BA1 (12/2017) p. 572"
+CHAIN_SOURCE: Final = "6FC5397-1DP40-6BA1 (12/2017) pp. 571, 572, 581"
 CHAIN_OPEN: Final = (
     "that the vectors count from the machine's zero, and the sign of MD24570 and MD24572: compare "
     "with what the machine holds, the difference has to be small",
@@ -126,18 +126,28 @@ class Sinumerik(Controller):
         """Return machine data of a five-axis transformation with a swivel table (type 40).
 
         I2 leads from the machine's zero to the first axis, I3 from there to the table's, and I4 =
-        -(I2 + I3) back; axes that move the work have their directions reversed.
+        -(I2 + I3) back. V1 and V2 are the vectors about which the axes turn right-handed for
+        growing angles: where an axis moves the work by the rule of ISO 841, that is clockwise, and
+        its vector is reversed (pp. 571, 572). Raises DataError where the sense is not known.
         """
         table, *tilting = lines
+        if unknown := [line.letter for line in lines if not line.sense]:
+            raise DataError(
+                f"the result does not say which way {' and '.join(unknown)} turns, so that the "
+                "sign of its vector is open: solve the measurement again, with plan.chain stated"
+            )
         vectors = {"MD24500 $MC_TRAFO5_PART_OFFSET_1": millimetres(-table.point)}
         if tilting:
             first = tilting[0].point
             vectors |= {
                 "MD24550 $MC_TRAFO5_BASE_TOOL_1": millimetres(first),
                 "MD24558 $MC_TRAFO5_JOINT_OFFSET_PART_1": millimetres(table.point - first),
-                "MD24570 $MC_TRAFO5_AXIS1_1": np.round(-tilting[0].direction, AXIS_DECIMALS),
+                "MD24570 $MC_TRAFO5_AXIS1_1": np.round(
+                    tilting[0].sense * tilting[0].direction, AXIS_DECIMALS
+                ),
             }
-        vectors["MD24572 $MC_TRAFO5_AXIS2_1"] = np.round(-table.direction, AXIS_DECIMALS)
+        turning = table.sense * table.direction
+        vectors["MD24572 $MC_TRAFO5_AXIS2_1"] = np.round(turning, AXIS_DECIMALS)
         values = {
             f"{name.split()[1]}[{k}]": float(x) + 0.0
             for name, vector in sorted(vectors.items())

@@ -18,7 +18,7 @@ from typing import Any
 from rotcal_ros.bags.reader import bag_files, is_storage_name
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.untrusted import read_text, reading
+from rotcal_ros.foundation.untrusted import read_text, reading, require_no_secret
 
 Inodes = frozenset[tuple[int, int]]
 
@@ -37,6 +37,7 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
     found = _NamedBags()
     for source in sources:
         named = False
+        require_no_secret(source, "the bags to be solved")
         for bag in _FolderSearch().bags_of(source):
             named = True
             found.add(bag)
@@ -54,6 +55,7 @@ class _NamedBags:
 
     def add(self, bag: str) -> None:
         """Add a bag unless its files are there already; it replaces single files of it."""
+        require_no_secret(bag, "the bags to be solved")
         if bag in self._inodes:
             return
         inodes = _inodes(bag)

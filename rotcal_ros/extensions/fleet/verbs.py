@@ -95,8 +95,10 @@ def command(
     from rotcal_ros.extensions.fleet.batch_solving import Job
     from rotcal_ros.extensions.fleet.workers import on_all_cores, on_cluster
     from rotcal_ros.foundation.machine_load import cores
+    from rotcal_ros.foundation.untrusted import require_no_secret
     from rotcal_ros.methods.configuration import read_configuration
 
+    require_no_secret(scheduler or "", "--scheduler")
     keeper = plugins.extension(plugins.HISTORIES, "history", "a place for the results")
     configuration = read_configuration(setup)
     found = find_bags(sources)

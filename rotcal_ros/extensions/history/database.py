@@ -12,10 +12,11 @@ from __future__ import annotations
 import getpass
 import json
 import os
+import sqlite3
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
 from hashlib import sha256
@@ -40,12 +41,19 @@ from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import sync_folder
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.untrusted import load_json, require_plain
+from rotcal_ros.foundation.untrusted import (
+    LARGEST_FILE,
+    load_json,
+    require_no_secret,
+    require_plain,
+)
 
 RESULT: Final = "result"
 EVENT: Final = "event"
 WITHDRAWAL: Final = "withdrawal"
 REPLACED: Final = "replaced"
+_AT_ONCE: Final = 1 << 24
+"""Bytes that are unpacked at once to see how large a content is."""
 PATIENCE_S: Final = 60
 """Time to wait for another writer."""
 _OF_ITEM: Final = ("serial", "axis")
@@ -223,17 +231,17 @@ class Campaign:
 
 
 class ParkHistory(AbstractContextManager["ParkHistory"]):
-    """An open history; a context manager. ``place`` is its file, or URL without a password.
+    """An open history; a context manager. ``place`` is its file or URL.
 
     Raises BagError where the database does not answer.
     """
 
     def __init__(self, database: str, *, must_exist: bool = False) -> None:
         self._engine = _engine(database, must_exist=must_exist)
-        self.place = _shown(database)
+        self.place = database
         self._joint: sa.Connection | None = None
         with self._connected() as connection:
-            _upgrade(connection, database)
+            _upgrade(connection, database, must_exist=must_exist)
 
     def __exit__(self, *_: object) -> None:
         self._engine.dispose()
@@ -361,12 +369,12 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         asked = sa.select(*(columns[name].label(name) for name in names)).where(*wanted)
         joined = asked.select_from(ENTRIES.join(ITEMS).outerjoin(RESULTS))
         with self._connected() as connection:
-            streamed = joined.order_by(ENTRIES.c.id).execution_options(yield_per=200)
+            at_once = 10 if content else 200
+            streamed = joined.order_by(ENTRIES.c.id).execution_options(yield_per=at_once)
             for row in connection.execute(streamed):
                 facts = row._asdict()
                 if content:
-                    with suppress(zlib.error):  # its hash shows it
-                        facts["content"] = zlib.decompress(facts["content"])
+                    facts["content"] = _opened(facts["content"])
                 yield HistoryEntry(**facts)
 
     def campaigns(self, item: Item) -> list[Campaign]:
@@ -453,6 +461,11 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
         hashed = entry.hashed(old.sha256 if old else "")
         entry = replace(entry, sha256=hashed, replaces=old.id if old else None)
         row = {name: value for name, value in vars(entry).items() if name in ENTRIES.c}
+        if len(entry.content) > LARGEST_FILE:
+            raise DataError(
+                f"{where} has {len(entry.content):,} bytes, a history takes {LARGEST_FILE:,}: "
+                "keep it elsewhere"
+            )
         row |= {"content": zlib.compress(row.pop("content"))}
         del row["id"]  # the database gives it
         own = {name: getattr(entry, name) for name in _OF_ITEM}
@@ -497,11 +510,30 @@ class ParkHistory(AbstractContextManager["ParkHistory"]):
                 connection = plain.execution_options(rotcal_writing=writing)
                 with connection.begin():
                     yield connection
+        except OverflowError as error:
+            raise DataError(
+                f"the history {self.place} has no room for such a number: {error}; nothing was "
+                "changed"
+            ) from error
         except sa.exc.DBAPIError as error:
             raise BagError(
                 f"the history {self.place} does not take or give this: "
                 f"{' '.join(str(error.orig).split())}; nothing was changed"
             ) from error
+
+
+def _opened(packed: bytes) -> bytes:
+    """Return what was compressed; what is damaged or too large stays, and its hash shows it."""
+    opening, rest, size = zlib.decompressobj(), packed, 0
+    with suppress(zlib.error):
+        while size <= LARGEST_FILE:  # a few kilobytes may unpack to any size
+            size += len(content := opening.decompress(rest, _AT_ONCE))
+            if opening.eof:
+                return content if size == len(content) else zlib.decompress(packed)
+            if not (content or opening.unconsumed_tail):
+                break  # cut off
+            rest = opening.unconsumed_tail
+    return packed
 
 
 def result_of(entry: HistoryEntry) -> Result:
@@ -516,22 +548,25 @@ def canonical(result: Result) -> bytes:
 
 def _engine(database: str, *, must_exist: bool) -> sa.Engine:
     """Return the engine; raises ConfigurationError for a URL or a file that cannot be one."""
+    require_no_secret(database, "the history (--database, history.database)")
     if "://" in database:
         try:
             url = make_url(database).set(drivername="postgresql+psycopg")
-        except sa.exc.ArgumentError as error:
+        except (sa.exc.ArgumentError, ValueError) as error:
             raise ConfigurationError(f"the URL of the history cannot be read: {error}") from None
         if not database.startswith("postgresql"):
-            raise ConfigurationError(
-                f"{_shown(database)}: expected a file or postgresql://USER@HOST/NAME"
-            )
+            raise ConfigurationError(f"{database}: expected a file or postgresql://USER@HOST/NAME")
         return sa.create_engine(url, pool_pre_ping=True, connect_args={"connect_timeout": 10})
     path = Path(database).expanduser().absolute()
     if must_exist and not path.is_file():
         raise BagError(f"there is no history {path}: `{_VERB} add` begins one")
     try:
         require_plain(path)
-        if not path.exists():
+        if path.is_symlink() and not path.exists():
+            raise BagError(f"no history at {path}: it is a link to nothing; name the file itself")
+        if path.exists():
+            _refuse_foreign(path, must_exist=must_exist)
+        else:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch()
             sync_folder(path.parent)
@@ -543,6 +578,30 @@ def _engine(database: str, *, must_exist: bool) -> sa.Engine:
     sa.event.listen(engine, "connect", _prepare)
     sa.event.listen(engine, "begin", _begin)
     return engine
+
+
+def _refuse_foreign(path: Path, *, must_exist: bool) -> None:
+    """Raise BagError for a database of something else, in which nothing is to change.
+
+    An empty one is refused if a history ``must_exist``.
+
+    It is looked at for reading alone: our connections set its journal. A file that is no database
+    at all is refused by them.
+    """
+    with (
+        suppress(sqlite3.Error),
+        closing(
+            sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=PATIENCE_S)
+        ) as connection,
+    ):
+        names = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+        if must_exist and not names:
+            raise BagError(f"there is no history in {path}: `{_VERB} add` begins one")
+        if names and not names >= {"items", "entries", "alembic_version"}:
+            raise BagError(
+                f"{path} is a database of something else (it has {', '.join(sorted(names)[:3])}): "
+                "name another file"
+            )
 
 
 def _prepare(connection: Any, _record: Any) -> None:
@@ -560,12 +619,17 @@ def _begin(connection: sa.Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
 
 
-def _upgrade(connection: sa.Connection, database: str) -> None:
-    """Bring the database to the newest form, if it is an older one."""
+def _upgrade(connection: sa.Connection, database: str, *, must_exist: bool) -> None:
+    """Bring the database to the newest form, if it is an older one.
+
+    Raises BagError for one without a history that ``must_exist``.
+    """
     place = str(Path(__file__).with_name("migrations"))
     found = MigrationContext.configure(connection).get_current_revision()
     if found == ScriptDirectory(place).get_current_head():
         return
+    if found is None and must_exist:
+        raise BagError(f"there is no history in {database}: `{_VERB} add` begins one")
     config = Config()
     config.set_main_option("script_location", place)
     # The transaction of this connection only reads: a writer's waits for others from the start.
@@ -578,16 +642,11 @@ def _upgrade(connection: sa.Connection, database: str) -> None:
             command.upgrade(config, "head")
         except CommandError as error:
             raise BagError(
-                f"{_shown(database)} was written by a later rotcal ({error}): update rotcal"
+                f"{database} was written by a later rotcal ({error}): update rotcal"
             ) from error
-
-
-def _shown(database: str) -> str:
-    """Return a file or URL without a password."""
-    with suppress(sa.exc.ArgumentError):
-        if "://" in database:
-            return make_url(database).render_as_string(hide_password=True)
-    return database
+        except sa.exc.OperationalError as error:
+            if found is None or "readonly" not in str(error.orig):
+                raise  # one that may only be read is shown as it is
 
 
 _LATER: Final = ENTRIES.alias()

@@ -19,13 +19,14 @@ from rotcal_ros.extensions.history.database import HistoryEntry, ParkHistory
 from rotcal_ros.extensions.history.outlook import Outlook
 from rotcal_ros.foundation.arrays import std_of
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.files import replace_atomically
 
 ENTRIES: Final = "entries.parquet"
 DEVIATIONS: Final = "deviations.parquet"
 _GROUP: Final = 500
-_IN_CALENDAR: Final = str.maketrans({"\\": r"\\", ";": r"\;", ",": r"\,", "\n": r"\n"})
-_IN_LABEL: Final = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
+_IN_CALENDAR: Final = str.maketrans({"\\": r"\\", ";": r"\;", ",": r"\,"})
+_IN_LABEL: Final = str.maketrans({"\\": r"\\", '"': r"\""})
 _OPTIONS: Final = {"compression": "zstd", "write_page_checksum": True}
 
 
@@ -64,11 +65,11 @@ def calendar(outlooks: Sequence[Outlook], now: datetime) -> str:
     for view in outlooks:
         lines += [
             "BEGIN:VEVENT",
-            f"UID:{view.title.translate(_IN_CALENDAR)}@rotcal",
+            f"UID:{printable(view.title).translate(_IN_CALENDAR)}@rotcal",
             f"DTSTAMP:{now.astimezone(timezone.utc):%Y%m%dT%H%M%SZ}",
             f"DTSTART;VALUE=DATE:{view.due.replace('-', '')}",
-            f"SUMMARY:Calibrate {view.title.translate(_IN_CALENDAR)}",
-            f"DESCRIPTION:{view.reason.translate(_IN_CALENDAR)}",
+            f"SUMMARY:Calibrate {printable(view.title).translate(_IN_CALENDAR)}",
+            f"DESCRIPTION:{printable(view.reason).translate(_IN_CALENDAR)}",
             "END:VEVENT",
         ]
     return "".join(f"{part}\r\n" for line in [*lines, "END:VCALENDAR"] for part in _folded(line))
@@ -79,8 +80,8 @@ def letter(outlooks: Sequence[Outlook], before: str) -> str:
     tables = "1 table is" if len(outlooks) == 1 else f"{len(outlooks)} tables are"
     lines = [f"Subject: {tables} due before {before}", ""]
     for view in outlooks:
-        lines += [f"{view.due}  {view.title}: {view.reason}"]
-        lines += [f"            {found.words}" for found in view.urgent[1:]]
+        lines += [printable(f"{view.due}  {view.title}: {view.reason}")]
+        lines += [printable(f"            {found.words}") for found in view.urgent[1:]]
     return "\n".join(lines) + "\n"
 
 
@@ -98,7 +99,8 @@ def metrics(outlooks: Sequence[Outlook]) -> str:
         full = f"rotcal_calibration_{name}"
         lines += [f"# HELP {full} {words}", f"# TYPE {full} gauge"]
         for view in outlooks:
-            serial, axis = (text.translate(_IN_LABEL) for text in (view.serial, view.axis))
+            texts = map(printable, (view.serial, view.axis))
+            serial, axis = (text.translate(_IN_LABEL) for text in texts)
             lines.append(f'{full}{{serial="{serial}",axis="{axis}"}} {value(view):.15g}')
     return "\n".join(lines) + "\n"
 

@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
-from typing import Final, Literal
+from math import isclose
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.records import record
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 VERSION: Final = 3
 """A forecast of another version is made again."""
@@ -41,6 +42,8 @@ _DATES: Final = 16
 _EXACT_NS: Final = DAY_NS / 2
 _SIGNIFICANT: Final = 3.0
 """Standard uncertainties of a change that is called one."""
+_SAME: Final = 1e-6
+"""Largest relative difference of what is computed again."""
 _CLOSE: Final = 0.8
 """Staircase: within this share of the tolerance the next interval is longer."""
 _LONGER, _SHORTER = 1.25, 0.7
@@ -157,9 +160,7 @@ def park(
 
     They are computed where something is new.
     """
-    plain = replace(settings, database="", period_s=1.0)  # the others change what is forecast
-    items, hashes = history.items(), history.bases()
-    bases = [sha256(f"{VERSION} {plain} {hashes.get(i.id)}".encode()).hexdigest() for i in items]
+    items, bases = _bases(history, settings)
     known, new, found = history.forecasts(bases), dict[str, str](), list[Outlook]()
     for done, (item, basis) in enumerate(zip(items, bases, strict=True), 1):
         view = None
@@ -175,6 +176,48 @@ def park(
             new.clear()
         progress(done, len(items))
     return _with_swaps(found)
+
+
+def _bases(history: ParkHistory, settings: HistorySettings) -> tuple[list[Item], list[str]]:
+    """Return all axes, and what identifies the forecast of each: its entries and the settings."""
+    plain = replace(settings, database="", period_s=1.0)  # the others change what is forecast
+    items, hashes = history.items(), history.bases()
+    texts = (f"{VERSION} {plain} {hashes.get(item.id)}" for item in items)
+    return items, [sha256(text.encode()).hexdigest() for text in texts]
+
+
+def changed_forecasts(history: ParkHistory, settings: HistorySettings) -> list[str]:
+    """Return in a sentence each which kept forecasts do not follow from their entries.
+
+    Those for these settings are made again: entries have hashes of their own, forecasts have not.
+    """
+    items, bases = _bases(history, settings)
+    known, wrong = history.forecasts(bases), list[str]()
+    for item, basis in zip(items, bases, strict=True):
+        if basis not in known:
+            continue
+        view = outlook_of(history, item, settings)
+        again = None if view is None else json.loads(json.dumps(asdict(view)))
+        kept = None
+        with suppress(ValueError):
+            kept = json.loads(known[basis])
+        if not _alike(kept, again):
+            due = "" if view is None else f", by which it is due {view.due}"
+            wrong.append(f"{item.title}: its kept forecast is not that of its entries{due}")
+    return wrong
+
+
+def _alike(kept: Any, again: Any) -> bool:
+    """Return whether both say the same, but for the last digits of another processor."""
+    if isinstance(again, dict) and isinstance(kept, dict):
+        return kept.keys() == again.keys() and all(_alike(kept[n], again[n]) for n in again)
+    if isinstance(again, list) and isinstance(kept, list):
+        return len(kept) == len(again) and all(map(_alike, kept, again))
+    if isinstance(again, float) and isinstance(kept, int | float):
+        return isclose(kept, again, rel_tol=_SAME, abs_tol=_SAME * ARCSEC)
+    if isinstance(again, int) and isinstance(kept, int):
+        return abs(kept - again) <= (DAY_NS if max(kept, again) > DAY_NS else 0)
+    return bool(kept == again)
 
 
 def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> Outlook | None:

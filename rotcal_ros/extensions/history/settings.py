@@ -12,6 +12,8 @@ CUTTING: Final = ("encoder", "bearing", "repair")
 EVENTS: Final = (*CUTTING, "crash", "adjustment", "other")
 DOCUMENTS: Final = ("check", "report", "table")
 """Kinds of entries that are files beside a result: a quick check, a report, a table in force."""
+LONGEST_DAYS: Final = 36_525.0
+"""A hundred years: no table is forecast for longer."""
 Chart = Literal["shewhart", "cusum", "ewma", "t2"]
 Basis = Literal["stated", "own", "model"]
 """What the limits of a chart follow from: stated uncertainties, own scatter, fitted model."""
@@ -39,8 +41,11 @@ class HistorySettings:
         365.0,
         doc="days, interval of a table of which too little is known for a forecast",
         minimum=1.0,
+        maximum=LONGEST_DAYS,
     )
-    longest_days: float = expert(1825.0, doc="days, longest interval of any table", minimum=1.0)
+    longest_days: float = expert(
+        1825.0, doc="days, longest interval of any table", minimum=1.0, maximum=LONGEST_DAYS
+    )
     common_share: float = expert(
         0.5,
         doc="share of the variance that calibrations with the same artefact or instrument have "

@@ -26,7 +26,7 @@ from rotcal_ros.extensions.history.settings import (
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.dates import day_of, time_of, today
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
-from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.files import remove_durably, write_atomically, write_durably
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say, tell
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # what takes a second to load is imported where it is used
     from rotcal_ros.extensions.history.outlook import DeviationOutlook, Outlook
 
 VARIABLE: Final = "ROTCAL_HISTORY"
+ENTRY_NUMBER: Final = click.IntRange(1, (1 << 63) - 1)
 OF_TABLE: Final = {
     "Table": "title", "Last": "last", "Verdict": "verdict_line", "Trend": "trend", "Due": "due",
     "Why": "reason",
@@ -135,6 +136,12 @@ def add(
     done, refused, settings = [], list[RotcalError](), asked.pop("settings")
     given = {**asked, "measured_ns": time_of(measured) if measured else 0}
     with _open(settings, must_exist=False) as history, progress("adding") as shown:
+        known = sorted({item.serial for item in history.items(valid=False)})
+        if asked["serial"] and known and asked["serial"] not in known:
+            say(
+                f"warning: this history has no table {asked['serial']!r} yet, only "
+                f"{', '.join(known[:10])}: if that is a slip, `rotcal history correct` moves it"
+            )
         for number, came in enumerate(add_sources(history, sources, given, kind), 1):
             shown(number, len(sources))
             if isinstance(came, RotcalError):
@@ -173,7 +180,7 @@ def event(serial: str, what: str, axis: str, day: str, why: str, settings: Histo
 
 
 @command.command()
-@click.argument("number", type=int, metavar="ENTRY")
+@click.argument("number", type=ENTRY_NUMBER, metavar="ENTRY")
 @click.option("--serial", default="", help="The serial number that it should have had.")
 @click.option("--axis", default="", help="The axis that it should have had.")
 @click.option("--withdraw", is_flag=True, help="It counts for no table.")
@@ -193,7 +200,9 @@ def correct(
 @command.command()
 @click.argument("serial")
 @axis_option
-@click.option("--entry", "number", type=int, help="Write this entry to --output, as it was.")
+@click.option(
+    "--entry", "number", type=ENTRY_NUMBER, help="Write this entry to --output, as it was."
+)
 @click.option("-o", "--output", type=path_type, help="File for the content of --entry.")
 @asked
 @json_option
@@ -214,11 +223,15 @@ def show(
                 raise DataError(
                     f"entry {number} is of {entry.title}, not of {item.title}: name that table"
                 )
-            if output.exists():
+            try:
+                write_durably(output, entry.content)
+            except FileExistsError as error:  # or a link, whatever it leads to
                 raise ConfigurationError(
                     f"{output} exists and is not overwritten: name another file"
-                )
-            output.write_bytes(entry.content)
+                ) from error
+            except OSError:
+                remove_durably(output)  # a part of it
+                raise
             say(f"{entry.kind} {entry.what}: {output.absolute()}")
             return 0
         entries = history.of_item(item, valid=False)
@@ -301,9 +314,12 @@ def due(
 @asked
 @json_option
 def check(settings: HistorySettings, as_json: bool) -> int:
-    """Verify every hash and reference; the exit code is 1 if anything is not as it was added."""
+    """Verify every hash, reference and forecast; the exit code is 1 if anything was changed."""
+    from rotcal_ros.extensions.history.outlook import changed_forecasts
+
     with _open(settings) as history:
         wrong = history.check()
+        wrong += [] if wrong else changed_forecasts(history, settings)
     if as_json:
         print_json({"wrong": wrong})
     else:

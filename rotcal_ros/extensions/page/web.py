@@ -20,7 +20,7 @@ from typing import Final
 import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import (
     FileResponse,
     JSONResponse,
@@ -50,6 +50,7 @@ from rotcal_ros.extensions.page.table_work import (
 )
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.files import naming
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.untrusted import LARGEST_FILE
 from rotcal_ros.methods.method import DEFAULT
@@ -147,7 +148,8 @@ class Desk:
         if request.method == "DELETE":
             self._forget(role)
         else:
-            await self._keep(role, name or role, request)
+            with suppress(ClientDisconnect):  # nobody hears the answer
+                await self._keep(role, name or role, request)
         return JSONResponse({"names": self._names})
 
     def _forget(self, role: str) -> None:
@@ -162,16 +164,19 @@ class Desk:
         place = self._folder / (PLACES.get(role) or f"{IN_FORCE}/{check_file_name(name)}")
         place.parent.mkdir(exist_ok=True)
         part, size = place.with_name(token_urlsafe(9)), 0
-        with part.open("wb") as file:
-            async for data in request.stream():
-                size += len(data)
-                if size > LARGEST_FILE:
-                    part.unlink()
-                    raise ConfigurationError(
-                        f"{name} has more than the {LARGEST_FILE:,} bytes that we read: split it"
-                    )
-                file.write(data)
-        part.replace(place)
+        try:
+            with naming(place), part.open("wb") as file:
+                async for data in request.stream():
+                    size += len(data)
+                    if size > LARGEST_FILE:
+                        raise ConfigurationError(
+                            f"{name} has more than the {LARGEST_FILE:,} bytes that we read: split "
+                            "it"
+                        )
+                    file.write(data)
+            part.replace(place)
+        finally:
+            part.unlink(missing_ok=True)  # what was cut off
         if role in PLACES:
             self._names[role] = printable(name)[:LONGEST_NAME]
             self._files.clear()

@@ -22,13 +22,13 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture import messages
+from rotcal_ros.capture.announced_runs import strangers
 from rotcal_ros.capture.heard import run_name
 from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.configuration import read_topics
-from rotcal_ros.recordings.announced_runs import strangers
 
 OUTPUTS: Final = frozenset({
     names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table",

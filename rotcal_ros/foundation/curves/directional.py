@@ -12,6 +12,7 @@ from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve, merging, period_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.units import ARCSEC
 
 COMPONENT: Final = "ECC"
 
@@ -55,9 +56,13 @@ def directional_curve(result: Result, reverse: Result | None = None) -> Directio
     """Return both sides of ``result``, or ``result`` with an independent ``reverse`` result.
 
     Positions that coincide after a turn are averaged, as by :func:`measured_curve`. Raises
-    DataError when the curves do not close or are at other angles, ConfigurationError if both sides
-    are already known and ``reverse`` is given too.
+    DataError when the curves do not close or are at other angles, or a result has runs from both
+    sides and only their mean as a curve; ConfigurationError if both sides are already known and
+    ``reverse`` is given too.
     """
+    for each in (result, reverse):
+        if each is not None and COMPONENT not in each.directions:
+            _refuse_lost_reversal(each)
     both = result.directions.get(COMPONENT)
     if reverse is None:
         return _single(result) if both is None else _merged(result, both)
@@ -67,6 +72,24 @@ def directional_curve(result: Result, reverse: Result | None = None) -> Directio
             "result of the reverse direction, or give two results of one direction each"
         )
     return _independent(measured_curve(result), measured_curve(reverse))
+
+
+def _refuse_lost_reversal(result: Result) -> None:
+    """Raise DataError for runs from both sides, whose mean would pass as the curve of either."""
+    runs = result.runs
+    if runs is None or runs.forward is None or runs.reverse is None:
+        return
+    seen = [np.isfinite(side) for side in (runs.forward, runs.reverse)]
+    both = seen[0].any(axis=1) & seen[1].any(axis=1)
+    if np.count_nonzero(both) < 2:
+        return
+    means = [np.nanmean(side[both], axis=1) for side in (runs.forward, runs.reverse)]
+    apart = float(np.max(np.abs(np.subtract(*means)))) / ARCSEC
+    raise DataError(
+        f"the {result.method} result has runs from both sides, up to {apart:.3g} arcsec apart, "
+        "and only their mean as a curve (no directions), which would lose this reversal: solve "
+        "the measurement again, or give the runs of each side as a result of its own"
+    )
 
 
 def _single(result: Result) -> DirectionalCurve:

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.engine import Adjusted
+from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import Attempt, AttemptStreams, CaptureRules, Wait
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
@@ -30,7 +30,7 @@ from rotcal_ros.foundation.tables import Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.settings import CENTRE, SURFACE
-from rotcal_ros.methods.by_model import ByModel, Statement
+from rotcal_ros.methods.by_model import ByModel, Restated, Statement
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
@@ -53,8 +53,10 @@ from rotcal_ros.methods.table_balls.model import (
     BallsOnTable,
     components_of,
     model_of,
+    moves,
     untold_of,
 )
+from rotcal_ros.methods.table_balls.motions import MOTION_KINDS, contradictions
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     DISPLACEMENT,
@@ -64,6 +66,7 @@ from rotcal_ros.methods.table_balls.settings import (
     BallsSimulationSettings,
     BallsSolverSettings,
     below_the_table,
+    sense_of,
 )
 from rotcal_ros.methods.table_balls.simulation import TouchedBalls
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
@@ -91,8 +94,17 @@ AXIS_SHOWN: Final = (
 )
 """Units in which people read :data:`AXIS`."""
 MILLISECOND: Final = 1e-3
+STATED_BY: Final = {
+    "radial": "error_motion_std_m", "axial": "error_motion_std_m", "tilt": "tilt_std_arcsec"
+}  # fmt: skip
+"""Which setting of the solver states each kind of motion."""
 OF_AXES: Final[Mapping[str, Effect]] = {"scale": "scale", "squareness": "gauge"}
 """Blocks of what may be wrong with the linear axes, and the effect that it is."""
+LIKE_MOTIONS: Final[Mapping[Effect, str]] = {
+    "straightness": "what the linear axes err along their ways",
+    "play": "what linear axes or probe lose where they turn round",
+}
+"""Effects that no balls show."""
 AXES: Final = ("axis", "tilting_axis")
 """Tables of where they stand."""
 ARRIVALS: Final = 1.0
@@ -376,7 +388,35 @@ def states(configuration: Configuration, read: Readings, found: Adjusted) -> Sta
     if balls.tilting is not None:
         details["tilts"] = np.array(balls.tilting.degrees) * DEGREE
     protections = tuple(_protections(configuration, balls, found))
-    return Statement((), protections, details | {"trajectories": ways}, _axes(balls, found))
+    axes = _axes(balls, found, configuration.plan.chain)
+    return Statement((), protections, details | {"trajectories": ways}, axes)
+
+
+def restated(configuration: Configuration, read: Readings, found: Adjusted) -> Restated | None:
+    """Return larger statements of motions where the balls show more; None where they fit."""
+    balls, solver = balls_of(configuration, read), configuration.solver
+    if not found.model.correlated:
+        return None  # they determine every motion: nothing is stated
+    every = contradictions(found.fit, balls.stated, moves(balls, solver), balls.first["EXC"])
+    beyond = [
+        each
+        for each in every
+        if each.factor > 1.0 and each.probability < LIMITS.significance / len(MOTION_KINDS)
+    ]
+    if not beyond:
+        return None
+    factor = max(each.factor for each in beyond)  # of both, which balls tell apart by their sizes
+    values = {name: getattr(solver, name) * factor for name in STATED_BY.values()}
+    return Restated(
+        replace(configuration, solver=replace(solver, **values)),
+        tuple(
+            f"the balls show {each.kind} motions {each.factor:.2g} times as large as "
+            f"solver.{STATED_BY[each.kind]} states (p = {each.probability:.1g}): the uncertainty "
+            "is enlarged as if they were stated; state them, or look for play, squareness and "
+            "scale of the linear axes"
+            for each in beyond
+        ),
+    )
 
 
 def _protections(
@@ -418,6 +458,9 @@ def _protections(
             "not protected",
             "an offset of the probe's tip is in the place of the axis",
         )
+    for effect, what in LIKE_MOTIONS.items():
+        why = f"{what} is the same in every run, and read as motions of the balls"
+        yield Protection(effect, "not protected", why)
     if "lag" in balls.known:
         yield _lag(configuration, found)
     if configuration.plan.runs == 1:
@@ -443,7 +486,7 @@ def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     )
 
 
-def _axes(balls: BallsOnTable, found: Adjusted) -> tuple[AxisLine, ...]:
+def _axes(balls: BallsOnTable, found: Adjusted, chain: str) -> tuple[AxisLine, ...]:
     """Return where the table's axis stands, and the one that tilts it: the last of the outputs."""
     lines: list[tuple[tuple[str, ...], Floats]] = [(AXIS, balls.origin)]
     if balls.tilting is not None:
@@ -452,7 +495,8 @@ def _axes(balls: BallsOnTable, found: Adjusted) -> tuple[AxisLine, ...]:
     for names, origin in lines:
         at = slice(first, first + len(names))
         covariance = found.covariance[at, at]
-        axes.append(AxisLine(names, found.value[at], found.std[at], covariance, origin))
+        sense = round(sense_of(chain, names[0][-1]))
+        axes.append(AxisLine(names, found.value[at], found.std[at], covariance, origin, sense))
         first = at.stop
     return tuple(axes)
 
@@ -651,6 +695,7 @@ BY_MODEL: Final = ByModel(
     ),
     counts_from="mean",
     wrong=OF_AXES,
+    restated=restated,
 )
 METHOD: Final = BY_MODEL.method(
     title="Balls on the table, touched by the machine",

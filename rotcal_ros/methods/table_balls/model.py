@@ -52,7 +52,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.table_balls.motions import correlated, spectra
+from rotcal_ros.methods.table_balls.motions import correlated, drawn, spectra
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     BallsPlanSettings,
@@ -596,11 +596,13 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
         row_names=list(_names(balls, read)),
     )
     model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
-    together = correlated(
-        motions[:, balls.motions], _sums(balls), balls.stated,
-        balls.angles, balls.tilts, spectra(solver),
-    )  # fmt: skip
+    together = correlated(motions[:, balls.motions], moves(balls, solver))
     return replace(model, correlated=(together.below(len(zero)),)) if len(motions) else model
+
+
+def moves(balls: BallsOnTable, solver: BallsSolverSettings) -> dict[str, tuple[Floats, ...]]:
+    """Return how the table may move; see :func:`~.motions.drawn`."""
+    return drawn(_sums(balls), balls.stated, balls.angles, balls.tilts, spectra(solver))
 
 
 def _outputs(balls: BallsOnTable) -> Floats:

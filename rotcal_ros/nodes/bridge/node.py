@@ -90,7 +90,10 @@ class BridgeNode(CellNode):
             "files": ", ".join(map(str, files)),
             "in_force": standing(offer.table),
             "residual": offer.export.residual.in_words(),
+            "warnings": "; ".join(offer.export.warnings),
         }
+        for warning in offer.export.warnings:
+            self.get_logger().warning(warning)
         try:
             self._feed.refuse_simulated()
         except DataError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any, Final
@@ -16,7 +16,7 @@ from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.instruments.conventions import OWN, Conventions, check_type, single_shots
 from rotcal_ros.capture.instruments.interpreter import FAST, Interpreter
-from rotcal_ros.capture.instruments.plausibility import Rates
+from rotcal_ros.capture.instruments.plausibility import Rates, scatter_of
 from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
@@ -38,15 +38,17 @@ from rotcal_ros.nodes.runtime.beat_values import (
     NOW,
     RATE,
     REFUSED,
+    SCATTER,
     SILENT,
     TOPICS,
     given_topics,
     other_names,
     reading,
 )
+from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
-from rotcal_ros.nodes.runtime.message_types import message_type
+from rotcal_ros.nodes.runtime.message_types import ONE_VERSION, message_type
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     Batch,
     InstrumentSubscription,
@@ -73,6 +75,8 @@ class JointReadings:
         return {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}
 
 
+_SCATTERED: Final = 200
+"""Lengths whose scatter is in the beat."""
 TIMED: Final = (*FAST, names.PROBE_POINT)
 """Streams whose stamps make an observation: their clocks must agree."""
 
@@ -91,6 +95,7 @@ class InstrumentStreams:
         self._latest: dict[str, Any] = {}
         self._frames: dict[str, str] = {}
         self._joints, self._rates = JointReadings(), Rates()
+        self._lengths: deque[float] = deque(maxlen=_SCATTERED)
         self.offsets = StampOffsets(OffsetLimits.of(CaptureSettings()))
         self.topics = InstrumentTopics(node, self._switched)
         self._joint = ""
@@ -116,6 +121,8 @@ class InstrumentStreams:
         values |= {f"{NOW}{role}": reading(record) for role, record in self._latest.items()}
         values |= {f"{FRAME}{role}": frame for role, frame in self._frames.items()}
         values |= {f"{RATE}{role}": f"{hertz:.4g}" for role, hertz in self._rates.hertz().items()}
+        if (scatter := scatter_of(self._lengths)) is not None:
+            values[f"{SCATTER}{names.TRACER_LENGTH}"] = f"{scatter:.4g}"
         values |= self._joints.values()
         steady = set(FAST) - set(single_shots(self.topics.settings))
         now = self._awake.now_s()
@@ -141,7 +148,9 @@ class InstrumentStreams:
                 self.offsets.note(role, record.stamp_ns, simulated_ns or received_ns(info))
         for record in records:
             self._latest[role] = record
-            self._valid[role] += _is_valid(record)
+            self._valid[role] += (valid := _is_valid(record))
+            if valid and isinstance(record, TracerSample):
+                self._lengths.append(record.length)
             if role in FAST:
                 self._rates.note(role, record.stamp_ns)
             self._take(record)
@@ -155,6 +164,8 @@ class InstrumentStreams:
         for known in (self._heard_s, self._latest, self._frames, self._valid):
             known.pop(role, None)
         self._rates.forget(role)
+        if role == names.TRACER_LENGTH:
+            self._lengths.clear()
         self.offsets.forget(role)
         self._interpreter = Interpreter(self.topics.settings, self._joint)
 
@@ -205,6 +216,10 @@ class InstrumentTopics:
 
         def choose(type_names: Sequence[str]) -> type | None:
             nonlocal chosen
+            if versions := list(CellGraph(self._node).other_versions([self.name(role)])):
+                # their messages would end this node
+                self.refused[role] = f"{versions[0]}; {ONE_VERSION}"
+                return None
             for chosen in type_names:
                 kind, why = _kind(role, chosen)
                 if kind is not None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -38,7 +39,9 @@ from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.capture.stamp_offsets import DOUBT_S, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.machine_load import in_words, patient
 from rotcal_ros.foundation.middleware import discovery_in_words
+from rotcal_ros.foundation.node_names import FURTHER_NODES
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.frames import FrameTree, Pose
 from rotcal_ros.methods import Calibration, Configuration
@@ -61,14 +64,15 @@ from rotcal_ros.nodes.check.snapshot import (
     watch_headers,
 )
 from rotcal_ros.nodes.planner import preflight
-from rotcal_ros.nodes.runtime.beat_values import CLOCK_DOUBT, NOW, OFFSET, REFUSED
+from rotcal_ros.nodes.runtime.beat_values import CLOCK_DOUBT, NOW, OFFSET, RATE, REFUSED
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
-from rotcal_ros.nodes.runtime.message_types import message_type
+from rotcal_ros.nodes.runtime.message_types import ONE_VERSION, message_type
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, run_and_exit
 from rotcal_ros.nodes.runtime.static_frames import StaticFrames
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import steady_timer
 from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY
+from rotcal_ros.sessions.cell_check import LONGER_S
 from rotcal_ros.sessions.domains import domains_in_use
 
 NAME: Final = "cell_check"
@@ -85,6 +89,8 @@ _OWN_TOPICS: Final = (
 )  # fmt: skip
 """What a capture usually publishes or obeys; here it does neither."""
 _LOOK_S: Final = 0.1
+_AGAIN_S: Final = 0.5
+"""What has come is judged again after this time."""
 _NO_CONFIGURATION: Final = f"/**: {{ros__parameters: {{method: {DEFAULT}}}}}"
 
 
@@ -141,6 +147,10 @@ class ListeningNodes:
         if clocks := self._offsets.reason_to_reject():  # also of a stream that is of no other use
             words.setdefault(OFFSET, clocks)
         compared = self._offsets.compared()
+        for role in FAST:  # few messages of a slow stream, or of a busy machine
+            watch = self.headers.get(role)
+            if watch is not None and watch.rate_hz is not None:
+                words.setdefault(RATE + role, f"{watch.rate_hz:.4g}")
         graph = CellGraph(self.node)
         return CellSnapshot(
             graph, words, self.headers, configuration, calibration, compared, self._adapter
@@ -187,6 +197,25 @@ def _lines(
         yield from DryRun(calibration, table_start(snapshot), rate).lines()
 
 
+def _listened(
+    listening: ListeningNodes,
+    seconds: float,
+    end: EndRequest,
+    configuration: Configuration,
+    calibration: Calibration | None,
+) -> CellSnapshot:
+    """Return what was heard in so many seconds, or longer where that does not judge the clocks."""
+    enough_s = time.monotonic() + seconds
+    latest_s = enough_s + min(patient(seconds), LONGER_S)
+    while True:
+        while time.monotonic() < enough_s and not end:
+            listening.executor.spin_once(timeout_sec=_LOOK_S)
+        snapshot = listening.snapshot(configuration, calibration)
+        if end or not snapshot.not_compared or time.monotonic() > latest_s:
+            return snapshot
+        enough_s = time.monotonic() + _AGAIN_S
+
+
 def _work() -> None:
     end = EndRequest()
     before = domains_in_use()
@@ -197,16 +226,14 @@ def _work() -> None:
     calibration = prepare_to_measure(configuration) if path else None
     if calibration is not None:
         listening.announce(calibration)
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline and not end:
-        listening.executor.spin_once(timeout_sec=_LOOK_S)
+    begun_s = time.monotonic()
+    snapshot = _listened(listening, seconds, end, configuration, calibration)
     if end:
         return
-    snapshot = listening.snapshot(configuration, calibration)
     report = CellReport(
         namespace=listening.node.get_namespace(),
         place=discovery_in_words(os.environ),
-        seconds=seconds,
+        seconds=round(time.monotonic() - begun_s, 1),
         lines=tuple(_lines(snapshot, listening.frames, calibration)),
         domains=before,
     )
@@ -330,7 +357,8 @@ def _joint_line(snapshot: CellSnapshot) -> CheckLine:
     angle, speed = preflight.joints(snapshot.values)[chosen]
     found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed / DEGREE:.3g}°/s"
     if doubt := next(_doubts(snapshot), ""):
-        return CheckLine("table", "joint", "doubt", doubt, "publish the feedback in radians")
+        todo = _as_it_says(doubt, "publish the feedback in radians")
+        return CheckLine("table", "joint", "doubt", doubt, todo)
     return CheckLine("table", "joint", "good", found)
 
 
@@ -338,7 +366,13 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
     """Yield which nodes obey an order, and which nodes besides the planner give it."""
     part, graph = _PARTS[order], snapshot.graph
     name, machines = graph.resolve(order), graph.machines(order)
-    if line := brought_line(snapshot, part, order, "obeys it"):
+    if versions := next(graph.other_versions((), [order]), None):
+        yield CheckLine(part, order, "missing", versions, ONE_VERSION)
+        return
+    stray = sorted({*machines} & {*snapshot.strangers})
+    own = [node for node in machines if node not in stray]
+    line = brought_line(snapshot, part, order, "obeys it")
+    if line is not None:
         yield line
     elif snapshot.started_by_us and not machines:
         yield CheckLine(part, order, "note", "simulated: rotcal run starts the node that obeys it")
@@ -346,7 +380,13 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
         todo = f"let your machine's node subscribe to {name} ({_TYPES[order]}), volatile"
         yield CheckLine(part, order, "missing", "; ".join(why), todo)
     else:
-        yield CheckLine(part, order, "good", f"node {', '.join(machines)} obeys it")
+        state: State = "good" if own else "note"
+        yield CheckLine(part, order, state, f"node {', '.join(own or stray)} obeys it")
+    if stray:
+        too = "too " if line is not None or own else ""
+        found = f"node {', '.join(stray)} obeys it {too}and has no group in the configuration"
+        todo = f"end {', '.join(stray)}, or give the configuration the group of that node"
+        yield CheckLine(part, order, "missing" if too else "doubt", found, todo)
     strangers = sorted(set(graph.publishers(order)) - {"planner"})
     if strangers:
         found = f"node {', '.join(strangers)} also gives orders on {name}"
@@ -357,6 +397,12 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
 def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield how the adapter would judge its joint, and whether its controller is there."""
     assert snapshot.adapter is not None
+    cells, adapter = snapshot.graph.resolve(names.JOINT_STATES), FURTHER_NODES["table_adapter"]
+    others = sorted({*snapshot.graph.publishers(names.JOINT_STATES)} - {adapter})
+    if others and cells != snapshot.adapter.topic:
+        found = f"node {', '.join(others)} publishes {cells}, and so does {adapter}"
+        todo = f"end {', '.join(others)}, or leave out the group table_adapter"
+        yield CheckLine("table", "joint_states", "missing", found, todo)
     if wrong := snapshot.adapter.wrong():
         yield CheckLine("table", "joint", "missing", wrong.found, wrong.todo)
     elif outside := snapshot.adapter.outside():
@@ -382,6 +428,21 @@ _IN_WORDS: Final[Mapping[str, str]] = {
 }  # fmt: skip
 
 
+_ADVICE: Final = re.compile(
+    r"\b(?:[Ss]et (?:topics\.\w+: \S+|a \w+ [^;]*)|add \S+ to topics\.\w+"
+    r"|topics\.\w+: \w+ takes [^;]*)"
+)
+"""What a finding says to do; a setting, or how to change it."""
+
+
+def _as_it_says(found: str, otherwise: str) -> str:
+    """Return what to do: the setting that a line names, or what else the cell can do."""
+    advice = _ADVICE.search(found)
+    return (
+        otherwise if advice is None else f"{otherwise}, or {advice[0][:1].lower()}{advice[0][1:]}"
+    )
+
+
 def stream_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield a line for every stream."""
     for topic in STREAMS:
@@ -391,13 +452,22 @@ def stream_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
 def clock_line(snapshot: CellSnapshot) -> CheckLine:
     """Say whether the clocks of the streams agree, by the times of arrival."""
     if OFFSET in snapshot.values:
-        return CheckLine("clocks", "stamps", "missing", snapshot.values[OFFSET], _CLOCKS)
+        words = snapshot.values[OFFSET]
+        return CheckLine("clocks", "stamps", "missing", words, _as_it_says(words, _CLOCKS))
     if doubt := snapshot.values.get(CLOCK_DOUBT):
-        return CheckLine("clocks", "stamps", "doubt", doubt, _CLOCKS)
+        return CheckLine("clocks", "stamps", "doubt", doubt, _as_it_says(doubt, _CLOCKS))
+    agree = f"{', '.join(snapshot.compared)} and joint_states agree within {DOUBT_S:g} s"
+    if missed := snapshot.not_compared:
+        counts = ", ".join(f"{role} ({snapshot.headers[role].count} messages)" for role in missed)
+        found = f"not compared with joint_states: {counts}, too few or too uneven to tell; "
+        found += in_words() if not snapshot.compared else f"{in_words()}; {agree}"
+        # A probe that says only now and then where it is may be sound; a steady stream is not.
+        steady = {*missed} & {*FAST} - {*single_shots(snapshot.configuration.topics)}
+        todo = "listen longer, with --time 30, or beside less other work"
+        return CheckLine("clocks", "stamps", "missing" if steady else "open", found, todo)
     if not snapshot.compared:
         return CheckLine("clocks", "stamps", "note", "too few stamped streams to compare")
-    found = f"{', '.join(snapshot.compared)} and joint_states agree within {DOUBT_S:g} s"
-    return CheckLine("clocks", "stamps", "good", found)
+    return CheckLine("clocks", "stamps", "good", agree)
 
 
 def _line(snapshot: CellSnapshot, topic: str) -> CheckLine:
@@ -444,6 +514,8 @@ def _problem(
     """Return why a stream cannot be used to measure; None: it can."""
     kind, name = OWN[topic], snapshot.name(topic)
     limit_s = snapshot.configuration.planner.stream_timeout_s
+    if text := next(snapshot.graph.other_versions([name]), None):
+        return Finding(text, ONE_VERSION)
     if text := snapshot.values.get(REFUSED + topic):
         return Finding(text, f"publish {kind} on {name}")
     bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line says so
@@ -453,7 +525,9 @@ def _problem(
         many = f"stop all publishers of {name} but one"
         return Finding(why, many if len(offers) > 1 else _silent(watch, name))
     if wrong := next(_faults(snapshot, topic), None):
-        return Finding(wrong, f"publish {name} as expected, or change what its line names")
+        fill = f"fill header.stamp of {name} with the time of measurement"
+        way = fill if "stamps" in wrong else f"publish {name} as its line above expects it"
+        return Finding(wrong, _as_it_says(wrong, way))
     if watch.unstamped and watch.unstamped == watch.count:
         todo = f"fill header.stamp of {name} with the time of measurement"
         return Finding("its messages have no stamp", todo)
@@ -488,11 +562,13 @@ def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | 
     limit_s, name = snapshot.configuration.capture.stamp_offset_s, snapshot.name(topic)
     planned, is_table, values = snapshot.calibration, topic == names.JOINT_STATES, snapshot.values
     if planned and (small := next(preflight.size_doubts(values, planned, topic), None)):
-        return Finding(small, f"publish {name} in the unit that the group topics states")
-    if is_table and (slow := next(preflight.slow_table(values, snapshot.configuration), None)):
-        return Finding(slow, f"publish {name} more often")
+        return Finding(small, _as_it_says(small, f"publish {name} in metres"))
+    slow = preflight.slow_table if is_table else preflight.slow_lengths
+    rare = is_table or topic == names.TRACER_LENGTH
+    if rare and (found := next(slow(values, snapshot.configuration), None)):
+        return Finding(found, f"publish {name} more often")
     if topic in _IN_WORDS and (odd := next(preflight.air_doubts(values, topic), None)):
-        return Finding(odd, f"publish {name} in {_IN_WORDS[topic]}")
+        return Finding(odd, _as_it_says(odd, f"publish {name} in {_IN_WORDS[topic]}"))
     fast = snapshot.configuration.simulated  # a simulation may run on a time of its own
     if watch.ahead_s is not None and abs(watch.ahead_s) > limit_s and not fast:
         way = "ahead of" if watch.ahead_s > 0 else "behind"

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 from rotcal_ros.nodes.planner.preflight import Values, joint_faults
-from rotcal_ros.nodes.runtime.cell_graph import CellGraph
+from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.qos import adapted_qos
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, DrainedSubscription, sent_ns
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
@@ -82,6 +82,11 @@ class HeaderWatch:
         """Messages a second; None while fewer than two came."""
         span = self.latest_s - self.first_s
         return (self.count - 1) / span if self.count > 1 and span > 0.0 else None
+
+    @property
+    def stamped(self) -> int:
+        """How many messages had a stamp."""
+        return self.count - self.unstamped if self.has_header else 0
 
     @property
     def ahead_s(self) -> float | None:
@@ -164,6 +169,27 @@ class CellSnapshot:
         return always if self.calibration is None else self.calibration.topics
 
     @property
+    def not_compared(self) -> tuple[str, ...]:
+        """The stamped streams, of those needed, whose clocks could not be compared so far.
+
+        A simulation may run on a time of its own: its clocks are not compared.
+        """
+        watches = {role: self.headers.get(role) for role in (*self.topics, names.JOINT_STATES)}
+        stamped = {
+            r for r, watch in watches.items() if watch and watch.has_header and watch.stamped
+        }
+        if self.configuration.simulated or names.JOINT_STATES not in stamped:
+            return ()
+        return tuple(sorted(stamped - {names.JOINT_STATES, *self.compared}))
+
+    @property
+    def strangers(self) -> tuple[str, ...]:
+        """The suite's own machines that are here although the configuration does not have them."""
+        ours = further_nodes(self.configuration.given)
+        others = {*FURTHER_NODES.values()} - {*ours, "bridge"}
+        return () if self.calibration is None else tuple(sorted(self.nodes & others))
+
+    @property
     def started_by_us(self) -> bool:
         """Whether ``rotcal run`` starts the instruments itself: a node simulates them."""
         simulated = SIMULATION in further_nodes(self.configuration.given)
@@ -196,7 +222,20 @@ def brought_line(snapshot: CellSnapshot, part: str, role: str, does: str) -> Che
     if len(nodes) > 1:
         found, todo = f"{' and '.join(nodes)} would both do it", "leave one of their groups out"
         return CheckLine(part, role, "missing", found, todo)
+    if already := [n for n in snapshot.strangers if n in _who_does(snapshot, role)]:
+        found = (
+            f"node {', '.join(already)} {does} already, and rotcal run starts {nodes[0]}, which "
+            f"{does} too"
+        )
+        todo = f"end {', '.join(already)}, or leave out the group of {nodes[0]}"
+        return CheckLine(part, role, "missing", found, todo)
     return CheckLine(part, role, "note", f"rotcal run starts {nodes[0]}, which {does}")
+
+
+def _who_does(snapshot: CellSnapshot, role: str) -> list[str]:
+    """Return the nodes that obey an order, or publish a stream, under its name in the cell."""
+    graph = snapshot.graph
+    return graph.machines(role) if role in ORDERS else graph.publishers(role)
 
 
 def driver_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:

@@ -32,6 +32,7 @@ from rotcal_ros.nodes.runtime.beat_values import LISTENS, show
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.managed_node import not_active
+from rotcal_ros.nodes.runtime.message_types import ONE_VERSION
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 from rotcal_ros.planning.plan import MACHINE_FRAME, Move
 
@@ -153,6 +154,15 @@ class CellLinks:
         lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
         lost += self.idle_nodes()
         return lost or self.services.missing()[:1]
+
+    def other_versions(self, topics: Collection[str] = ()) -> list[str]:
+        """Return which nodes have other definitions of the messages of a run, in words.
+
+        Those that beat; with ``topics`` of instruments also who publishes these, or obeys orders.
+        """
+        heard = [names.HEARTBEAT, *map(self.instrument, topics)]
+        found = dict.fromkeys(self.graph.other_versions(heard, ORDERS if topics else ()))
+        return [*found, ONE_VERSION] if found else []
 
     def idle_nodes(self, but: Collection[str] = ()) -> list[str]:
         """Return which nodes of the calibration are present but not active, in words."""

@@ -321,7 +321,7 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, operator: Operato
     if watch.preflight:  # a later one, after a lost node, hears of a stop in between
         watch.stop.forget()
     watch.tell(Why.PREFLIGHT_NODES)
-    await watch.have(links.missing_nodes, Codes.NODE_LOST)
+    await watch.have(links.missing_nodes, Codes.NODE_LOST, in_vain=links.other_versions)
     nodes = watch.required.nodes = watch.required.nodes | _needed(links)
     watch.tell(Why.PREFLIGHT_CLOCKS)
     await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
@@ -356,10 +356,14 @@ async def _have_topics(
         roles, publishers = calibration.topics, links.graph.publishers
         await watch.stands_still(lambda: [publishers(links.instrument(r)) for r in roles])
     # What is missing may be there but undiscovered; what is not there is waited for below.
-    if not await watch.is_found(lambda: [] if _halted(watch) else missing()):
-        links.warn(PREFLIGHT, links.elsewhere(calibration.topics))
+    await watch.is_found(
+        lambda: [] if _halted(watch) or links.other_versions(calibration.topics) else missing()
+    )
     while True:
-        await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
+        await watch.have(
+            lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING,
+            in_vain=lambda: links.other_versions(calibration.topics),
+        )  # fmt: skip
         if not _halted(watch):
             return
         await operator.have_done()

@@ -13,13 +13,19 @@ from rotcal_msgs.action import Calibrate
 from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Offers, started_anew
 from rotcal_ros.foundation import machine_load
-from rotcal_ros.foundation.machine_load import AwakeClock, Patience
+from rotcal_ros.foundation.machine_load import AwakeClock, Patience, patient
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.foundation.node_state import Reason, State, Why
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command
 from rotcal_ros.nodes.planner.cell_links import CellLinks, Pauses
 from rotcal_ros.nodes.planner.progress import GoalProgress
-from rotcal_ros.nodes.runtime.beat_values import HOPELESS, SILENT, SLOW, show
+from rotcal_ros.nodes.runtime.beat_values import (
+    HOPELESS,
+    PREFLIGHT_WAITS,
+    SILENT,
+    SLOW,
+    show,
+)
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS
 from rotcal_ros.nodes.runtime.cell_node import until
 from rotcal_ros.nodes.runtime.clocks import jumps_told
@@ -36,6 +42,8 @@ FOUND_S: Final = 5.0
 """Time for two ends to discover each other: lost discovery packets are sent again after 3 s."""
 SETTLED_S: Final = 0.5
 """If no new publisher is discovered for this long, the known ones count as all."""
+TOLD_S: Final = 3.0
+"""What a preflight has lacked for this long is told, on a busy machine too."""
 LOOK_S: Final = 0.1
 """Looking at the graph takes longer than a turn of the executor."""
 HOPELESS_S: Final = 0.5
@@ -68,6 +76,35 @@ def _rarely(condition: Callable[[], bool]) -> Callable[[], bool]:
         return met
 
     return seen
+
+
+class ToldMissing:
+    """Tells people what ``missing`` has named for TOLD_S, while it is waited for."""
+
+    def __init__(
+        self, links: CellLinks, missing: Callable[[], list[str]], patience_s: float
+    ) -> None:
+        self._links, self._missing, self._patience_s = links, missing, patience_s
+        self._clock, self._since_s = AwakeClock(time.monotonic), dict[str, float]()
+        self._told: list[str] = []
+
+    def nothing(self) -> bool:
+        """Return whether nothing is missing; tell what has been missing for long."""
+        now_s, texts = self._clock.now_s(), self._missing()
+        self._since_s = {text: self._since_s.get(text, now_s) for text in texts}
+        lasting = [text for text, since_s in self._since_s.items() if now_s - since_s >= TOLD_S]
+        if set(lasting) - set(self._told):
+            self._told = lasting
+            limit = f"the preflight waits up to {patient(self._patience_s):.0f} s"
+            self._links.warn(PREFLIGHT_WAITS, [f"{limit}: {'; '.join(lasting)}"])
+        return not texts
+
+    def __enter__(self) -> ToldMissing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Tell no more: all is there, or the goal ends with what is missing."""
+        self._links.warn(PREFLIGHT_WAITS, ())
 
 
 class RequiredNodes:
@@ -255,9 +292,13 @@ class GoalWatch:
     ) -> None:
         """Wait until nothing is missing; after the time of a preflight GoalError names what is.
 
-        It does so at once when ``in_vain`` says why waiting would be in vain.
+        It does so at once when ``in_vain`` says why waiting would be in vain. What is missing is
+        told long before.
         """
-        came = await self.wait(_rarely(lambda: not missing() or bool(in_vain())), self.patience_s)
+        with ToldMissing(self.links, missing, self.patience_s) as told:
+            came = await self.wait(
+                _rarely(lambda: told.nothing() or bool(in_vain())), self.patience_s
+            )
         if why := in_vain() or ([] if came else missing() or ["preflight timed out"]):
             raise GoalError(code, "; ".join(why))
 
@@ -280,8 +321,9 @@ class GoalWatch:
 
         Sometimes the middleware never connects two ends that it knows, but does connect new ones.
         """
-        if await self.wait(_rarely(lambda: not missing()), min(FOUND_S, self.patience_s)):
-            return True
+        with ToldMissing(self.links, missing, self.patience_s) as told:
+            if await self.wait(_rarely(told.nothing), min(FOUND_S, self.patience_s)):
+                return True
         self.links.publish_anew()
         return False
 

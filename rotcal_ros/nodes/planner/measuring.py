@@ -9,8 +9,9 @@ from typing import Final
 from rotcal_ros.capture.rejections import FailedSteps, TooManyFailedError
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.node_state import Reason, Why
+from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN
 from rotcal_ros.methods import Calibration
-from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation
+from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.nodes.planner.cell_links import Attempt
 from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, HaltedError
 from rotcal_ros.nodes.runtime import conversions

@@ -13,11 +13,13 @@ from typing import Final
 from rotcal_ros.bags import names
 from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.capture.instruments.plausibility import (
+    can_be_a_thousandth,
     implausible_air,
     implausible_angle,
     implausible_length,
     implausible_position,
     thousandth_of_plan,
+    unsteady,
 )
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.observations import PointKind
@@ -30,6 +32,7 @@ from rotcal_ros.nodes.runtime.beat_values import (
     OFFSET,
     RATE,
     REFUSED,
+    SCATTER,
     name_in,
 )
 from rotcal_ros.planning.plan import Plan
@@ -86,6 +89,7 @@ def doubts(
         *joint_doubts(values, configuration),
         *frame_doubts(values, configuration),
         *slow_table(values, configuration),
+        *slow_lengths(values, configuration),
         *(text for role in _AIR.values() for text in air_doubts(values, role)),
     ]
 
@@ -98,13 +102,19 @@ def air_doubts(values: Values, role: str) -> Iterator[str]:
 
 
 def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator[str]:
-    """Yield a doubt if lengths or probe positions are far too small for the plan."""
+    """Yield a doubt if lengths or probe positions seem to be in another unit, by the plan.
+
+    Lengths may count from anywhere, so that a small one proves nothing beside their scatter.
+    """
     topics, name = calibration.configuration.topics, name_in(values, role)
     if role == names.TRACER_LENGTH and role in calibration.topics:
         length = number_in(values.get(NOW + role, "")) or 0.0
-        text = thousandth_of_plan(
-            length, calibration.beams_m, topics.length_unit, "topics.length_unit"
-        )
+        scatter = number_in(values.get(SCATTER + role, ""))
+        stated = (topics.length_unit, "topics.length_unit")
+        allowed = calibration.configuration.capture.max_std_m
+        text = None if scatter is None else unsteady(scatter, allowed, *stated)
+        if not text and (abs(length) > calibration.beams_m[0] or can_be_a_thousandth(scatter)):
+            text = thousandth_of_plan(length, calibration.beams_m, *stated)
         if text:
             yield f"{name} {text}"
     words = values.get(NOW + role, "").split() if role == names.PROBE_POINT else []
@@ -126,6 +136,19 @@ def slow_table(values: Values, configuration: Configuration) -> Iterator[str]:
         yield (
             f"{name_in(values, names.JOINT_STATES)} comes at {rate:.3g} Hz: whether the table "
             f"moves or rests is known {1.0 / rate:.2g} s late; 50 Hz are usual, {SLOW_HZ:g} Hz "
+            "the least"
+        )
+
+
+def slow_lengths(values: Values, configuration: Configuration) -> Iterator[str]:
+    """Yield a doubt if lengths come so rarely that a window takes long and hides a broken beam."""
+    rate = number_in(values.get(RATE + names.TRACER_LENGTH, ""))
+    if rate and rate < SLOW_HZ and not configuration.topics.length_single_shot:
+        window_s = configuration.capture.window_samples / rate
+        yield (
+            f"{name_in(values, names.TRACER_LENGTH)} comes at {rate:.3g} Hz: the "
+            f"{configuration.capture.window_samples} readings of a window take {window_s:.3g} s, "
+            f"and what happens between two of them is not seen; 1000 Hz are usual, {SLOW_HZ:g} Hz "
             "the least"
         )
 

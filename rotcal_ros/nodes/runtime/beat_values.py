@@ -35,6 +35,8 @@ COMPLAINT: Final = "complaint"
 """What keeps the present order from being measured."""
 PREFLIGHT: Final = "preflight"
 """What looks wrong about the instruments before anything moves."""
+PREFLIGHT_WAITS: Final = "preflight_waits"
+"""What a preflight lacks and waits for."""
 OFFSET: Final = "clock_offset"
 """Streams whose clocks differ, and by how much."""
 CLOCK_DOUBT: Final = "clock_doubt"
@@ -52,8 +54,8 @@ BLOCKED: Final = "blocked"
 SLOW: Final = "slow"
 """The slow nodes that are waited for, with the load of the machine."""
 FOR_PEOPLE: Final = (
-    REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER, SIM_CLOCK,
-    BLOCKED, SLOW,
+    REJECTED, COMPLAINT, PREFLIGHT_WAITS, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER,
+    SIM_CLOCK, BLOCKED, SLOW,
 )  # fmt: skip
 """Values in a beat that are shown to the person who runs a calibration."""
 OF_MACHINES: Final = (BLOCKED, COMPLAINT)
@@ -85,6 +87,8 @@ WAITING_FOR: Final = "waiting_for"
 """Value of the capture: what its oldest undecided attempt waits for, in words."""
 RATE: Final = "rate_hz."
 """Beginning of the capture's values with the rate of a stream."""
+SCATTER: Final = "scatter_m."
+"""Beginning of the capture's values with the standard deviation of a stream's readings."""
 REFUSED: Final = "refused."
 """Beginning of the capture's values with the reason why a topic's message type cannot be used."""
 SILENT: Final = "silent_s."

@@ -14,6 +14,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rotcal_ros.bags import names
 from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.foundation.node_names import VIEWERS
+from rotcal_ros.nodes.runtime.message_types import another_version
 from rotcal_ros.nodes.runtime.qos import EVENT
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
@@ -85,6 +86,23 @@ class CellGraph:
         elif not has_delivered:
             yield f"{name} has not delivered a valid message (node {publishers[0]})"
         yield from incompatible_listeners(self.node, name, {"capture", "recorder"}.__contains__)
+
+    def other_versions(self, heard: Iterable[str], obeyed: Iterable[str] = ()) -> Iterator[str]:
+        """Yield which nodes define messages otherwise than they are here.
+
+        Publishers of the topics that are ``heard`` count, and machines that obey the others: such
+        a message may end the node that takes it.
+        """
+        ends = [(topic, info) for topic in heard for info in self.offers(topic)]
+        ends += [
+            (topic, info)
+            for topic in obeyed
+            for info in self.wants(topic)
+            if info.node_name not in NO_MACHINE
+        ]
+        for topic, info in ends:
+            if text := another_version(info.topic_type, str(info.topic_type_hash)):
+                yield f"{self.resolve(topic)}: node {info.node_name} has {text}"
 
     def elsewhere(self, role: str, own: str) -> str:
         """Return what to do if ``own`` lacks a publisher, but another topic may be that of a role.

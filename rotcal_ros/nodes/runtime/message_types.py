@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
+from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Final
 
 from ament_index_python.packages import get_package_share_directory
 
@@ -38,13 +41,47 @@ def message_type(type_name: str) -> type:
     return found
 
 
+_VERSION: Final = re.compile(r"<version>\s*([^<\s]+)\s*</version>")
+_SHOWN: Final = len("RIHS01_") + 8
+"""Characters of a hash that are shown."""
+ONE_VERSION: Final = (
+    "build your node and rotcal_ros with one version of the messages, and source that one in both "
+    "shells"
+)
+
+
+def another_version(type_name: str, type_hash: str) -> str | None:
+    """Return in words that a type is defined otherwise elsewhere, by its hash there; None: not.
+
+    What has no hash, there or here, is not judged.
+    """
+    here = installed_hash(type_name)
+    if here is None or not type_hash.startswith("RIHS") or type_hash == here:
+        return None
+    package = type_name.partition("/")[0]
+    return (
+        f"another version of {type_name}: {type_hash[:_SHOWN]} there, {here[:_SHOWN]} of "
+        f"{package} {installed_version(package)} here"
+    )
+
+
+def installed_version(package: str) -> str:
+    """Return the version of an installed package of messages, "?" if it is not known."""
+    try:
+        found = _VERSION.search((share_folder(package) / "package.xml").read_text())
+    except (LookupError, OSError):
+        return "?"
+    return found[1] if found else "?"
+
+
+@cache
 def installed_hash(type_name: str) -> str | None:
     """Return the hash of a type's definition as it is installed; None if it is not known."""
-    package, kind, name = type_name.split("/")
+    package, kind, name = [*type_name.split("/"), "", ""][:3]
     try:
         described = share_folder(package) / kind / f"{name}.json"
         hashes = json.loads(described.read_text())["type_hashes"] if described.exists() else ()
-    except LookupError:
+    except (LookupError, OSError):  # it is not installed, or no ROS environment is set
         return None
     return next((h["hash_string"] for h in hashes if h["type_name"] == type_name), None)
 

@@ -325,10 +325,12 @@ def test_what_is_no_database_is_refused(database, words):
         ParkHistory(database)
 
 
-def test_a_server_that_does_not_answer_is_told_without_its_password():
-    with pytest.raises(BagError, match=r"postgresql://me:\*\*\*@/none") as raised:
-        ParkHistory("postgresql://me:secret@/none?host=/nowhere")
-    assert "secret" not in str(raised.value)
+def test_a_url_with_a_password_is_refused_and_a_silent_server_told():
+    with pytest.raises(ConfigurationError, match="a URL with a secret in it") as raised:
+        ParkHistory("postgresql://me:mine@/none?host=/nowhere")
+    assert "mine" not in str(raised.value)
+    with pytest.raises(BagError, match=r"postgresql://me@/none"):
+        ParkHistory("postgresql://me@/none?host=/nowhere")
 
 
 def write(database, begin, serial):

@@ -113,6 +113,7 @@ def test_stop_asks_first_and_works_without_a_mouse(cell, opened):
     page.keyboard.press("Enter")
     assert client.result()["canceled"] is True
     expect(page.locator("#headline")).to_have_text("Stopped")
+    expect(page.locator("#answer")).to_have_text("")  # no "Stopping" below it
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ expect = pytest.importorskip("playwright.sync_api").expect
 
 pytestmark = pytest.mark.slow
 
-COMMAND = "rotcal run '/data/my table/configuration.yaml' --resume '/data/my table'"
+COMMAND = "rotcal run --resume '/data/my table'"
 READY = NodeState(State.READY)
 STOPPED = HeardPlanner(READY, ended=True, canceled=True, error="canceled", command=COMMAND)
 

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from exports import DATA, EXPORTS, MM, lines
+from starlette.requests import Request
 from starlette.testclient import TestClient
 
 import rotcal_ros as rc
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.extensions.page import web
-from rotcal_ros.extensions.page.web import Worker, asked_settings, make_app
+from rotcal_ros.extensions.page.web import Desk, Worker, asked_settings, make_app
 from rotcal_ros.foundation.units import ARCSEC
 
 ORIGIN = "http://127.0.0.1:8000"
@@ -169,6 +170,23 @@ def test_a_file_that_is_too_large_is_not_kept(visitor, tmp_path, monkeypatch):
     )
     assert list(tmp_path.iterdir()) == []
     assert visitor.drop("table", "fits.csv", b"1" * 1000).status_code == 200
+
+
+def test_of_an_upload_that_is_cut_off_nothing_stays(tmp_path):
+    parts = iter([
+        {"type": "http.request", "body": b"angle_deg,", "more_body": True},
+        {"type": "http.disconnect"},
+    ])  # fmt: skip
+
+    async def receive():
+        return next(parts)
+
+    scope = {
+        "type": "http", "method": "POST", "headers": [], "path": "/", "query_string": b"",
+        "path_params": {"role": "table"},
+    }  # fmt: skip
+    asyncio.run(Desk(tmp_path).take(Request(scope, receive)))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

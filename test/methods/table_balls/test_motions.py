@@ -1,17 +1,22 @@
 """What is stated of the table's motions: its orders, by closed forms and in drawn worlds."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from ball_world import NAMES, ONE, THREE, World
-from chances import share
+from chances import most, share
 
-from rotcal_ros.adjust.engine import predicted
+from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import prepare, read_configuration
+from rotcal_ros.methods.configuration import parse_configuration
+from rotcal_ros.methods.table_balls.method import restated as restated_of
 from rotcal_ros.methods.table_balls.model import model_of
+from rotcal_ros.methods.table_balls.motions import MOTION_KINDS
 from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
 
 MOTION, NOISE = 2e-6, 1e-6
@@ -143,3 +148,72 @@ def test_sizes_that_are_none(tmp_path):
     )
     with pytest.raises(ConfigurationError, match=r"solver\.axial_orders"):
         prepare(read_configuration(setup))
+
+
+def asked(balls=ONE, count=12):
+    """Return a configuration of these balls, and a world of it without motions."""
+    text = (
+        f"method: table_balls\nballs_m: {np.reshape(balls, (-1, 3)).tolist()}\n"
+        f"axis_m: [0.0, 0.0, 0.06]\nmeasure: centre\ntable_positions: {count}\n"
+        f"table_step_deg: {360.0 / count}\nerror_motion_std_m: {MOTION}\n"
+    )
+    configuration = parse_configuration(text)
+    return configuration, World(configuration.plan, configuration.solver)
+
+
+def judged(configuration, world, seed=3):
+    """Return the outputs' last four, of the line, their errors in U, and what is doubted."""
+    read = world.readings(NOISE, np.random.default_rng(seed))
+    found = adjust(model_of(configuration.plan, configuration.solver, read))
+    restated = restated_of(configuration, read, found)
+    if restated is not None:
+        solver = restated.configuration.solver
+        found = adjust(model_of(configuration.plan, solver, read))
+    _, line = world.truth()
+    error = np.abs(found.value[-4:] - line) / (2.0 * found.std[-4:])
+    return error, () if restated is None else restated.doubts
+
+
+def larger(world, kind, times, rng):
+    world.move(rng, larger=1.0)
+    world.motions[list(MOTION_KINDS[kind])] *= times
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        ("cos 2 theta", "radial"),
+        ("white 3 times", "radial"),
+        ("error motion 10 times", "radial"),
+        ("tilt 5 times", "tilt"),
+        ("squareness", "radial"),
+    ],
+)
+def test_motions_beyond_their_statement_are_named(spoil, named):
+    configuration, world = asked()
+    rng = np.random.default_rng(8)
+    if spoil == "cos 2 theta":
+        world.motions[0] = 1e-5 * np.cos(2.0 * world.angles)
+    elif spoil == "squareness":
+        world.linear[0, 1] = 1.5e-4
+    else:
+        kind = "tilt" if "tilt" in spoil else "radial"
+        larger(world, kind, float(spoil.split()[-2]), rng)
+    error, doubts = judged(configuration, world)
+    assert any(f"{named} motions" in each for each in doubts)
+    assert (error < 1.5).all()
+
+
+@pytest.mark.parametrize("orders", WORLDS)
+def test_sound_motions_are_not_doubted(orders):
+    rng, doubted, runs = np.random.default_rng(21), 0, 20
+    configuration, world = asked()
+    for _ in range(runs):
+        world.move(rng, **WORLDS[orders])
+        read = world.readings(NOISE, rng)
+        model = model_of(configuration.plan, configuration.solver, read)
+        fit = fitted(model, np.ones(model.size[0], dtype=bool), model.std, model.first)
+        doubted += (
+            restated_of(configuration, read, SimpleNamespace(fit=fit, model=model)) is not None
+        )
+    assert doubted <= most(0.03, runs)

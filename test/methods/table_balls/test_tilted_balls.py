@@ -10,6 +10,7 @@ from scipy.stats import binom
 
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
 from rotcal_ros.methods.measurements import read_measurements
@@ -149,12 +150,22 @@ def test_a_table_with_tilts_gives_both_axes_for_people_and_controls(tmp_path):
     assert result.axes[1].names == LINES["AC"]
     tilting = result.axes[1]
     assert tilting.letter == "A"
+    assert [axis.sense for axis in result.axes] == [1, 1]
     assert tilting.point[1:] == pytest.approx(np.array(POINT[1:]) + world.line[:2], abs=5e-6)
     figures = setup().method.figures(result, None)
     assert [figure.title for figure in figures].count("Axis average line") == 2
     names = [each.name for each in setup().method.tables(result)]
     assert names[:2] == ["axis", "tilting_axis"]
     assert {"XOC_by_tilt", "ECC_by_tilt", "EXA", "EAA"} <= set(names)
+
+
+def test_a_result_says_which_way_its_axes_turn(tmp_path):
+    read = World(planned("A-C", ONE)).readings(SIGMA, np.random.default_rng(1))
+    rows = zip(read.position, read.target, read.station, *read.points.T, strict=True)
+    path = table_of(tmp_path / "tilted.csv", "position,ball,tilt,x_m,y_m,z_m", rows)
+    result = read_measurements(path, setup("plan.chain=A-C")).solve()
+    told = Result.from_dict(result.to_dict()).axes
+    assert [(axis.letter, axis.sense) for axis in told] == [("C", -1), ("A", 1)]
 
 
 def test_the_simulated_axis_is_found_where_it_stands():

@@ -75,6 +75,7 @@ def test_the_time_of_sending_is_refused_under_a_simulated_clock(
         health=SimpleNamespace(sim=SimpleNamespace(used=simulated)),
         get_namespace=lambda: "/cell",
         resolve_topic_name=lambda name: f"/cell/{name}",
+        get_publishers_info_by_topic=lambda _: [],
     )
     topics = InstrumentTopics(node, lambda _: None)
     topics.listen(names.TRACER_LENGTH, lambda *_: None)

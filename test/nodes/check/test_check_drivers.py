@@ -21,7 +21,7 @@ PLUGIN = ("instrument.plugin=acme", "instrument.address=10.0.0.5:700")
 
 
 def heard(configuration, *nodes):
-    found = SimpleNamespace(configuration=configuration, nodes=frozenset(nodes))
+    found = SimpleNamespace(configuration=configuration, nodes=frozenset(nodes), strangers=())
     found.brought = brought(found)
     return found
 

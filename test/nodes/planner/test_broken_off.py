@@ -197,7 +197,7 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
     stop = SimpleNamespace(latched="the gate is open", heed=lambda: stop.latched)
     asked = []
 
-    async def have(missing, code):
+    async def have(missing, code, in_vain):
         if missing():
             raise GoalError(code, "; ".join(missing()))
 

@@ -15,7 +15,7 @@ from rotcal_ros.nodes.planner import goal_watch
 from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, RequiredNodes
 from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.nodes.runtime import cell_node
-from rotcal_ros.nodes.runtime.beat_values import HOPELESS, SILENT
+from rotcal_ros.nodes.runtime.beat_values import HOPELESS, PREFLIGHT_WAITS, SILENT
 from rotcal_ros.planning.settings import HealthSettings, PlannerSettings
 
 TURN_S = 0.2
@@ -28,7 +28,8 @@ class Cell:
 
     def __init__(self, monkeypatch):
         self.now_s, self.slow, self.values, self.publishers = 100.0, {}, {}, ["tracer"]
-        self.shown, self.logged, self.script, self.published_anew = [], [], {}, []
+        self.shown, self.logged, self.told = [], [], []
+        self.script, self.published_anew = {}, []
         health = SimpleNamespace(
             slow=self.slow, lost={}, settings=HealthSettings(lost_after_s=30.0), concerns={},
             alarms={}, others={}, missing=lambda _: [],
@@ -41,7 +42,7 @@ class Cell:
             instrument=lambda role: f"/cell/{role}",
             graph=SimpleNamespace(publishers=lambda _: self.publishers),
             idle_nodes=lambda but=(): [], offered=lambda _: {},
-            publish_anew=lambda: self.published_anew.append(self.now_s - 100.0),
+            warn=self.warn, publish_anew=lambda: self.published_anew.append(self.now_s - 100.0),
         )  # fmt: skip
         required = RequiredNodes(health, 0.0)
         required.nodes = {"capture", "recorder"}
@@ -59,6 +60,9 @@ class Cell:
             monkeypatch.setattr(module, "Patience", patience)
         monkeypatch.setattr(goal_watch.time, "monotonic", lambda: self.now_s)
         monkeypatch.setattr(cell_node, "_next_turn", self.turn)
+
+    def warn(self, key, texts):
+        self.told += [(self.now_s - 100.0, text) for text in texts if key == PREFLIGHT_WAITS]
 
     async def turn(self):
         self.now_s += TURN_S
@@ -115,6 +119,23 @@ def test_who_has_not_been_found_for_long_is_published_anew_once(cell, joined_s, 
 
     assert asyncio.run(cell.watch.is_found(missing)) == (not anew)
     assert cell.published_anew == pytest.approx(anew, abs=2 * TURN_S)
+
+
+def test_a_preflight_tells_what_it_lacks_as_soon_as_it_has_lasted(cell, monkeypatch):
+    """On a machine that is ten times too busy, too; what comes in time is not told."""
+    monkeypatch.setattr(goal_watch, "patient", lambda seconds: 10.0 * seconds)
+    two = "2 publishers on /cell/joint_states"
+
+    def missing():
+        late = ["node solver does not beat"] if cell.now_s < 102.0 else []
+        return [*late, two] if cell.now_s < 112.0 else ["no message of C"]
+
+    with pytest.raises(GoalError, match="no message of C"):
+        asyncio.run(cell.watch.have(missing, Codes.TOPIC_MISSING))
+    (first_s, first), (second_s, second) = cell.told
+    assert first == f"the preflight waits up to 150 s: {two}"
+    assert "no message of C" in second
+    assert (first_s, second_s) == pytest.approx((3.0, 15.0), abs=2 * TURN_S)
 
 
 def test_what_is_waited_for_in_vain_ends_the_goal_at_once_with_the_reason(cell):

@@ -25,7 +25,8 @@ async function ask(what, values = {}) {
     });
     const words = await response.text();
     const answer = response.headers.get("content-type")?.includes("json") ? JSON.parse(words) : { message: words };
-    text("answer", sentence(say(answer.message)));
+    const seen = what === "stop" && answer.success; // the large line says "Stopping", then "Stopped"
+    text("answer", seen ? "" : sentence(say(answer.message)));
     setTimeout(() => text("answer", ""), answer.success ? 6000 : 30000);
     return Boolean(answer.success);
   } catch {
