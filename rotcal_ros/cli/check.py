@@ -14,6 +14,7 @@ from rotcal_ros.cli.options import (
     component_option,
     reference_option,
     references,
+    remember_option,
     rule_of,
     rule_options,
     sheet_option,
@@ -32,6 +33,7 @@ EXIT_CODES: Final[Mapping[CheckVerdict, int]] = {"still valid": 0, "changed": 1,
 @rule_options
 @reference_option
 @sheet_option
+@remember_option
 @component_option
 @align_option
 @json_option
@@ -40,6 +42,7 @@ def command(
     new: Path,
     reference_std: float | None,
     changes: tuple[str, ...],
+    remember: bool,
     component: str,
     align_order: int,
     as_json: bool,
@@ -56,7 +59,7 @@ def command(
     from rotcal_ros.recordings.result_sources import read_curve
 
     unit, label = unit_of(component)
-    how = references((earlier, new), reference_std, changes)
+    how = references((earlier, new), reference_std, changes, remembers=remember)
     curves = [read_curve(path, component, how) for path in (earlier, new)]
     check = quick_check(curves[0], curves[1], rule_of(unit, **asked), align_order, unit, label)
     if as_json:

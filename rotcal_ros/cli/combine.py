@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, result_option, show_result
-from rotcal_ros.cli.options import polygon_option, reference_option, references, sheet_option
+from rotcal_ros.cli.options import (
+    polygon_option,
+    reference_option,
+    references,
+    remember_option,
+    sheet_option,
+)
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.component_groups import Enlargement
@@ -28,6 +34,7 @@ if TYPE_CHECKING:
 @polygon_option
 @reference_option
 @sheet_option
+@remember_option
 @json_option
 def command(
     sources: tuple[Path, ...],
@@ -36,6 +43,7 @@ def command(
     polygon: Path | None,
     reference_std: float | None,
     changes: tuple[str, ...],
+    remember: bool,
     as_json: bool,
 ) -> int:
     """Combine results of one table: result.json, bags, sessions, reference tables.
@@ -49,7 +57,7 @@ def command(
     from rotcal_ros.evaluation.combination import combine
     from rotcal_ros.recordings.result_sources import read_measured
 
-    how = references(sources, reference_std, changes, polygon)
+    how = references(sources, reference_std, changes, polygon, remembers=remember)
     combined = combine([read_measured(source, how) for source in sources], enlarge)
     if not as_json:
         from rotcal_ros.report.terminal.tables import say_groups

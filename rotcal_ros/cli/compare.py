@@ -17,6 +17,7 @@ from rotcal_ros.cli.options import (
     polygon_option,
     reference_option,
     references,
+    remember_option,
     sheet_option,
 )
 from rotcal_ros.foundation.language import ENGLISH, speaking
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 @polygon_option
 @reference_option
 @sheet_option
+@remember_option
 @component_option
 @align_option
 @click.option(
@@ -52,6 +54,7 @@ def command(
     polygon: Path | None,
     reference_std: float | None,
     changes: tuple[str, ...],
+    remember: bool,
     component: str,
     align_order: int,
     truth: bool,
@@ -81,7 +84,11 @@ def command(
 
     if len(set(sources)) < len(sources):
         raise click.UsageError("give each result only once")
-    curves = _read(sources, component, references(sources, reference_std, changes, polygon))
+    curves = _read(
+        sources,
+        component,
+        references(sources, reference_std, changes, polygon, remembers=remember),
+    )
     if len(curves) < 2:
         raise click.UsageError("give at least two different results to compare")
     comparisons = compare_all(curves, align_order)

@@ -7,7 +7,13 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
-from rotcal_ros.cli.options import announcer, explain_option, sheet_of, sheet_option
+from rotcal_ros.cli.options import (
+    announcer,
+    explain_option,
+    remember_option,
+    sheet_of,
+    sheet_option,
+)
 from rotcal_ros.foundation.units import ARCSEC
 
 
@@ -26,6 +32,7 @@ from rotcal_ros.foundation.units import ARCSEC
     help="Standard uncertainty (k = 1) of the measuring device at a target, the same in all runs.",
 )
 @sheet_option
+@remember_option
 @explain_option
 @json_option
 def command(
@@ -33,6 +40,7 @@ def command(
     output: Path | None,
     device: float | None,
     changes: tuple[str, ...],
+    remember: bool,
     explain: bool,
     as_json: bool,
 ) -> int:
@@ -47,7 +55,9 @@ def command(
     from rotcal_ros.evaluation.iso230 import iso230, with_device
     from rotcal_ros.recordings.result_sources import read_repeated_runs
 
-    runs = read_repeated_runs(source, sheet_of(changes), announcer(explain=explain))
+    runs = read_repeated_runs(
+        source, sheet_of(changes), announcer(explain=explain, remembers=remember)
+    )
     if explain:
         return 0
     if device is not None:

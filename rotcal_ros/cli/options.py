@@ -22,7 +22,8 @@ from rotcal_ros.foundation.language import ENGLISH, codes
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
-    from rotcal_ros.foundation.sheets.reading import Reading, SheetSettings
+    from rotcal_ros.foundation.sheets.forms import SheetSettings
+    from rotcal_ros.foundation.sheets.reading import Reading
     from rotcal_ros.planning.check_rule import CheckRule
     from rotcal_ros.recordings.result_sources import References
 
@@ -100,17 +101,38 @@ explain_option: Final = click.option(
 )
 
 
-def announcer(*, explain: bool) -> Callable[[Reading], object]:
-    """Return what prints how a table was understood: in one line, or all for ``--explain``."""
-    from rotcal_ros.report.terminal.console import tell, understood
+remember_option: Final = click.option(
+    "--remember",
+    is_flag=True,
+    help="Keep what --set sheet.NAME=VALUE says in a file beside the table, for all tables with "
+    "this head.",
+)
 
-    return (lambda reading: tell(*reading.lines())) if explain else understood
+
+def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], object]:
+    """Return what prints how a table was understood: in one line, or all for ``--explain``.
+
+    ``remembers``: what was stated of the table is kept beside it.
+    """
+    from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, remember
+    from rotcal_ros.report.terminal.console import say, tell, understood
+
+    def announce(reading: Reading) -> None:
+        if explain:
+            tell(*reading.lines())
+        else:
+            understood(reading)
+        if remembers and reading.form and reading.stated != AS_IT_STANDS:
+            file = remember(reading.table.path, reading.form_head, reading.stated)
+            say(f"remembered in {file} for tables with this head")
+
+    return announce
 
 
 def sheet_of(changes: Sequence[str]) -> SheetSettings:
     """Return what ``--set sheet.NAME=VALUE`` says of a table."""
     from rotcal_ros.foundation.settings import of_changes
-    from rotcal_ros.foundation.sheets.reading import SheetSettings
+    from rotcal_ros.foundation.sheets.forms import SheetSettings
     from rotcal_ros.foundation.untrusted import load_yaml
 
     return of_changes(SheetSettings, "sheet", changes, load_yaml)
@@ -121,18 +143,24 @@ def references(
     reference_std: float | None,
     changes: Sequence[str],
     polygon: Path | None = None,
+    *,
+    remembers: bool = False,
 ) -> References:
     """Return how reference tables are read by these options.
 
     Raises UsageError for a ``polygon`` without a reference table among ``sources``.
     """
+    from rotcal_ros.foundation.sheets.forms import of_tables
     from rotcal_ros.foundation.tables import is_table
     from rotcal_ros.recordings.result_sources import References
 
-    found = References(reference_std, None, sheet_of(changes), announcer(explain=False))
+    announce = announcer(explain=False, remembers=remembers)
+    sheet, tables = sheet_of(changes), [*filter(is_table, sources)]
+    own = of_tables([*tables, *([polygon] if polygon else [])], sheet)
+    found = References(reference_std, None, sheet, announce, own)
     if polygon is None:
         return found
-    if not any(map(is_table, sources)):
+    if not tables:
         raise click.UsageError("--polygon needs a reference table, and none is given")
     return replace(found, polygon=found.faces(polygon))
 

@@ -21,6 +21,7 @@ from rotcal_ros.cli.options import (
     announcer,
     configurations,
     explain_option,
+    remember_option,
     set_option,
     targets_option,
 )
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 )
 @targets_option
 @set_option
+@remember_option
 @click.option(
     "--from",
     "taken_from",
@@ -86,6 +88,7 @@ def command(
     setups: tuple[Path, ...],
     targets: Path | None,
     changes: tuple[str, ...],
+    remember: bool,
     taken_from: Any,
     namespace: str,
     balls: tuple[str, ...],
@@ -109,7 +112,7 @@ def command(
     """
     from rotcal_ros.recordings.inputs import Input
 
-    announce = announcer(explain=explain)
+    announce = announcer(explain=explain, remembers=remember)
     if len(sources) > 1 and (targets or changes or balls or coarser or groups):
         raise click.UsageError(
             "--targets, --set, --balls, --coarser and --groups are for one source: of several "

@@ -30,8 +30,8 @@ from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
-from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
-from rotcal_ros.foundation.sheets.words import answer
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
+from rotcal_ros.foundation.sheets.reading import Reading, read_any
 from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -366,12 +366,6 @@ def read_any_runs(
     """
     reading = read_any(path, (("position", "deviation_rad"),), sheet)
     announce(reading)
-    if not reading.angles_deg:
-        text = reading.uses["position"].text
-        raise DataError(
-            f"{path}: no column of table angles: {text!r} states no unit of one. If it is one, "
-            f"say so: {answer('angle', text)}"
-        )
     if not reading.both_directions:
         raise DataError(
             f"{path}: all angles were approached in one direction, or once: ISO 230-2 needs runs "

@@ -18,9 +18,9 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.sheets.layout import TableColumn
-from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
-from rotcal_ros.foundation.sheets.words import answer
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
+from rotcal_ros.foundation.sheets.reading import Reading, read_any
+from rotcal_ros.foundation.sheets.words import TableColumn, undecided
 from rotcal_ros.foundation.tables import Header, Row, Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
@@ -48,6 +48,7 @@ def read_deviations(
     ``announce`` is given how it was understood. ``std`` and errors as of :func:`read_reference`.
     """
     reading = read_any(source, _HEADERS, sheet)
+    sheet = reading.stated
     stated = reading.table.header[2:]
     if stated and not any(entry.startswith(("u=", "expanded=")) for entry in sheet.columns):
         _require_known_factor(reading)
@@ -67,10 +68,11 @@ def _require_known_factor(reading: Reading) -> None:
     use = reading.uses.get(TableColumn.of(named).name)
     text = named if use is None else use.text
     if named == _EITHER or (named == "u_rad" and _CAPITAL.match(text)):
-        raise DataError(
+        raise undecided(
             f"{reading.table.path}: the column {text!r} may hold standard uncertainties (k = 1) "
-            f"or expanded ones (k = 2): say which: {answer('u', text)} or "
-            f"{answer('expanded', text)}"
+            "or expanded ones (k = 2)",
+            "sheet.columns",
+            [(f"u={text}", "k = 1"), (f"expanded={text}", "k = 2")],
         )
 
 

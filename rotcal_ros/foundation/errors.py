@@ -72,6 +72,22 @@ class DataError(RotcalError):
     exit_code = 3
 
 
+class UndecidedError(DataError):
+    """A table can be understood in several ways: nothing is done until a person says which.
+
+    ``found`` is the text without the option that answers it.
+    """
+
+    exit_code = 2
+
+    def __init__(
+        self, found: str = "", advice: str = "", log: str = "", question: Question | None = None
+    ) -> None:
+        """Set what was ``found`` and the ``advice``; the rest as of RotcalError."""
+        super().__init__(f"{found}: {advice}" if advice else found, log, question)
+        self.found = found
+
+
 class GeometryError(DataError):
     """Points do not determine the wanted plane, circle, sphere or transform."""
 

@@ -389,6 +389,8 @@ class Result:
     def not_tested(self) -> str:
         """What the verdict does not cover; empty where it covers everything."""
         if not self.protections:
+            if self.dof == 0:
+                return phrase("anything (nothing checked the values)")
             return phrase("drift and the like (the method says nothing of them)")
         return listed([phrase(effect) for effect in self.unprotected], ", ")
 

@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.sheets.layout import TableColumn
-from rotcal_ros.foundation.sheets.reading import (
-    AS_IT_STANDS,
-    Known,
-    Reading,
-    SheetSettings,
-    read_any,
-)
+from rotcal_ros.foundation.settings import declarations
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings, remembered
+from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
+from rotcal_ros.foundation.sheets.words import TableColumn
 from rotcal_ros.foundation.tables import (
     Header,
     Row,
@@ -30,15 +27,20 @@ from rotcal_ros.foundation.tables import (
 )
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.calibration import Calibration, prepare
-from rotcal_ros.methods.configuration import Configuration, parse_configuration, replaced
+from rotcal_ros.methods.configuration import (
+    Configuration,
+    parse_configuration,
+    raw_groups,
+    replaced,
+)
 from rotcal_ros.methods.method import (
     Measurements,
-    Method,
     TableReader,
     Trials,
     usable_methods,
 )
 from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.table_angles import ANGLE_SETTINGS
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
@@ -105,39 +107,55 @@ def read_measurements(
     if method.table is None:
         raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")
     _require_own_method(source, configuration)
-    reader, settings = method.table, configuration.sheet
-    aim = _targets(source, targets, reader.targets, settings)
+    reader, settings = method.table, remembered(path, configuration.sheet)
+    aim, aimed_by = _targets(source, targets, reader.targets, settings)
 
     def known() -> Mapping[str, Known]:
         found = _known_of_plan(configuration, reader.columns)
         if aim is not None:
             numbers = tuple(range(len(aim.table.lines)))
             found["target"] = Known(numbers, aim.labels, source=aim)
-        if "plan" in configuration.given:
+        if states_angles(configuration) and settings.angles != "table":
             return found
-        return {name: replace(of, angles=()) for name, of in found.items()}
+        found.pop("position", None)
+        return found
 
     reading = read_any(source, reader.headers, settings, known)
+    where = phrase("table angles of the plan in {0}", configuration.source)
     if reading.angles_deg:
-        text = replaced(configuration, "plan", _plan_of(reading, method))
+        where = phrase("table angles of the table")
+        text = replaced(configuration, "plan", _plan_of(reading, configuration))
         configuration = parse_configuration(text, configuration.source)
         if reading.runs > 1 or reading.both_directions:  # only now there are positions for them
+            settings = replace(settings, angles="")
             reading = read_any(source, reader.headers, settings, known)
-    elif "plan" not in configuration.given:
+    elif not states_angles(configuration):
         raise ConfigurationError(
-            f"{configuration.source} has no group 'plan': it has to say which table angles the "
-            f"positions in {path} stand for: add it, or a column of table angles to the table"
+            f"{configuration.source} has no group 'plan' with table angles: it has to say which "
+            f"the positions in {path} stand for: add plan.table_positions, plan.table_step_deg "
+            "and plan.table_start_deg, or a column of table angles to the table"
         )
-    announce(reading)
+    announce(replace(reading, sources=(where, *aimed_by)))
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")
     return reader.read(configuration, reading.table, aimed_at)
 
 
-def _plan_of(reading: Reading, method: Method) -> dict[str, Any]:
-    """Return the settings of the plan that the table angles of a table are."""
-    plan: dict[str, Any] = {"table_angles_deg": list(reading.angles_deg)}
+def states_angles(configuration: Configuration) -> bool:
+    """Return whether a set-up states table angles; a plan that cannot list them always does."""
+    known = {declared.name for declared in declarations(type(configuration.plan))}
+    given = {f"plan.{name}" for name in ANGLE_SETTINGS} & configuration.given
+    return bool(given) or ("plan" in configuration.given and "table_angles_deg" not in known)
+
+
+def _plan_of(reading: Reading, configuration: Configuration) -> dict[str, Any]:
+    """Return the settings of the plan with the table angles of a table."""
+    method = configuration.method
+    _, groups = raw_groups(configuration.text, configuration.source)
+    given = (groups.get("plan") or {}).items()
+    plan = {name: value for name, value in given if name not in ANGLE_SETTINGS}
+    plan["table_angles_deg"] = list(reading.angles_deg)
     if reading.runs == 1 and not reading.both_directions:
         return plan
     reader = method.table
@@ -169,23 +187,48 @@ def _require_own_method(source: Path | Table, configuration: Configuration) -> N
 
 def _targets(
     source: Path | Table, given: Path | Table | None, header: Header, settings: SheetSettings
-) -> Reading | None:
-    """Return the table of targets: the one given, beside the table, or in its own workbook."""
+) -> tuple[Reading | None, tuple[str, ...]]:
+    """Return the table of targets, and in words where it is: given, beside the table, or in it.
+
+    DataError where there are two, and they differ.
+    """
     if not header:
-        return None
+        return None, ()
     wanted = {TableColumn.of(name).name for name in header}
     columns = tuple(f"{n}={text}" for n, text in settings.named().items() if n in wanted)
     own = replace(settings, name="", columns=columns)  # those are of the measurements
     if given is not None:
-        return read_targets(given, header, own)
+        name = given.path if isinstance(given, Table) else given
+        return read_targets(given, header, own), (phrase("targets of {0}", str(name)),)
     if isinstance(source, Table):
-        return None
-    beside = sorted(filter(is_table, source.parent.glob(f"{TARGETS_FILE}.*")))
-    if beside:
-        return read_targets(beside[0], header, own)
+        return None, ()
+    found = {
+        path: read_targets(path, header, own)
+        for path in sorted(filter(is_table, source.parent.glob(f"{TARGETS_FILE}.*")))
+    }
     with suppress(BagError, DataError):
-        return read_targets(source, header, own) if is_workbook(source) else None
-    return None
+        if is_workbook(source):
+            found[source] = read_targets(source, header, own)
+    if not found:
+        return None, ()
+    (first, aim), *others = found.items()
+    for path, other in others:
+        if _places(other) != _places(aim):
+            raise DataError(
+                f"{source}: targets stand in {first} and in {_place_of(other, path)}, and they "
+                f"differ: say which count: --targets {first} or --targets {path}"
+            )
+    return aim, (phrase("targets of {0}", _place_of(aim, first)),)
+
+
+def _places(reading: Reading) -> set[tuple[str, ...]]:
+    """Return targets with their places to a nanometre."""
+    rows = [cells for _, cells in reading.table.lines]
+    return {(number, *(f"{float(v) * 1e9:.0f}" for v in place)) for number, *place in rows}
+
+
+def _place_of(reading: Reading, path: Path) -> str:
+    return f"{path}, {reading.form}" if is_workbook(path) else str(path)
 
 
 def read_targets(

@@ -21,14 +21,18 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.method import find_method
 from rotcal_ros.methods.settings_reference import method_sections
+from rotcal_ros.planning.table_angles import ANGLE_SETTINGS
 
 Known: TypeAlias = Mapping[str, Declaration]
 """All that a set-up can state, by its name."""
 
 WIDEST: Final = 98
-START, STEP, POSITIONS = "plan.table_start_deg", "plan.table_step_deg", "plan.table_positions"
-_ANGLES: Final = "plan.table_angles_deg"
-"""Replaces the three above."""
+_WITHOUT_PLAN: Final = (
+    "The table angles are those of the table. Where it has numbers of positions in their place, "
+    "state table_positions, table_step_deg and table_start_deg."
+)
+START, STEP, POSITIONS, _ANGLES = (f"plan.{name}" for name in ANGLE_SETTINGS)
+"""The last replaces the others. What a person does not state is left to the table."""
 AIR: Final = ("air.temperature_c", "air.pressure_pa", "air.humidity")
 OF_THE_ITEM: Final = tuple(
     f"identity.{name}" for name in ("item", "serial", "place", "operator", "measured")
@@ -92,7 +96,9 @@ def _lines(method: str, known: Known, values: Mapping[str, Any]) -> Iterator[str
     found = find_method(method)
     short = {full: last for last, full in short_names(found).items()}
     tree: dict[str, Any] = {}
-    written = {*values, *first_asked(known, values), *AIR}
+    asked = first_asked(known, values)
+    own = {START, STEP, POSITIONS} if _ANGLES in known else set()
+    written = {*values, *(name for name in asked if name not in own), *AIR}
     for name in sorted(known, key=lambda n: (n not in short, n.startswith("identity."))):
         of_the_item = name.startswith("identity.") and name.count(".") == 1
         if name in written or of_the_item:
@@ -103,6 +109,8 @@ def _lines(method: str, known: Known, values: Mapping[str, Any]) -> Iterator[str
     yield f"# {found.title}: a set-up for measurements of your own."
     yield f"# Units stand before the comma. All settings: rotcal settings {method} --all"
     yield f"method: {method}"
+    if own and not values.keys() & {*own, _ANGLES}:
+        yield from _comment(_WITHOUT_PLAN, "")
     yield from _branch(tree, "")
     if "instruments" not in tree["identity"]:
         yield "  # A certificate names the instruments, each with its last calibration:"

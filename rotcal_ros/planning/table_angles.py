@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
+
+ANGLE_SETTINGS: Final = (
+    "table_start_deg", "table_step_deg", "table_positions", "table_angles_deg",
+)  # fmt: skip
+"""The settings of a plan that state its table angles."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
@@ -35,7 +35,8 @@ from rotcal_ros.foundation.errors import (
 )
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
+from rotcal_ros.foundation.sheets.reading import Reading
 from rotcal_ros.foundation.tables import is_table, own_table
 from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
 from rotcal_ros.methods.configuration import read_configuration
@@ -182,13 +183,15 @@ class References:
 
     ``std`` (rad) is the standard uncertainty of those that state none, ``polygon`` holds the face
     errors that are subtracted from them. ``sheet`` says what a table leaves open, ``announce`` is
-    given how one of another form than ours was understood.
+    given how one of another form than ours was understood. ``own`` says it of each of several
+    tables.
     """
 
     std: float | None = None
     polygon: MeasuredCurve | None = None
     sheet: SheetSettings = AS_IT_STANDS
     announce: Callable[[Reading], object] = str
+    own: Mapping[Path, SheetSettings] = field(default_factory=dict)
 
     def read(self, path: Path) -> MeasuredCurve:
         """Return the curve in a table without the polygon; raises as :func:`read_reference`."""
@@ -200,7 +203,7 @@ class References:
         own = own_table(path, (COLUMNS, COLUMNS[:2]))
         if own is not None:
             return read_reference(own, self.std)
-        return read_deviations(path, self.std, self.sheet, self.announce)
+        return read_deviations(path, self.std, self.own.get(path, self.sheet), self.announce)
 
 
 AS_STATED: Final = References()

@@ -7,8 +7,8 @@ import openpyxl
 import pytest
 
 from rotcal_ros.evaluation.reference import read_deviations
-from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.sheets.reading import SheetSettings
+from rotcal_ros.foundation.errors import DataError, UndecidedError
+from rotcal_ros.foundation.sheets.forms import SheetSettings
 from rotcal_ros.foundation.units import ARCSEC
 
 ROWS = [(0, 0.5), (90, -1.5), (180, 2.25), (270, 1.0)]
@@ -78,9 +78,12 @@ def test_names_with_the_units_of_si_leave_nothing_open(tmp_path):
     assert np.diag(curve.covariance).tolist() == [0.25] * len(ROWS)
 
 
-def test_a_correction_is_no_deviation(tmp_path):
-    with pytest.raises(BagError, match=r'no column deviation_rad: .*\["deviation=ITS NAME"\]'):
-        read(tmp_path, "Angle [deg],Correction [arcsec],u [arcsec]")
+def test_a_correction_is_no_deviation_until_a_person_says_of_which_sign(tmp_path):
+    head, name = "Angle [deg],Correction [arcsec],u [arcsec]", "Correction [arcsec]"
+    with pytest.raises(UndecidedError, match=r"or commanded - actual.*reversed=Correction"):
+        read(tmp_path, head)
+    turned = read(tmp_path, head, columns=(f"reversed={name}",)).deviation
+    np.testing.assert_allclose(-turned / ARCSEC, [d for _, d in ROWS], rtol=1e-12)
 
 
 def test_the_factor_is_taken_as_it_is_told(tmp_path):

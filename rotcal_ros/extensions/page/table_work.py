@@ -23,13 +23,13 @@ from rotcal_ros.evaluation.marks import marks, withheld
 from rotcal_ros.extensions.page.state import Curve, Deviations, PageMark, plain
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.errors import Question, RotcalError
+from rotcal_ros.foundation.errors import Question, RotcalError, UndecidedError
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
-from rotcal_ros.foundation.language import phrase, speaking
+from rotcal_ros.foundation.language import Phrase, phrase, speaking
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.sheets.layout import TableColumn, Use
-from rotcal_ros.foundation.sheets.reading import UNIT_SETTINGS, Reading
-from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS
+from rotcal_ros.foundation.sheets.layout import Use
+from rotcal_ros.foundation.sheets.reading import Reading, unit_setting
+from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS, TableColumn
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.methods.configuration import (
@@ -41,6 +41,7 @@ from rotcal_ros.methods.configuration import (
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements, usable_methods
 from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
+from rotcal_ros.methods.settings_reference import unit_and_meaning
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.page import write_measured
 from rotcal_ros.report.printing import printed
@@ -51,9 +52,23 @@ PLACES: Final = {TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml"
 RESULT, OWN_SETUP, REPORT, PDF, DCC = (
     "result.json", "setup.yaml", "report.html", "report.pdf", "certificate.xml",
 )  # fmt: skip
+_STATED: Final = re.compile(r"--set '?([\w.]+)(?:=[^\s;,]*)?")
+_ADVICE: Final = re.compile(r"[.:;] (?:State a column with another name by|say which:) --set .*$")
+_OPTION: Final = re.compile(r"--(setup|targets)(?: [^\s;,)]+)?")
+_BOXES: Final = {"setup": phrase("Set-up file"), "targets": phrase("Targets")}
 SHOWN_ROWS: Final = 6
 TITLES: Final = {method.name: phrase(method.title) for method in usable_methods()}
 """Of the methods, which are loaded here: the processes are copies of one that has done so."""
+LABELS: Final = {
+    "identity.item": phrase("Item"),
+    "identity.serial": phrase("Serial number"),
+    "identity.place": phrase("Place"),
+    "identity.operator": phrase("Measured by"),
+    "identity.measured": phrase("Day of the measurement"),
+    "air.temperature_c": phrase("Temperature of the air"),
+    "air.pressure_pa": phrase("Pressure of the air"),
+}
+"""Shorter than what these settings say of themselves."""
 Reply = dict[str, Any]
 """What the page is given: all that JSON can hold."""
 
@@ -84,7 +99,8 @@ class Asked:
     def read(self, announce: Callable[[Reading], object] = str) -> Measurements:
         """Return what was measured, with the names that people know."""
         configuration = self.configuration()
-        measured = read_measurements(self.folder / PLACES[TABLE], configuration, announce=announce)
+        targets = self.folder / PLACES[TARGETS] if TARGETS in self.names else None
+        measured = read_measurements(self.folder / PLACES[TABLE], configuration, targets, announce)
         known = {self.in_words(name): digest for name, digest in measured.sha256.items()}
         assert is_dataclass(measured)
         return replace(measured, sha256=known)
@@ -95,6 +111,11 @@ class Asked:
         text = text.replace(f"{self.folder}/", "")
         places = "|".join(map(re.escape, known))
         return re.sub(places, lambda place: known[place[0]], text) if known else text
+
+
+def label_of(name: str, meaning: str) -> Phrase:
+    """Return what stands beside the field of a setting."""
+    return LABELS.get(name) or phrase(meaning.replace(", in quotes", ""))
 
 
 def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
@@ -110,8 +131,27 @@ def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> 
 def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
     text, *log = map(asked.in_words, in_lines(error))
+    if isinstance(error, UndecidedError):
+        text = asked.in_words(error.found)
     question = error.question if isinstance(error, RotcalError) else None
-    return {"text": text, "log": log, "question": question and _in_words(question, asked)}
+    return {
+        "text": at_boxes(text, asked.method),
+        "log": [line for line in log if not line.startswith("--set ")],  # buttons say that
+        "question": question and _in_words(question, asked),
+        "names": [found[1] for found in _STATED.finditer(text)],
+    }
+
+
+def at_boxes(text: str, method: str) -> str:
+    """Return an error with the boxes of the page in the place of options of the command line."""
+    known = known_settings(method) if method else {}
+
+    def box(found: re.Match[str]) -> str:
+        name = found[1]
+        return f'"{label_of(name, unit_and_meaning(known[name])[1])}"' if name in known else name
+
+    text = _STATED.sub(box, _ADVICE.sub("", text))
+    return _OPTION.sub(lambda found: f'"{_BOXES[found[1]]}"', text)
 
 
 def _in_words(question: Question, asked: Asked) -> Reply:
@@ -138,7 +178,7 @@ def _table(reading: Reading, asked: Asked) -> Reply:
         "columns": list(_columns(reading)),
         "head": reading.head,
         "aside": reading.aside,
-        "remarks": plain(reading.remarks),
+        "remarks": plain((*reading.remarks, *map(asked.in_words, reading.sources))),
         "left_out": plain(reading.left_out),
         "header": reading.table.header,
         "first": reading.table.lines[:SHOWN_ROWS],
@@ -157,15 +197,15 @@ def _columns(reading: Reading) -> Iterator[Reply]:
             "name": TABLE_ANGLE if angle else column.name,
             "theirs": plain(theirs),
             "text": None if use is None else use.text,
-            **_unit(use, quantity),
+            **_unit(use, quantity, column.name),
         }
 
 
-def _unit(use: Use | None, quantity: str) -> Reply:
+def _unit(use: Use | None, quantity: str, name: str) -> Reply:
     """Return the setting of a unit that the head of a column does not state, and its choices."""
-    if quantity not in UNIT_SETTINGS or (use is not None and len(use.units) == 1):
+    if quantity not in UNITS or (use is not None and len(use.units) == 1):
         return {"setting": None, "units": () if use is None else use.units}
-    return {"setting": f"sheet.{UNIT_SETTINGS[quantity]}", "units": tuple(UNITS[quantity])}
+    return {"setting": unit_setting(name, quantity), "units": tuple(UNITS[quantity])}
 
 
 def solved(asked: Asked) -> Reply:

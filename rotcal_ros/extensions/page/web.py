@@ -47,16 +47,20 @@ from rotcal_ros.extensions.page.table_work import (
     WORK,
     Asked,
     Reply,
+    label_of,
 )
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.files import naming
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.untrusted import LARGEST_FILE
 from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.methods.new_setup import (
     AIR,
     OF_THE_ITEM,
+    POSITIONS,
+    START,
+    STEP,
     first_asked,
     known_settings,
     values_of_tables,
@@ -68,16 +72,9 @@ WORK_S: Final = 600.0
 MOST_ASKED: Final = 1_000_000
 """Most bytes of a request that is no file."""
 LONGEST_NAME: Final = 120
-LABELS: Final = {
-    "identity.item": phrase("Item"),
-    "identity.serial": phrase("Serial number"),
-    "identity.place": phrase("Place"),
-    "identity.operator": phrase("Measured by"),
-    "identity.measured": phrase("Day of the measurement"),
-    "air.temperature_c": phrase("Temperature of the air"),
-    "air.pressure_pa": phrase("Pressure of the air"),
-}
-"""Shorter than what these settings say of themselves."""
+ANGLES: Final = (START, STEP, POSITIONS)
+OF_TABLE: Final = phrase("as in the table")
+"""What stands in an empty box of table angles: nothing of it is sent as a plan."""
 REPORT_POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox allow-popups"
@@ -258,14 +255,9 @@ def asked_settings(method: str) -> Iterator[Reply]:
             "kind": declared.kind.__name__,
             "list": declared.is_list,
             "choices": declared.info.named_choices,
-            "default": default_in_words(declared),
+            "default": plain(OF_TABLE) if name in ANGLES else default_in_words(declared),
             "asked": name not in identity,
         }
-
-
-def label_of(name: str, meaning: str) -> Phrase:
-    """Return what stands beside the field of a setting."""
-    return LABELS.get(name) or phrase(meaning.replace(", in quotes", ""))
 
 
 class OneVisitor(Guard):

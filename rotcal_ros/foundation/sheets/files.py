@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
+import subprocess
+import sys
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.language import noted, phrase
+from rotcal_ros.foundation.sheets import workbook
 from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, reading
 
 Cell: TypeAlias = "str | float"
 """A text as it stands there, or what a workbook holds as a number."""
+
+
+class TimeCell(str):
+    """What a workbook holds as a time, in hours, minutes and seconds."""
+
+    __slots__ = ()
+
 
 _MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _OLDER: Final = ("cp1252", "cp850", "gb18030", "cp932")
@@ -27,6 +38,8 @@ _GAP: Final = re.compile(r"\s{2,}|\t")
 _COMMENT: Final = re.compile(r"\s*(?:[#%]|//)")
 _RULE: Final = re.compile(r"[-=:+_ ]*")
 """What lines below a head are drawn with."""
+_MOST: Final = 0.6
+"""Share of the rows that a separator splits alike, where others are titles, means and notes."""
 _STATED: Final = re.compile(r'^"?sep=(.)"?[;,\t]*$', re.IGNORECASE)
 SEPARATORS: Final[dict[str, str]] = {
     ",": noted("commas"), ";": noted("semicolons"), "\t": noted("tabs"), "|": noted("bars"),
@@ -66,38 +79,48 @@ def sheets(path: Path) -> list[Sheet]:
 
 
 def _sheets(path: Path, data: bytes) -> list[Sheet]:
-    try:
-        from python_calamine import CalamineError, CalamineWorkbook
-    except ImportError as error:
+    with suppress(zipfile.BadZipFile):
+        _require_bounded(path, data)
+    ran = subprocess.run(
+        [sys.executable, "-I", workbook.__file__],
+        input=data,
+        capture_output=True,
+        timeout=2 * workbook.WORK_S,
+        check=False,
+    )
+    if ran.returncode == 1:
+        why = ran.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         raise BagError(
-            f"{path} is a workbook, and python-calamine, which reads those, is not installed: "
-            "pip install python-calamine; or save it as CSV and name that file"
-        ) from error
-    try:
-        _require_bounded(data)
-        book = CalamineWorkbook.from_filelike(io.BytesIO(data))
-        read = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
-        return [Sheet(phrase("sheet {0}", name), _cells(sheet), name) for name, sheet in read]
-    except (CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
-        raise BagError(
-            f"cannot read the workbook {path}: {error}: save it again, or save it as CSV and name "
+            f"cannot read the workbook {path}: {why}: save it again, or save it as CSV and name "
             "that file"
-        ) from error
+        )
+    if ran.returncode:
+        raise BagError(
+            f"cannot read the workbook {path}: it has more than {workbook.CELLS:,} cells or "
+            f"{workbook.CHARACTERS:,} characters, counted up to its last column and row, or takes "
+            f"more than {workbook.MEMORY_BYTES:,} bytes of memory: copy the table into a new "
+            "workbook, or save it as CSV and name that file"
+        )
+    read = (json.loads(line) for line in ran.stdout.splitlines())
+    return [
+        Sheet(phrase("sheet {0}", name), _cells(first, rows), name) for name, first, rows in read
+    ]
 
 
-def _require_bounded(data: bytes) -> None:
-    """Raise ValueError for a workbook that would grow beyond all bounds when it is unpacked."""
+def _require_bounded(path: Path, data: bytes) -> None:
+    """Raise BagError for a workbook that would grow beyond all bounds when it is unpacked."""
     if not data.startswith(WORKBOOKS[0]):
         return
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         size = sum(member.file_size for member in archive.infolist())
     if size > LARGEST_FILE:
-        raise ValueError(f"unpacked it has more than the {LARGEST_FILE:,} bytes that we read")
+        raise BagError(
+            f"cannot read the workbook {path}: unpacked it has more than the {LARGEST_FILE:,} "
+            "bytes that we read: save it as CSV and name that file"
+        )
 
 
-def _cells(sheet: Any) -> tuple[tuple[int, tuple[Cell, ...]], ...]:
-    first = sheet.start[0] + 1 if sheet.start else 1
-    rows = sheet.to_python(skip_empty_area=True)
+def _cells(first: int, rows: Sequence[Sequence[Any]]) -> tuple[tuple[int, tuple[Cell, ...]], ...]:
     return tuple(
         (number, tuple(map(_cell, row)))
         for number, row in enumerate(rows, start=first)
@@ -105,17 +128,10 @@ def _cells(sheet: Any) -> tuple[tuple[int, tuple[Cell, ...]], ...]:
     )
 
 
-def _cell(value: object) -> Cell:
-    match value:
-        case bool() | str():
-            return str(value).strip()
-        case int() | float():
-            return float(value)
-        case datetime() | date() | time():
-            return value.isoformat()
-        case timedelta():
-            return value.total_seconds()
-    return ""
+def _cell(value: Any) -> Cell:
+    if isinstance(value, list):
+        return TimeCell(*value)
+    return value.strip() if isinstance(value, str) else float(value)
 
 
 def _texts(data: bytes) -> Iterator[tuple[str, str]]:
@@ -148,9 +164,10 @@ def _ways(text: str, encoding: str) -> Iterator[Sheet]:
     stated = _STATED.match(lines[0]) if lines else None
     separators = [stated[1]] if stated else [s for s in SEPARATORS if s in text]
     for lines_read in _with_comments(lines):
-        for separator in separators or [","]:
-            rows = _rows("\n".join(lines_read), separator)
-            if rows is not None:
+        split = {s: _rows("\n".join(lines_read), s) for s in separators or [","]}
+        even = any(_is_even(rows) for s, rows in split.items() if rows and s.strip(" "))
+        for separator, rows in split.items():
+            if rows is not None and not (even and not separator.strip(" ")):
                 rows = rows[1:] if stated else rows
                 name = SEPARATORS.get(separator, repr(separator))
                 form = phrase("text in {0}, {1} between the columns", encoding, phrase(name))
@@ -181,6 +198,18 @@ def _rows(text: str, separator: str) -> list[tuple[int, tuple[Cell, ...]]] | Non
             return None
     stripped = [(number, tuple(map(str.strip, cells))) for number, cells in found]
     return [row for row in stripped if any(row[1]) and not _is_rule(row[1])]
+
+
+def _is_even(rows: Sequence[tuple[int, tuple[Cell, ...]]]) -> bool:
+    """Return whether a separator splits a head and most rows below it into as many cells.
+
+    Decimal commas split aligned columns, but no head of words.
+    """
+    widths = Counter(len(cells) for _, cells in rows)
+    width, count = widths.most_common(1)[0]
+    head = next(cells for _, cells in rows if len(cells) == width)
+    digits = sum(str(cell)[:1].isdigit() for cell in head[:1])
+    return width > 1 and not digits and count >= _MOST * len(rows)
 
 
 def _is_rule(cells: Sequence[str]) -> bool:

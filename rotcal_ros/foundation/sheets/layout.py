@@ -7,32 +7,44 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from rotcal_ros.foundation.errors import DataError, Question
+from rotcal_ros.foundation.errors import UndecidedError
 from rotcal_ros.foundation.sheets.files import Cell, Sheet
+from rotcal_ros.foundation.sheets.forms import texts_of
+from rotcal_ros.foundation.sheets.numerals import parse
 from rotcal_ros.foundation.sheets.words import (
+    ACTUAL,
     ANGLE,
     DIRECTION,
     IN_BRACKETS,
     LENGTH,
+    REFERENCE,
+    REVERSED,
     RUN,
     TABLE_ANGLE,
     TIME,
     Heading,
-    answer,
+    TableColumn,
     columns_of,
     folded,
+    is_commanded,
+    is_down,
     label_of,
     plain,
     quantity_of,
+    undecided,
     units_of,
 )
 from rotcal_ros.foundation.tables import Header
 
-_SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 TEXTS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
 BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 """What may stand for a position, or beside it."""
+DIFFERENCE: Final = frozenset({ACTUAL, REFERENCE, REVERSED})
+"""What may stand for a deviation: measured angles, or a difference of another sign."""
+_ARROW: Final = re.compile(r"([↑↓←→])|[_/]")
+_COARSE: Final = ("deg", "gon", "dms")
+"""Units of table angles rather than of deviations."""
 CORNER: Final = re.compile(r"[\\|/]")
 """What stands in the corner of a matrix between the names of its rows and columns."""
 _NO_UNIT: Final = ("", "-", "1")
@@ -47,21 +59,6 @@ _ALL_IN: Final = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class TableColumn:
-    """A column of ours: ``name`` without unit, what it measures; empty: a number or a text."""
-
-    header: str
-    name: str
-    quantity: str
-
-    @classmethod
-    def of(cls, header: str) -> TableColumn:
-        """Return the column with the name ``header``, as length_m."""
-        suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
-        return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
-
-
-@dataclass(frozen=True, slots=True)
 class Use:
     """Where a column is: ``place`` of its cell in a row, from 0, and the units of its heading."""
 
@@ -72,11 +69,14 @@ class Use:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Cells of a matrix that belong together: a ``label`` of ``column``, and a use per value."""
+    """Cells of a matrix that belong together: ``labels`` by column, and a use per value.
 
-    column: str
-    label: Cell
+    The first label is what tells the columns of the matrix apart.
+    """
+
+    labels: Mapping[str, Cell]
     uses: Mapping[str, Use]
+    label_use: Use
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,9 @@ class Layout:
 
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
     the cells of a matrix, empty for a list. ``aside``: headings that are not needed; ``missing``:
-    columns without any; ``doubled``: a column and two headings that mean it. ``first``: index of
-    the first row of values. ``length_unit``: stated above the table.
+    columns without any; ``doubled``: a column and the headings that mean it. ``first``: index of
+    the first row of values, ``form`` the row of its head. ``others`` are the columns
+    aside that measure angles. ``length_unit``: stated above the table.
     """
 
     sheet: Sheet
@@ -95,20 +96,23 @@ class Layout:
     matrix: tuple[Cells, ...] = ()
     aside: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    doubled: tuple[str, str, str] | None = None
+    doubled: tuple[str, tuple[Use, ...]] | None = None
     first: int = 0
     head: tuple[str, ...] = ()
     length_unit: str = ""
+    others: tuple[Use, ...] = ()
+    form: tuple[str, ...] = ()
 
     @property
-    def rank(self) -> tuple[bool, int, int, int, int]:
+    def rank(self) -> tuple[bool, int, int, int, int, int]:
         """How well it is understood: whole, by how many columns, how few missing and left over.
 
         Of equal ones that with units.
         """
-        values = len(self.uses) + len({cells.column for cells in self.matrix})
+        values = len(self.uses) + len({next(iter(cells.labels)) for cells in self.matrix})
         units = sum(bool(use.units) for use in self.uses.values())
-        return not self.missing, values, -len(self.missing), -len(self.aside), units
+        missing, aside = len(self.missing), len(self.aside)
+        return not missing, values, -missing, len(self.matrix), -aside, units
 
 
 def best_layout(
@@ -126,21 +130,58 @@ def best_layout(
         return None
     best = max(layouts, key=lambda layout: layout.rank)
     if best.doubled:
-        name, *texts = best.doubled
-        raise DataError(
-            f"{where}: {texts[0]!r} and {texts[1]!r} may both be the column {name}: say which: "
-            f"{answer(name, texts[0])} or {answer(name, texts[1])}",
-            question=Question("sheet.columns", tuple((f"{name}={t}", t) for t in texts)),
-        )
+        raise _rivals(where, best, *best.doubled)
     equal = [layout for layout in layouts if layout.rank == best.rank and layout.sheet.name]
     if len(equal) > 1 and not best.missing:
-        sheets = " and ".join(layout.sheet.name for layout in equal)
-        raise DataError(
-            f"{where}: the sheets {sheets} have the same columns: say which to read: "
-            f"--set sheet.name={equal[0].sheet.name}",
-            question=Question("sheet.name", tuple((n.sheet.name, n.sheet.name) for n in equal)),
+        names = [layout.sheet.name for layout in equal]
+        raise undecided(
+            f"{where}: the sheets {' and '.join(names)} have the same columns",
+            "sheet.name",
+            tuple(zip(names, names, strict=True)),
         )
     return best
+
+
+def _rivals(where: str, layout: Layout, name: str, uses: Sequence[Use]) -> UndecidedError:
+    """Return the question which of several headings is a column."""
+    *most, last = [repr(use.text) for use in uses]
+    return undecided(
+        f"{where}: {', '.join(most)} and {last} may {'both' if len(uses) == 2 else 'all'} be the "
+        f"column {name}",
+        "sheet.columns",
+        [(f"{name}={_address(use, layout.head)}", use.text) for use in uses],
+        side_by_side(layout, uses),
+    )
+
+
+def _address(use: Use, head: Sequence[str]) -> str:
+    """Return by what a person names a heading: its text, or its place where it has a twin."""
+    twins = sum(folded(text) == folded(use.text) for text in head) > 1
+    return f"#{use.place + 1}" if twins else use.text
+
+
+def side_by_side(layout: Layout, uses: Iterable[Use]) -> list[str]:
+    """Return columns below each other, in the words of the file: first and largest value."""
+    lines = []
+    for use in uses:
+        rows = layout.sheet.rows[layout.first :]
+        cells = [cells[use.place] for _, cells in rows if use.place < len(cells)]
+        found = [cell for cell in cells if number_of(cell) is not None]
+        if found:
+            largest = max(found, key=lambda cell: abs(number_of(cell) or 0.0))
+            lines.append(
+                f"column {use.place + 1} {use.text!r}: first {_text(found[0])}, "
+                f"largest {_text(largest)}"
+            )
+    return lines
+
+
+def number_of(cell: Cell) -> float | None:
+    """Return the size of what stands in a cell, in whatever unit; None for words."""
+    for mark in (".", ","):
+        if measure := parse(cell, mark, ANGLE):
+            return float(measure.value)
+    return None
 
 
 def _of_sheet(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) -> Layout | None:
@@ -153,7 +194,7 @@ def _of_sheet(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str])
             for header in headers:
                 layout = _of_heads(sheet, header, heads, named)
                 if layout and (best is None or layout.rank > best.rank):
-                    best = replace(layout, first=row + below)
+                    best = replace(layout, first=row + below, form=texts_of(sheet.rows[row][1]))
     if best is None:
         return None
     return replace(best, length_unit=_stated_unit(sheet, best.first))
@@ -177,11 +218,14 @@ def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
         return
     yield heads, 1
     second = [_text(cell) for cell in below]
-    if heads and second and all(isinstance(cell, str) for cell in below):
-        filled, joined = "", dict[int, Heading]()
+    if heads and second and not any(number_of(cell) is not None for cell in below):
+        above, joined = Heading(""), dict[int, Heading]()
         for place, text in enumerate(second):
-            filled = _text(cells[place]) or filled if place < len(cells) else filled
-            joined[place] = Heading.of(f"{filled} {text}".strip())
+            above, own = heads.get(place, above), Heading.of(text)
+            joined[place] = Heading(
+                f"{above.text} {text}".strip(), f"{above.name} {own.name}".strip(),
+                own.units or above.units,
+            )  # fmt: skip
         yield {place: head for place, head in joined.items() if head.text}, 2
 
 
@@ -193,28 +237,37 @@ def _of_heads(
 ) -> Layout | None:
     columns = [TableColumn.of(name) for name in header]
     wanted = {column.name: column for column in columns}
-    uses, doubled = dict[str, Use](), None
-    for place, head in heads.items():
-        meant = _meant(head, wanted, named)
+    uses, rivals = dict[str, Use](), dict[str, list[Use]]()
+    others = {place: head for place, head in heads.items() if place != min(heads)}
+    alone = not any(_meant(head, place, wanted, named) for place, head in others.items())
+    corner = _corner(heads, wanted, named) if alone else None
+    for place, head in (others if corner else heads).items():
+        meant = _meant(head, place, wanted, named)
+        use = Use(place, head.text, head.units)
         name = next((name for name in meant if name not in uses), "")
         if name:
-            uses[name] = Use(place, head.text, head.units)
+            uses[name] = use
         elif meant and meant[0] not in (DIRECTION, RUN):
-            doubled = doubled or (meant[0], uses[meant[0]].text, head.text)
-    corner = None if uses else _corner(heads, wanted, named)
+            rivals.setdefault(meant[0], [uses[meant[0]]]).append(use)
     if corner:
         uses[corner.name] = Use(min(heads), heads[min(heads)].text)
-    if not uses:
-        return None
-    missing = [c for c in columns if c.name not in uses and not _by_angle(c, uses)]
+    uses = _with_roles(uses, wanted, named)
+    rivals = {name: found for name, found in rivals.items() if name in {*uses, *wanted}}
     left = {
         place: h for place, h in heads.items() if place not in {u.place for u in uses.values()}
     }
-    matrix = _matrix(missing, left, columns, corner.units if corner else ())
+    missing = [c for c in columns if c.name not in uses and not _otherwise(c, uses)]
+    units = heads[min(heads)].units if min(heads) in left else ()
+    matrix = _matrix(missing, left, columns, uses, corner.units if corner else units)
     if matrix:
         missing = []
         taken = {use.place for cells in matrix for use in cells.uses.values()}
         left = {place: head for place, head in left.items() if place not in taken}
+        of_runs = TABLE_ANGLE in matrix[0].labels and RUN not in uses
+        if of_runs and min(left, default=-1) == min(heads):
+            uses[RUN] = Use(min(heads), left.pop(min(heads)).text)  # of the rows, if they say so
+    elif not uses:
+        return None
     return Layout(
         sheet,
         header,
@@ -222,22 +275,63 @@ def _of_heads(
         tuple(matrix),
         aside=tuple(head.text for head in left.values()),
         missing=tuple(column.header for column in missing),
-        doubled=doubled,
+        others=tuple(
+            Use(place, head.text, head.units)
+            for place, head in left.items()
+            if len(head.units) == 1 and quantity_of(head.units[0]) == ANGLE
+        ),
+        doubled=next(((name, tuple(found)) for name, found in rivals.items()), None),
         head=tuple(head.text for head in heads.values()),
     )
 
 
-def _by_angle(column: TableColumn, uses: Mapping[str, Use]) -> bool:
+def _with_roles(
+    uses: dict[str, Use], wanted: Mapping[str, TableColumn], named: Mapping[str, str]
+) -> dict[str, Use]:
+    """Return the uses with commanded and measured angles in the place of what they stand for.
+
+    A column of reference angles is the measured one beside a commanded one, and the commanded
+    one beside a measured one. Where no deviation is wanted, measured angles are those of the
+    table if no others are.
+    """
+    reference = uses.pop(REFERENCE, None)
+    angle = uses.get(TABLE_ANGLE)
+    if reference and ACTUAL in uses and angle is None:
+        angle = uses[TABLE_ANGLE] = reference
+    elif reference and ACTUAL not in uses and (angle is None or is_commanded(angle.text)):
+        uses[ACTUAL] = reference
+    elif reference and angle and "deviation" in uses:
+        uses[ACTUAL] = reference  # only to be checked
+    if "deviation" in wanted:
+        if ACTUAL in named and "deviation" not in named:
+            uses.pop("deviation", None)
+        if "deviation" in named:
+            uses.pop(ACTUAL, None)
+        return uses
+    measured = uses.pop(ACTUAL, None)
+    if measured and angle is None and "position" in wanted:
+        uses[TABLE_ANGLE] = measured
+    return {name: use for name, use in uses.items() if name not in DIFFERENCE}
+
+
+def _otherwise(column: TableColumn, uses: Mapping[str, Use]) -> bool:
+    """Return whether other columns stand for one."""
+    if column.name == "deviation":
+        return TABLE_ANGLE in uses and not uses.keys().isdisjoint(DIFFERENCE)
     return column.name == "position" and TABLE_ANGLE in uses
 
 
 def _meant(
-    head: Heading, wanted: Mapping[str, TableColumn], named: Mapping[str, str]
+    head: Heading, place: int, wanted: Mapping[str, TableColumn], named: Mapping[str, str]
 ) -> list[str]:
-    """Return which of the wanted columns, or of those beside a position, a heading means."""
-    chosen = [name for name, text in named.items() if folded(text) == folded(head.text)]
+    """Return which of the wanted columns, or of those beside them, a heading means."""
+    chosen = [n for n, text in named.items()
+              if text == f"#{place + 1}" or folded(text) == folded(head.text)]  # fmt: skip
+    beside = (BESIDE if "position" in wanted else frozenset()) | (
+        DIFFERENCE if wanted.keys() & {"deviation", "position"} else frozenset()
+    )
     if chosen:
-        return [name for name in chosen if name in wanted or name in BESIDE]
+        return [name for name in chosen if name in wanted or name in beside]
     quantities = {quantity_of(unit) for unit in head.units}
     own = [
         name
@@ -245,9 +339,10 @@ def _meant(
         if folded(name) == folded(head.name) and (not quantities or column.quantity in quantities)
     ]
     known = [name for name in (*own, *columns_of(head)) if name not in named]
+    if "deviation" not in wanted and "target" in known and not head.units:
+        known = ["target"]
     if "ball" in known:
         known.append("ball_step")
-    beside = BESIDE if "position" in wanted else ()
     return [name for name in known if name in wanted or name in beside]
 
 
@@ -256,9 +351,10 @@ def strange_unit(layout: Layout) -> tuple[str, str, str] | None:
     wanted = {column.name: column for column in map(TableColumn.of, layout.missing)}
     for text in layout.aside:
         if found := IN_BRACKETS.fullmatch(plain(text)):
-            for name in _meant(Heading(text, found[1]), wanted, {}):
+            for name in _meant(Heading(text, found[1]), -1, wanted, {}):
                 quantity = wanted[name].quantity if name in wanted else ANGLE
-                if quantity and name not in (DIRECTION, RUN):
+                known = {quantity_of(unit) for unit in units_of(found[2])}
+                if quantity and quantity not in known and name not in (DIRECTION, RUN):
                     return text, found[2], quantity
     return None
 
@@ -272,7 +368,7 @@ def _corner(
     """
     first = heads[min(heads)]
     rows, apart, across = CORNER.sub("/", first.name).partition("/")
-    names = _meant(Heading(rows, rows.strip()), wanted, named) if apart else []
+    names = _meant(Heading(rows, rows.strip()), -1, wanted, named) if apart else []
     if not names:
         return None
     angles = TABLE_ANGLE in columns_of(Heading(across, across.strip(), first.units))
@@ -283,32 +379,58 @@ def _matrix(
     missing: Sequence[TableColumn],
     left: Mapping[int, Heading],
     columns: Sequence[TableColumn],
+    uses: Mapping[str, Use],
     label_units: tuple[str, ...],
 ) -> list[Cells]:
     """Return the cells of a matrix: one key and all values are missing, their heads are labels.
 
-    ``label_units``: of labels that are table angles.
+    A label is any word with a number, the same word for all, or a table angle; a direction may
+    stand beside it. Where no key is missing, it is the run. ``label_units``: of labels that are
+    table angles.
     """
-    keys = [column for column in missing if not column.quantity and column.name not in TEXTS]
+    names = {column.name for column in columns}
+    keys = [column.name for column in missing if not column.quantity and column.name not in TEXTS]
     values = [column for column in missing if column.quantity not in ("", TIME)]
-    if len(keys) != 1 or len(values) + 1 != len(missing) or not values:
+    if not keys and "position" in names:
+        keys = [DIRECTION if RUN in uses else RUN]
+    if len(keys) != 1 or not values:
         return []
-    if {c.name for c in values} != {c.name for c in columns if c.quantity not in ("", TIME)}:
+    measured = {column.name for column in columns if column.quantity not in ("", TIME)}
+    if {c.name for c in missing} - {*keys} != measured or measured != {c.name for c in values}:
         return []
-    key, groups = keys[0], dict[tuple[Cell, int], dict[str, Use]]()
+    kinds = {ACTUAL: ANGLE, **{value.name: value.quantity for value in values}}
+    words = dict[str, dict[tuple[object, int], tuple[dict[str, Cell], dict[str, Use]]]]()
     for place, head in left.items():
         name, text = _value_of(head, values)
-        units = label_units or tuple(u for u in head.units if quantity_of(u) == ANGLE)
-        if units and name and key.name == "position":
-            label: Cell | None = f"{text.rstrip('°')} {units[0]}"
-        else:
-            label = _label(text, key.name, values) if name else None
-        if label is not None:
-            of_value = () if units else head.units
-            time = sum(name in uses for (other, _), uses in groups.items() if other == label)
-            groups.setdefault((label, time), {})[name] = Use(place, head.text, of_value)
-    whole = [(label, uses) for (label, _), uses in groups.items() if len(uses) == len(values)]
-    return [Cells(key.name, label, uses) for label, uses in whole] if len(whole) > 1 else []
+        word, labels = _labels(text, keys[0], label_units or head.units, values)
+        if not (name and labels):
+            continue
+        own = () if " " in str(labels.get(TABLE_ANGLE, "")) else head.units
+        if any(quantity_of(unit) != kinds[name] for unit in own):
+            continue
+        groups, key = words.setdefault(folded(word), {}), tuple(labels.items())
+        name = (
+            ACTUAL if name == "deviation" and ACTUAL in columns_of(Heading(word, word)) else name
+        )
+        time = sum(name in found for (other, _), (_, found) in groups.items() if other == key)
+        of_label = groups.setdefault((key, time), (labels, {}))[1]
+        of_label[name] = Use(place, head.text, own)
+    found = {
+        word: [Cells(labels, of, Use(-1, next(iter(of.values())).text))
+               for labels, of in groups.values() if len(of) == len(values)]
+        for word, groups in words.items()
+    }  # fmt: skip
+    whole = {
+        word: cells
+        for word, cells in found.items()
+        if len(cells) > 1 and (uses or all(DIRECTION in each.labels for each in cells))
+    }
+    known = {w: c for w, c in whole.items() if keys[0] in columns_of(Heading(w, w)) or len(w) < 2}
+    return next(iter(whole.values())) if len(whole) == 1 else _only(known)
+
+
+def _only(words: Mapping[str, list[Cells]]) -> list[Cells]:
+    return next(iter(words.values())) if len(words) == 1 else []
 
 
 def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
@@ -321,21 +443,29 @@ def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
     return (folded(found[0]), rest) if len(found) == 1 else ("", "")
 
 
-def _label(text: str, key: str, values: Sequence[TableColumn]) -> Cell | None:
-    """Return the label of a target, ball or position at the head of a matrix's column.
+def _labels(
+    text: str, key: str, units: Sequence[str], values: Sequence[TableColumn]
+) -> tuple[str, dict[str, Cell]]:
+    """Return the word of a label, and what it says by column; nothing where it says nothing.
 
-    A number, alone or behind a word for it; a table angle is a text with its unit.
+    That is a number behind any word, or a table angle, and perhaps a direction.
     """
-    found = label_of(text)
-    if found is None:
-        angle = text.strip().endswith("°") and key == "position"
-        return text.strip() if angle else None
-    word, number = found
-    names = columns_of(Heading(word, word))
-    meant = {key, *(value.name for value in values)} | ({"ball"} if key == "ball_step" else set())
-    if len(word) <= 1 or meant.intersection(names):
-        return float(number)
-    return None
+    parts = [part.strip("()[],;") for part in _ARROW.sub(r" \1 ", text).split()]
+    ways = [part for part in parts if is_down(part) is not None and not part[-1:].isdigit()]
+    way: dict[str, Cell] = {DIRECTION: ways[0]} if len(ways) == 1 else {}
+    rest = " ".join(part for part in parts if part not in way.values())
+    bare = rest.rstrip("°").strip()
+    if key == "position" and number_of(bare) is not None:
+        angles = [unit for unit in units if quantity_of(unit) == ANGLE]
+        theirs = angles and (values[0].quantity != ANGLE or angles[0] in _COARSE)
+        unit = "°" if bare != rest else f" {angles[0]}" if theirs else ""
+        if unit or way or values[0].name == "deviation":
+            return "", {TABLE_ANGLE: f"{bare}{unit}", **way}
+    nothing_else = not rest or "deviation" in columns_of(Heading(rest, rest))
+    if way and nothing_else and key in (DIRECTION, RUN):
+        return rest, way
+    found = label_of(rest)
+    return (found[0], {key: float(found[1]), **way}) if found else ("", {})
 
 
 def _stated_unit(sheet: Sheet, before: int) -> str:

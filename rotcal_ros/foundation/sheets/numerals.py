@@ -23,10 +23,13 @@ _GROUPED: Final = {
     mark: re.compile(rf"[-+]?\d{{1,3}}(?:{re.escape(other)}\d{{3}})+(?:{re.escape(mark)}\d*)?")
     for mark, other in ((".", ","), (",", "."))
 }
-_SEXAGESIMAL: Final = re.compile(
-    r"""([-+]?)\s*(\d+)\s*[°d:]\s*(?:(\d+(?:\.\d*)?)\s*['′m:]?\s*"""
-    r"""(?:(\d+(?:\.\d*)?)\s*(?:"|′′|''|s)?)?)?"""
-)
+_SEXAGESIMAL: Final = {
+    mark: re.compile(
+        r"""([-+]?)\s*(\d+)\s*([°d:\s])\s*(?:(\d+(?:M\d*)?)\s*['′m:\s]?\s*"""
+        r"""(?:(\d+(?:M\d*)?)\s*(?:"|''|′′|s)?)?)?""".replace("M", re.escape(mark))
+    )
+    for mark in (".", ",")
+}
 _MEASURE: Final = re.compile(r"(.*?\d\.?)\s*([^\d\s.,+-].*)", re.DOTALL)
 
 
@@ -47,15 +50,17 @@ def in_si(measure: Measure, unit: str) -> Decimal:
 def parse(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
     """Return the number in a cell whose decimal mark is ``mark``; None if there is none.
 
-    For an angle 12°30'15" and 12:30:15 are numbers too, for a time a date of ISO 8601.
+    For an angle 12°30'15" is a number too, and 12:30:15, which may be a time, has the unit dms;
+    for a time 12:30:15 and a date of ISO 8601 are.
     """
     if not isinstance(cell, str):
         return Measure(Decimal(repr(cell))) if cell - cell == 0.0 else None
     text = plain(cell)
     if (value := _decimal(text, mark)) is not None:
         return Measure(value)
-    if quantity == ANGLE and (value := _degrees(text.replace(mark, "."))) is not None:
-        return Measure(value, "deg")
+    if quantity in (ANGLE, TIME) and (found := _sexagesimal(text, mark)):
+        value, sure = found
+        return Measure(value, "h" if quantity == TIME else "deg" if sure else "dms")
     if quantity == TIME and (value := _moment(text)) is not None:
         return Measure(value, "s")
     apart = _MEASURE.fullmatch(text)
@@ -75,7 +80,9 @@ def decimal_marks(cells: Iterable[Cell]) -> frozenset[str]:
     for cell in cells:
         if isinstance(cell, str) and ("," in cell or "." in cell):
             text = plain(cell)
-            able = {mark for mark in (".", ",") if _decimal(_number_in(text), mark) is not None}
+            able = {mark for mark in (".", ",") if _sexagesimal(text, mark)} or {
+                mark for mark in (".", ",") if _decimal(_number_in(text), mark) is not None
+            }
             marks &= able or marks
     return frozenset(marks)
 
@@ -98,15 +105,16 @@ def _decimal(text: str, mark: str) -> Decimal | None:
     return Decimal(re.sub(f"[{_SPACES}]", "", text).lower().replace("d", "e"))
 
 
-def _degrees(text: str) -> Decimal | None:
-    found = _SEXAGESIMAL.fullmatch(text)
+def _sexagesimal(text: str, mark: str) -> tuple[Decimal, bool] | None:
+    """Return a number in 60ths, and whether signs of degrees tell so; None if it is none."""
+    found = _SEXAGESIMAL[mark].fullmatch(text)
     if found is None:
         return None
-    minutes, seconds = (Decimal(part or 0) for part in found.group(3, 4))
+    minutes, seconds = (Decimal((part or "0").replace(mark, ".")) for part in found.group(4, 5))
     if minutes >= 60 or seconds >= 60:
         return None
     value = Decimal(found[2]) + minutes / 60 + seconds / 3600
-    return -value if found[1] == "-" else value
+    return -value if found[1] == "-" else value, found[3] in "°d"
 
 
 def _moment(text: str) -> Decimal | None:

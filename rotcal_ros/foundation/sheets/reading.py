@@ -9,38 +9,50 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from itertools import pairwise
 from math import pi, remainder
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, Question
+from rotcal_ros.foundation.errors import (
+    BagError,
+    ConfigurationError,
+    DataError,
+    Question,
+    UndecidedError,
+)
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.settings import expert, setting
-from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
+from rotcal_ros.foundation.sheets.deviations import NEAR, Angles, StatedDeviations
+from rotcal_ros.foundation.sheets.files import Cell, Sheet, TimeCell, sheets
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings, remembered
 from rotcal_ros.foundation.sheets.layout import (
     BESIDE,
     CORNER,
     TEXTS,
     Layout,
-    TableColumn,
     Use,
     best_layout,
+    number_of,
+    side_by_side,
     strange_unit,
 )
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, is_repeated, passes
 from rotcal_ros.foundation.sheets.words import (
+    ACTUAL,
     ANGLE,
     DIRECTION,
     LENGTH,
+    REVERSED,
     RUN,
     SMALL_ANGLES,
     TABLE_ANGLE,
     TIME,
     UNITS,
     Heading,
+    TableColumn,
     answer,
     columns_of,
     folded,
@@ -50,65 +62,32 @@ from rotcal_ros.foundation.sheets.words import (
     kind_of,
     known_columns,
     label_of,
+    option,
+    undecided,
 )
 from rotcal_ros.foundation.tables import Header, Table, own_table
 from rotcal_ros.foundation.units import DEGREE
 
-UNIT_SETTINGS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
-"""Quantity -> the setting of its unit, for columns that state none."""
+_OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
+"""Columns as messages call them."""
+_SMALL: Final = ("arcsec", "urad", "deg")
+_USUAL: Final = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
+"""Likely units of deviations and readings, and of other columns."""
+_UNIT_SETTINGS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
 _LOOKED_AT: Final = 100
 """Rows among which the head of a table that cannot be understood is guessed."""
+_SHOWN: Final = 6
+"""Columns that are shown side by side."""
+_OFFERED: Final = 4
+"""Columns of which a message names the option; a page has a button for all."""
 _Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
 """Its number, and its cells by column."""
 _NO_KEYS: Final = frozenset({"position", "segment"})
 """Columns of numbers that do not identify what was measured."""
-_NEAR: Final = 0.25
-"""Share of the smallest step of the table within which an angle is the planned one."""
+READ_OUT: Final = 0.01 * DEGREE
+"""Noise of a read-out of table angles, rad; angles that differ by more are different ones."""
 _SAME_ANGLE: Final = 1e-9
 """Radians by which two readings of the same angle may differ."""
-
-
-@dataclass(frozen=True)
-class SheetSettings:
-    """How a table of numbers is read, where the table does not say so itself."""
-
-    length_unit: str = setting(
-        "", doc="unit of lengths whose column states none", choices=("", *UNITS[LENGTH])
-    )
-    angle_unit: str = setting(
-        "", doc="unit of angles whose column states none", choices=("", *UNITS[ANGLE])
-    )
-    time_unit: str = expert(
-        "", doc="unit of times whose column states none", choices=("", *UNITS[TIME])
-    )
-    decimal: str = expert(
-        "", doc="decimal mark, a point or a comma; empty: as the numbers show",
-        choices=("", ".", ","),
-    )  # fmt: skip
-    counted_from: str = expert(
-        "", doc="number of the first position and of the first target; empty: as the numbers show",
-        choices=("", "0", "1"),
-    )  # fmt: skip
-    columns: tuple[str, ...] = setting(
-        (), doc="columns by the text at their head where that says nothing, as length=Messwert"
-    )
-    name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
-
-    def named(self) -> dict[str, str]:
-        """Return column of ours -> text at its head; ConfigurationError for an entry without."""
-        found = {}
-        for entry in self.columns:
-            name, _, text = (part.strip() for part in entry.partition("="))
-            if not name or not text:
-                raise ConfigurationError(
-                    f"sheet.columns: {entry!r}: expected COLUMN=TEXT, as length=Weg"
-                )
-            found[TableColumn.of(name).name] = text
-        return found
-
-
-AS_IT_STANDS: Final = SheetSettings()
-"""For a table that states everything itself."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +120,9 @@ class Reading:
     of our own form, which is read as it stands. ``beside``: other tables that were read for it.
     ``uses`` maps our columns without their units, or TABLE_ANGLE, to where they are, unless that
     is a matrix; ``head`` are the texts at the head of the table. ``passes`` are those of the rows
-    where the table came to its angles more than once.
+    where the table came to its angles more than once. ``sources`` say where targets and table
+    angles are from, ``stated`` what a person said of the table; ``form_head`` is its head as it
+    stands, by which tables of the same form are known.
     """
 
     table: Table
@@ -158,13 +139,17 @@ class Reading:
     uses: Mapping[str, Use] = field(default_factory=dict)
     head: tuple[str, ...] = ()
     passes: tuple[Pass, ...] = ()
+    sources: tuple[str, ...] = ()
+    stated: SheetSettings = AS_IT_STANDS
+    form_head: tuple[str, ...] = ()
 
     def line(self) -> str:
-        """Return it in one line; empty for a table of our own form."""
+        """Return it in one line; empty for a table of our own form that states everything."""
         if not self.form:
-            return ""
+            sources = "; ".join(self.sources)
+            return f"{self.table.path} (our own form): {sources}" if sources else ""
         columns = ", ".join(f"{ours} = {theirs}" for ours, theirs in self.columns.items())
-        parts = [f"{self.table.path} ({self.form}): {columns}", *self.remarks]
+        parts = [f"{self.table.path} ({self.form}): {columns}", *self.remarks, *self.sources]
         if self.aside:
             parts.append(f"not needed: {', '.join(self.aside)}")
         if self.left_out:
@@ -176,11 +161,14 @@ class Reading:
         """Return it in full, for ``--explain``."""
         if not self.form:
             header = ", ".join(self.table.header)
-            return [f"{self.table.path}: a table of our own form, read as it stands: {header}"]
+            return [
+                f"{self.table.path}: a table of our own form, read as it stands: {header}",
+                *(f"  {source}" for source in self.sources),
+            ]
         return [
             f"{self.table.path}: {self.form}, {len(self.table.lines)} rows",
             *(f"  {ours:<16} {theirs}" for ours, theirs in self.columns.items()),
-            *(f"  {remark}" for remark in self.remarks),
+            *(f"  {remark}" for remark in (*self.remarks, *self.sources)),
             *([f"  not needed: {', '.join(self.aside)}"] if self.aside else []),
             *(f"  row {row} left out: {why}" for row, why in self.left_out),
             *(line for other in self.beside for line in other.lines()),
@@ -202,10 +190,10 @@ def read_any(
     own = own_table(source, headers)
     if own is not None:
         return Reading(own)
-    named = settings.named()
     if isinstance(source, Table):
         path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
     else:
+        settings = remembered(source, settings)
         path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
     if not found:
         names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
@@ -213,13 +201,15 @@ def read_any(
             f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
             f"{', '.join(names)}"
         )
+    named = settings.named()
     layout = best_layout(found, headers, named, str(path))
     _require_named(path, headers, named, layout.head if layout else _likely_head(found))
     if layout is None or layout.missing:
         raise _not_understood(path, headers, layout, found)
     reading = _Rows(path, layout, settings, known()).read()
     in_memory = isinstance(source, Table) and source.in_memory
-    return replace(reading, table=replace(reading.table, in_memory=in_memory))
+    table = replace(reading.table, in_memory=in_memory)
+    return replace(reading, table=table, stated=settings, form_head=layout.form)
 
 
 def _require_named(
@@ -228,11 +218,13 @@ def _require_named(
     """Raise ConfigurationError for a column that is not known, BagError for a heading too few."""
     ours = {TableColumn.of(name).name for header in headers for name in header}
     ours |= BESIDE if "position" in ours else set()
+    ours |= {ACTUAL, REVERSED} if "deviation" in ours else set()
     there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
     for name, text in named.items():
         if name not in ours.union(known_columns()):
             raise ConfigurationError(f"sheet.columns: no column {name!r}{nearest(name, ours)}")
-        if name in ours and folded(text) not in there:
+        numbered = text[:1] == "#" and text[1:].isdigit()
+        if name in ours and folded(text) not in there and not numbered:
             raise BagError(
                 f"{path}: sheet.columns: no column is called {text!r}{nearest(text, head)}"
             )
@@ -246,7 +238,9 @@ def _not_understood(
         return BagError(
             f"{path}: no row names the columns: expected {expected}, in any form and language: "
             "add a line of names above the numbers",
-            question=_which_column(headers[0][0], _likely_head(grids)),
+            question=_which_column(
+                dict.fromkeys(_likely_head(grids), TableColumn.of(headers[0][0]).name)
+            ),
         )
     if strange := strange_unit(layout):
         text, unit, quantity = strange
@@ -257,19 +251,30 @@ def _not_understood(
         )
     found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
-    name = TableColumn.of(layout.missing[0]).name
+    angles = layout.missing[0] == "position" and len(layout.header) == 2
+    name = TABLE_ANGLE if angles else TableColumn.of(layout.missing[0]).name
+    uses = [Use(place, text) for place, text in enumerate(layout.head)]
+    numbers = [use for use in uses if side_by_side(layout, [use])]
+    likely = [use.text for use in numbers if use.text in layout.aside] or [u.text for u in numbers]
+    angle = layout.uses.get(TABLE_ANGLE)
+    same = {u.text for u in layout.others if angle and u.units == angle.units}
+    means = {text: ACTUAL if name == "deviation" and text in same else name for text in likely}
+    advice = [answer(means[text], text) for text in likely[:_OFFERED]] or [
+        answer(name, "ITS NAME")
+    ]
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
         f"'{','.join(layout.header)}', in any unit and order. State a column with another name by "
-        f"{answer(name, 'ITS NAME')}",
-        question=_which_column(layout.missing[0], layout.aside),
+        f"{' or '.join(advice)}",
+        "\n".join(side_by_side(layout, uses)),
+        _which_column(means),
     )
 
 
-def _which_column(header: str, texts: Sequence[str]) -> Question | None:
+def _which_column(means: Mapping[str, str]) -> Question | None:
     """Return the question which of these texts stands at the head of a column of ours."""
-    name = TableColumn.of(header).name
-    return Question("sheet.columns", tuple((f"{name}={t}", t) for t in texts)) if texts else None
+    answers = tuple((f"{name}={text}", text) for text, name in means.items())
+    return Question("sheet.columns", answers) if answers else None
 
 
 def _likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
@@ -281,6 +286,11 @@ def _likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
         if not any(map(_is_number, cells)) and sum(map(_is_number, below)) > 1
     ]
     return max(rows, key=len, default=())
+
+
+def unit_setting(name: str, quantity: str) -> str:
+    """Return the setting of the unit of a column that states none."""
+    return "sheet." + ("reading_unit" if name in SMALL_ANGLES else _UNIT_SETTINGS[quantity])
 
 
 class _Rows:
@@ -367,8 +377,12 @@ class _Rows:
         if first and first is texts[0] and is_summary(first):
             return phrase("a line about others ({0})", first)
         if len(texts) == 1 and not _is_number(texts[0]):
+            if str(texts[0])[:1].isdigit():
+                return phrase("one cell alone ({0})", str(texts[0])[:40])
             return phrase("a line of text ({0})", str(texts[0])[:40])
-        values = {c.name for c in self._columns if c.quantity not in ("", TIME)}
+        if self._of_runs() and label_of(_text(cells[self._layout.uses[RUN].place])) is None:
+            return phrase("no run ({0})", _text(cells[self._layout.uses[RUN].place])[:40])
+        values = {c.name for c in self._columns if c.quantity not in ("", TIME)} | {ACTUAL}
         uses = self._layout.uses.items()
         measured = [cells[use.place] for name, use in uses if name in values]
         if any(map(_is_nothing, measured)):
@@ -377,6 +391,11 @@ class _Rows:
         if measured and keys and all(map(_is_nothing, keys)):
             return phrase("values that belong to nothing")
         return None
+
+    def _of_runs(self) -> bool:
+        """Return whether each row is a run, and the columns are table angles."""
+        matrix = self._layout.matrix
+        return bool(matrix) and TABLE_ANGLE in matrix[0].labels and RUN in self._layout.uses
 
     def _all_uses(self) -> list[Use]:
         in_matrix = [use for cells in self._layout.matrix for use in cells.uses.values()]
@@ -390,34 +409,29 @@ class _Rows:
         for group in self._layout.matrix:
             values = {name: (cells[use.place], use) for name, use in group.uses.items()}
             if not any(_is_nothing(cell) for cell, _ in values.values()):
-                angle = group.column == "position" and isinstance(group.label, str)
-                label = {TABLE_ANGLE if angle else group.column: (group.label, Use(-1, "head"))}
-                yield own | label | values
+                use = group.label_use
+                yield own | {n: (cell, use) for n, cell in group.labels.items()} | values
 
     def _mark(self, rows: Sequence[Mapping[str, tuple[Cell, Use]]]) -> str:
         """Return the decimal mark; DataError where no number shows it, or some show another."""
         if self._settings.decimal:
             return self._settings.decimal
-        measured = {c.name for c in self._columns if c.quantity} | {TABLE_ANGLE}
+        measured = {c.name for c in self._columns if c.quantity} | {TABLE_ANGLE, ACTUAL, REVERSED}
         cells = [cell for row in rows for name, (cell, _) in row.items() if name in measured]
         marks = decimal_marks(cells)
         with_comma = next((c for c in cells if isinstance(c, str) and "," in c), None)
         if len(marks) == 1:
             return next(iter(marks))
-        if not marks:
-            raise DataError(
-                f"{self._path}: some numbers have decimal points and some decimal commas: say "
-                "which it is: --set sheet.decimal=. or --set sheet.decimal=,",
-                question=_decimal_mark(".", ","),
-            )
-        if with_comma is None:
+        if marks and with_comma is None:
             return "."
-        read = (parse(with_comma, mark) for mark in (".", ","))
-        point, comma = (str(measure and measure.value) for measure in read)
-        raise DataError(
-            f"{self._path}: {with_comma} is {point} with a decimal point, and {comma} with a "
-            "decimal comma: say which: --set sheet.decimal=. or --set sheet.decimal=,",
-            question=_decimal_mark(f"{with_comma} = {point}", f"{with_comma} = {comma}"),
+        point, comma = (_as_read(with_comma, mark) for mark in ".,")
+        found = f"{with_comma} is {point} with a decimal point, and {comma} with a decimal comma"
+        if not marks:
+            found = "some numbers have decimal points and some decimal commas"
+        raise undecided(
+            f"{self._path}: {found}",
+            "sheet.decimal",
+            [(".", f"{with_comma} = {point}"), (",", f"{with_comma} = {comma}")],
         )
 
     def _column(
@@ -428,6 +442,17 @@ class _Rows:
     ) -> list[str]:
         """Return our cells of a column."""
         name = column.name
+        if name == "deviation":
+            return self._deviations(rows, mark)
+        bare = name in rows[0][1] and not self._by_angles(name)
+        if name == "position" and bare and "deviation_rad" in self._layout.header:
+            text = self._layout.uses[name].text
+            raise undecided(
+                f"{self._path}: {text!r} may be table angles or numbers of positions, and the "
+                "angles are needed",
+                "sheet.columns",
+                [(f"{TABLE_ANGLE}={text}", "table angles")],
+            )
         if name not in rows[0][1] or self._by_angles(name):
             return self._positions(rows, mark)
         cells = [(number, *row[name]) for number, row in rows]
@@ -456,52 +481,135 @@ class _Rows:
         planned = dict(enumerate(self._known.get("position", Known()).angles))
         if not planned:
             return
-        near = _NEAR * _smallest_step(tuple(planned.values()))
         for text, (number, cell, use) in zip(numbers, cells, strict=True):
             expected = planned.get(int(text or -1))
             if expected is None or _is_nothing(cell):
                 continue
-            angle = float(self._in_si((number, cell, use), "table angle", ANGLE, mark))
-            if abs(remainder(angle - expected, 2.0 * pi)) > near:
-                raise DataError(
-                    f"{self._path}, row {number}: position {text} is planned at "
-                    f"{expected / DEGREE:g} degrees, and the table says {_text(cell)}: does the "
-                    "set-up belong to this table?"
+            angle = float(self._in_si((number, cell, use), TABLE_ANGLE, ANGLE, mark))
+            if abs(remainder(angle - expected, 2.0 * pi)) > self._near(tuple(planned.values())):
+                raise self._other_angles(
+                    number, angle, expected, f"position {text} is planned at {expected / DEGREE:g}"
                 )
+
+    def _near(self, planned: Sequence[float]) -> float:
+        """Return by how much (rad) a table angle may be off a planned one that stands for it."""
+        return NEAR * _smallest_step(planned) if self._settings.angles == "plan" else READ_OUT
+
+    def _other_angles(self, row: int, angle: float, planned: float, what: str = "") -> DataError:
+        """Return the question whether the angles of the table count, or those of the plan."""
+        found = (
+            f"{self._path}, row {row}: the table angle {angle / DEGREE:.9g} degrees is not in the "
+            f"plan; {what or f'the nearest there is {planned / DEGREE:.9g}'} degrees"
+        )
+        if self._settings.angles:
+            return DataError(f"{found}: correct the row, or the angles of the plan")
+        return undecided(
+            found,
+            "sheet.angles",
+            [
+                ("table", f"{angle / DEGREE:.9g} degrees, as the table says"),
+                ("plan", f"{planned / DEGREE:.9g} degrees, as the plan says"),
+            ],
+        )
+
+    def _deviations(self, rows: Sequence[_Row], mark: str) -> list[str]:
+        """Return actual - commanded (rad), of the columns that say so."""
+        names = {"deviation", ACTUAL, REVERSED, TABLE_ANGLE} & rows[0][1].keys()
+        columns = {name: self._angles(name, rows, mark) for name in names}
+        commanded = columns[TABLE_ANGLE].values if TABLE_ANGLE in columns else ()
+        found, remark = StatedDeviations(
+            f"{self._path}: ",
+            [number for number, _ in rows],
+            columns,
+            side_by_side(self._layout, [*self._all_uses(), *self._layout.others][:_SHOWN]),
+            _smallest_step([float(angle) for angle in commanded]) if commanded else 2.0 * pi,
+            self._others(rows, mark) if "deviation" not in self._settings.named() else (),
+            self._settings.values,
+            REVERSED in self._settings.named(),
+        ).read()
+        self._remarks += [remark] if remark else []
+        return list(map(str, found))
+
+    def _others(self, rows: Sequence[_Row], mark: str) -> list[Angles]:
+        """Return the columns of angles with names of no meaning to us, where all are numbers."""
+        cells = dict(self._layout.sheet.rows)
+        beside = [
+            [(n, {"": (cells[n][use.place], use)}) for n, _ in rows if use.place < len(cells[n])]
+            for use in self._layout.others
+        ]
+        return [
+            self._angles("", column, mark)
+            for column in beside
+            if len(column) == len(rows) and all(parse(c[""][0], mark, ANGLE) for _, c in column)
+        ]
+
+    def _angles(self, name: str, rows: Sequence[_Row], mark: str) -> Angles:
+        """Return a column of angles in rad."""
+        use = rows[0][1][name][1]
+        cells = [_text(row[name][0]) for _, row in rows]
+        values = [Decimal(self._in_si((n, *row[name]), name, ANGLE, mark)) for n, row in rows]
+        unit = use.units[0] if len(use.units) == 1 else self._unit_elsewhere(use, ANGLE, name)
+        return Angles(use.text, cells, values, unit or "deg")
 
     def _in_si(self, cell: tuple[int, Cell, Use], name: str, quantity: str, mark: str) -> str:
         number, value, use = cell
         measure = parse(value, mark, quantity)
         if measure is None:
             raise DataError(
-                f"{self._path}, row {number}: {name} must be a number, found {_text(value)!r}: "
-                "correct it, or empty the cell where nothing was measured"
+                f"{self._path}, row {number}: {_OURS.get(name, name)} must be a number, found "
+                f"{_text(value)!r}: correct it, or empty the cell where nothing was measured"
             )
-        si = in_si(measure, measure.unit or self._unit(use, quantity, measure, name))
-        return str(si)
+        if "dms" in (measure.unit, *use.units):
+            self._require_sixtieths(number, value, measure, use, name)
+        return str(in_si(measure, measure.unit or self._unit(use, quantity, value, name)))
 
-    def _unit(self, use: Use, quantity: str, measure: Measure, name: str) -> str:
-        """Return the unit of a column; DataError, with all readings, if none is stated."""
-        units = use.units
-        if len(units) == 1:
-            return units[0]
-        if name in SMALL_ANGLES:
-            raise DataError(
-                f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value "
-                f"can be {measure.value} arcsec, urad or deg. Write the unit behind its name, as "
-                f"'{use.text} [arcsec]'"
-            )
-        if stated := self._unit_elsewhere(use, quantity):
-            return stated
-        usual = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
-        read = tuple(
-            (unit, f"{measure.value} {unit} = {float(in_si(measure, unit)):.6g} {_si(quantity)}")
-            for unit in units or usual.get(quantity, tuple(UNITS[quantity]))
+    def _require_sixtieths(
+        self, row: int, value: Cell, measure: Measure, use: Use, name: str
+    ) -> None:
+        """Raise a question where only one of heading and cell is in degrees, minutes, seconds.
+
+        A time of a workbook, or 12:30:15, may be a time of day; 12.3015 may be degrees.
+        """
+        stated = self._unit_elsewhere(use, ANGLE, name)
+        if measure.unit == "dms":
+            sure = not isinstance(value, TimeCell) and set(use.units) <= {"deg", "gon"}
+            if "dms" in (*use.units, stated) or (sure and not stated):
+                return
+            meant = "a time of day, or degrees, minutes and seconds"
+            answers = [("dms", f"{_text(value)} = {float(measure.value) * 3600:.6g} arcsec")]
+        elif measure.unit or stated or measure.value == int(measure.value):
+            return
+        else:
+            meant = "no degrees, minutes and seconds"
+            answers = [(unit, f"{_text(value)} {unit}") for unit in _SMALL]
+        raise undecided(
+            f"{self._path}, row {row}: {use.text!r} is {_text(value)}, {meant}",
+            unit_setting(name, ANGLE),
+            answers,
         )
-        setting = f"sheet.{UNIT_SETTINGS[quantity]}"
-        raise DataError(
-            f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value can "
-            f"be {', '.join(words for _, words in read)}. Say which: --set {setting}=UNIT",
+
+    def _unit(self, use: Use, quantity: str, value: Cell, name: str) -> str:
+        """Return the unit of a column; a question, with all readings, if none is stated."""
+        stated = self._unit_elsewhere(use, quantity, name)
+        if len(use.units) == 1:
+            return stated if stated and use.units == ("dms",) else use.units[0]
+        if stated:
+            return stated
+        rows = self._layout.sheet.rows[self._layout.first :]
+        cells = [cells[use.place] for _, cells in rows if 0 <= use.place < len(cells)]
+        numbers = [n for n in map(number_of, cells or [value]) if n is not None]
+        largest = Measure(Decimal(repr(max(numbers, key=abs, default=0.0))))
+        usual = _SMALL if name in SMALL_ANGLES else _USUAL.get(quantity, tuple(UNITS[quantity]))
+        read = tuple(
+            (u, f"{float(largest.value):.9g} {u} = {float(in_si(largest, u)):.6g} {_si(quantity)}")
+            for u in use.units or usual
+        )
+        setting = unit_setting(name, quantity)
+        raise UndecidedError(
+            f"{self._path}: the column {use.text!r} ({_OURS.get(name, name)}) states no unit: its "
+            f"largest value can be {', '.join(words for _, words in read)}",
+            f"say which: {option(setting, 'UNIT')}, or write it behind the name, as '{use.text} "
+            f"[{usual[0]}]'",
             question=Question(setting, read),
         )
 
@@ -513,11 +621,17 @@ class _Rows:
         known = self._known.get("position", Known())
         at = [k for k, (_, row) in enumerate(rows) if not _is_nest(row)]
         halts = closed([self._halt(*rows[k], self._angle(rows[k], mark)) for k in at])
-        angles = _distinct(known.angles or [halt.angle for halt in halts])
+        read = [halt.angle for halt in halts]
+        angles = _distinct(known.angles) if known.angles else _distinct(read, READ_OUT)
         if not known.angles:
             self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in angles)
-        near = _NEAR * _smallest_step(angles)
+        near = self._near(angles) if known.angles else READ_OUT
         halts = [replace(halt, number=self._nearest(halt, angles, near)) for halt in halts]
+        off = max((abs(remainder(h.angle - angles[h.number], 2 * pi)) for h in halts), default=0.0)
+        if off > _SAME_ANGLE:
+            self._remarks.append(
+                phrase("table angles are off by up to {0} degrees", f"{off / DEGREE:.2g}")
+            )
         found = self._visits(halts, angles, known)
         self._remarks.append(phrase("positions by their angles"))
         numbers = dict(zip(at, found, strict=True))
@@ -540,7 +654,7 @@ class _Rows:
 
     def _angle(self, row: _Row, mark: str) -> float:
         number, cells = row
-        return float(self._in_si((number, *cells[TABLE_ANGLE]), "table angle", ANGLE, mark))
+        return float(self._in_si((number, *cells[TABLE_ANGLE]), TABLE_ANGLE, ANGLE, mark))
 
     def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> Halt:
         """Return that the table stood at ``angle`` (rad) for a row; its number is open yet."""
@@ -561,11 +675,7 @@ class _Rows:
         best = min(range(len(off)), key=lambda k: (off[k] > near, abs(halt.angle - angles[k])))
         if off[best] > near:
             nearest = angles[min(range(len(off)), key=off.__getitem__)]
-            raise DataError(
-                f"{self._path}, row {halt.row}: the table angle {halt.angle / DEGREE:.9g} degrees "
-                f"is not in the plan; the nearest there is {nearest / DEGREE:g} degrees: correct "
-                "the row, or the angles of the plan"
-            )
+            raise self._other_angles(halt.row, halt.angle, nearest)
         return best
 
     def _visits(
@@ -660,10 +770,10 @@ class _Rows:
         if len(able) > 1 and not self._settings.counted_from:
             readings = (f"counted from 0, {planned[0]} was not measured",
                         "counted from 1, the last was not")  # fmt: skip
-            raise DataError(
-                f"{self._path}: {name} {min(numbers)} to {max(numbers)}: {'; '.join(readings)}. "
-                "Say which: --set sheet.counted_from=0 or --set sheet.counted_from=1",
-                question=Question("sheet.counted_from", tuple(zip("01", readings, strict=True))),
+            raise undecided(
+                f"{self._path}: {name} {min(numbers)} to {max(numbers)}: {'; '.join(readings)}",
+                "sheet.counted_from",
+                tuple(zip("01", readings, strict=True)),
             )
         if chosen == "1" and "1" in able:
             self._remarks.append(phrase("{0} counts from 1", name))
@@ -671,37 +781,47 @@ class _Rows:
 
     def _theirs(self, column: TableColumn) -> str:
         """Return in words what of theirs a column of ours is."""
-        quantity, use = column.quantity, self._layout.uses.get(column.name)
-        if self._by_angles(column.name):
-            quantity, use = ANGLE, self._layout.uses[TABLE_ANGLE]
+        name, quantity, uses = column.name, column.quantity, self._layout.uses
+        use = uses.get(name)
+        if self._by_angles(name):
+            name, quantity, use = TABLE_ANGLE, ANGLE, uses[TABLE_ANGLE]
+        if name == "deviation" and use is None and not self._layout.matrix:
+            if ACTUAL in uses and TABLE_ANGLE in uses:
+                return f"{uses[ACTUAL].text!r} - {uses[TABLE_ANGLE].text!r}"
+            use = uses[REVERSED]
         if use is None:
             groups = self._layout.matrix
-            uses = [g.uses.get(column.name) or next(iter(g.uses.values())) for g in groups]
-            use, last = uses[0], uses[-1]
+            shown = [g.uses.get(name) or next(iter(g.uses.values())) for g in groups]
+            use, last = shown[0], shown[-1]
             text: str = phrase("the matrix {0} to {1}", repr(use.text), repr(last.text))
         else:
             text = repr(use.text)
-        unit = self._unit_elsewhere(use, quantity) if quantity and len(use.units) != 1 else ""
+        unit = (
+            self._unit_elsewhere(use, quantity, name) if quantity and len(use.units) != 1 else ""
+        )
         return phrase("{0} in {1}", text, unit) if unit else text
 
-    def _unit_elsewhere(self, use: Use, quantity: str) -> str:
+    def _unit_elsewhere(self, use: Use, quantity: str, name: str) -> str:
         """Return the unit that settings, or a line above the table, state for a column."""
         above = self._layout.length_unit if quantity == LENGTH and not use.units else ""
-        return str(getattr(self._settings, UNIT_SETTINGS[quantity]) or above)
+        setting = unit_setting(name, quantity).removeprefix("sheet.")
+        return str(getattr(self._settings, setting) or above)
 
 
-def _decimal_mark(point: str, comma: str) -> Question:
-    """Return the question for the decimal mark, with what either would mean."""
-    return Question("sheet.decimal", ((".", point), (",", comma)))
+def _as_read(cell: Cell | None, mark: str) -> str:
+    """Return what a cell is where ``mark`` is the decimal mark."""
+    measure = None if cell is None else parse(cell, mark, ANGLE)
+    return f"{measure.value}" if measure else "no number"
 
 
-def _distinct(angles: Sequence[float]) -> tuple[float, ...]:
-    """Return the different angles, ascending."""
-    kept: list[float] = []
+def _distinct(angles: Sequence[float], noise: float = _SAME_ANGLE) -> tuple[float, ...]:
+    """Return the different angles, ascending; the middle one of those within ``noise`` (rad)."""
+    near: list[list[float]] = []
     for angle in sorted(angles):
-        if not kept or angle - kept[-1] > _SAME_ANGLE:
-            kept.append(angle)
-    return tuple(kept)
+        if not near or angle - near[-1][0] > noise:
+            near.append([])
+        near[-1].append(angle)
+    return tuple(each[len(each) // 2] for each in near)
 
 
 def _smallest_step(angles: Sequence[float]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import yaml
+
+from rotcal_ros.foundation.errors import Question, UndecidedError
 
 LENGTH: Final = "length"
 ANGLE: Final = "angle"
@@ -22,8 +24,14 @@ TABLE_ANGLE: Final = "angle"
 DIRECTION: Final = "direction"
 RUN: Final = "run"
 """Columns that say which visit of a table angle it was."""
-SMALL_ANGLES: Final = ("deviation", "u", "expanded", "uncertainty")
-"""Columns of reference tables, whose unit is another than that of the table angles."""
+ACTUAL: Final = "actual"
+"""A column of angles that were measured: its deviation is actual - commanded."""
+REVERSED: Final = "reversed"
+"""A column of commanded - actual, or of either sign."""
+REFERENCE: Final = "reference"
+"""A column of angles that may be the commanded or the measured ones."""
+SMALL_ANGLES: Final = ("deviation", "u", "expanded", "uncertainty", "reading", REVERSED)
+"""Columns of angles whose unit is another than that of the table angles."""
 _PI: Final = Decimal("3.14159265358979323846264338327950288")
 UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     LENGTH: {
@@ -32,7 +40,8 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     },
     ANGLE: {
         "rad": Decimal(1), "mrad": Decimal("1e-3"), "urad": Decimal("1e-6"), "deg": _PI / 180,
-        "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200, "dms": _PI / 180,
+        "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200,
+        "mgon": _PI / 200_000, "dms": _PI / 180,
     },
     TIME: {
         "s": Decimal(1), "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1e-9"),
@@ -42,10 +51,11 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
 """Quantity -> unit -> size in metres, radians, seconds."""
 _QUANTITIES: Final = {
     **dict.fromkeys(("length", "d", "x", "y", "z", "sx", "sy", "sz"), LENGTH),
-    **dict.fromkeys((TABLE_ANGLE, *SMALL_ANGLES), ANGLE),
+    **dict.fromkeys((TABLE_ANGLE, ACTUAL, REFERENCE, *SMALL_ANGLES), ANGLE),
     "time": TIME,
 }
 """TableColumn -> what it measures; all others are numbers from 0, or words."""
+_SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 _LABEL: Final = re.compile(r"(?:(\D*[^\W\d_])[\W_]*|#\s*)?([0-9]{1,9})(?:\.0*)?")
 _APART: Final = re.compile(r"[\W_]+")
 IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
@@ -54,11 +64,26 @@ _BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOT
 
 
 @dataclass(frozen=True, slots=True)
+class TableColumn:
+    """A column of ours: ``name`` without unit, what it measures; empty: a number or a text."""
+
+    header: str
+    name: str
+    quantity: str
+
+    @classmethod
+    def of(cls, header: str) -> TableColumn:
+        """Return the column with the name ``header``, as length_m."""
+        suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
+        return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
+
+
+@dataclass(frozen=True, slots=True)
 class Heading:
     """The text at the head of a column: its name and the units that it may state."""
 
     text: str
-    name: str
+    name: str = ""
     units: tuple[str, ...] = ()
 
     @classmethod
@@ -80,20 +105,69 @@ class Heading:
 def columns_of(head: Heading) -> tuple[str, ...]:
     """Return the columns that a heading may be the name of; none if it is no name of any.
 
-    A nominal length or place is none: it was not measured. A position in degrees is an angle.
+    A nominal length or place is none: it was not measured. A position in degrees is an angle, of
+    the table where it was commanded, ACTUAL where it was measured.
+
+    >>> [columns_of(Heading.of(text)) for text in ("Tgt_pos [deg]", "Istwert [°]", "Ist - Soll")]
+    [('angle',), ('actual',), ('deviation',)]
     """
-    parts = _parts(head.name)
-    specific = "".join(part for part in parts if part not in _fillers() | _nominal())
-    names = ("".join(parts), specific, _without_fillers(specific))
-    found = next((_columns()[name] for name in names if name in _columns()), ())
-    if _nominal().intersection(parts):
+    parts = _apart(head.name)
+    role = _role(parts)
+    found = _named(parts)
+    if role in ("deviation", REVERSED):
+        found = (role,)
+    elif role and not set(parts) - _roles().keys() - _fillers():  # nothing else is said
+        found = (*found, TABLE_ANGLE if role == "commanded" else role)
+    elif role and {TABLE_ANGLE, "position"}.intersection(found):
+        rest = tuple(name for name in found if name != TABLE_ANGLE)
+        found = (TABLE_ANGLE if role == "commanded" else role, *rest)
+    elif role == "commanded":
         found = tuple(name for name in found if _QUANTITIES.get(name) in (None, ANGLE))
     quantities = {quantity_of(unit) for unit in head.units}
     if not quantities:
         return found
-    if "position" in found and ANGLE in quantities:
+    if ANGLE in quantities and found and set(found) <= {"position", "target"}:
         return (TABLE_ANGLE,)
     return tuple(name for name in found if _QUANTITIES.get(name) in quantities)
+
+
+def is_commanded(text: str) -> bool:
+    """Return whether a heading says that something was commanded."""
+    return _role(_apart(Heading.of(text).name)) == "commanded"
+
+
+def _named(parts: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns that the parts of a heading name, with and without words of no use."""
+    bare = [part for part in parts if part not in _fillers()]
+    names = ("".join(parts), "".join(bare), "".join(p for p in bare if p not in _roles()))
+    return next((_columns()[name] for each in names for name in (each, _without_fillers(each))
+                 if name in _columns()), ())  # fmt: skip
+
+
+def _role(parts: Sequence[str]) -> str:
+    """Return what a heading says of its angles: commanded, ACTUAL, REFERENCE or a difference."""
+    roles = dict.fromkeys(_roles()[part] for part in parts if part in _roles())
+    first, *others = roles or [""]
+    if not others:
+        return first
+    return "deviation" if first == ACTUAL or others == ["commanded"] else REVERSED
+
+
+def _apart(text: str) -> list[str]:
+    """Return the words of a heading; Sollwinkel and TargetAngle are two."""
+    return [word for part in _parts(text) for word in _compound(part)]
+
+
+def _compound(part: str) -> Sequence[str]:
+    """Return a word as one for what was ordered or measured, and the name of a column."""
+    if part in _columns() or part in _roles():
+        return (part,)
+    for role in _roles():
+        first, last = part.removeprefix(role), part.removesuffix(role)
+        for rest, words in ((first, (role, first)), (last, (last, role))):
+            if 1 < len(rest) < len(part) and (_columns().keys() & {rest, _without_fillers(rest)}):
+                return words if len(rest) > 2 or not rest.isascii() else (part,)
+    return (part,)
 
 
 def answer(column: str, text: str) -> str:
@@ -102,16 +176,39 @@ def answer(column: str, text: str) -> str:
     >>> print(answer("length", "Weg [mm]"))
     --set 'sheet.columns=["length=Weg [mm]"]'
     """
-    value = yaml.safe_dump(
-        [f"{column}={text}"], default_flow_style=True, default_style='"', allow_unicode=True,
-        width=float("inf"),
-    )  # fmt: skip
-    return f"--set {shlex.quote(f'sheet.columns={value.strip()}')}"
+    return option("sheet.columns", f"{column}={text}")
+
+
+def option(setting: str, value: str) -> str:
+    """Return the option that gives a setting a value; sheet.columns is a list.
+
+    >>> print(option("sheet.decimal", ","))
+    --set sheet.decimal=,
+    """
+    if setting == "sheet.columns":
+        value = yaml.safe_dump(
+            [value], default_flow_style=True, default_style='"', allow_unicode=True,
+            width=float("inf"),
+        ).strip()  # fmt: skip
+    return f"--set {shlex.quote(f'{setting}={value}')}"
+
+
+def undecided(
+    found: str, setting: str, answers: Sequence[tuple[str, str]], proposal: Sequence[str] = ()
+) -> UndecidedError:
+    """Return the error that asks a person: ``found``, and each answer with its option.
+
+    ``answers`` are values of ``setting`` with what they would mean, ``proposal`` lines below it.
+    """
+    options = [option(setting, value) for value, _ in answers]
+    meant = [f"{way}: {words}" for way, (_, words) in zip(options, answers, strict=True)]
+    advice, log = f"say which: {' or '.join(options)}", "\n".join([*proposal, *meant])
+    return UndecidedError(found, advice, log, Question(setting, tuple(answers)))
 
 
 def known_columns() -> tuple[str, ...]:
     """Return the columns that have names in our words."""
-    return tuple(_words()["columns"])
+    return (*_words()["columns"], ACTUAL, REVERSED)
 
 
 def units_of(text: str) -> tuple[str, ...]:
@@ -259,8 +356,12 @@ def _fillers() -> frozenset[str]:
 
 
 @cache
-def _nominal() -> frozenset[str]:
-    return frozenset(map(folded, _listed(_words()["nominal"])))
+def _roles() -> dict[str, str]:
+    """Return the words that say whether an angle was commanded or measured."""
+    groups = {"nominal": "commanded", "actual": ACTUAL, "reference": REFERENCE}
+    return {
+        folded(word): role for group, role in groups.items() for word in _listed(_words()[group])
+    }
 
 
 @cache

@@ -55,6 +55,9 @@ class Visitor:
         )
 
     def work(self, what, *changes, method=METHOD, **options):
+        # The sample lengths have numbers of positions, whose angles the page is told.
+        told = ("plan.table_positions=12", "plan.table_step_deg=30") if method == METHOD else ()
+        changes = (*told, *changes)
         asked = {"method": method, "changes": changes, **options}
         return self.client.post(f"/do/{what}", json=asked, headers=self.own).json()
 
@@ -247,8 +250,8 @@ def test_a_unit_that_is_not_told_is_asked_and_the_answer_counts(visitor, expecte
     question = visitor.work("explain")["error"]["question"]
     assert question["setting"] == "sheet.length_unit"
     answers = dict(question["answers"])
-    assert answers["mm"] == "313.1669079 mm = 0.313167 m"
-    assert answers["m"] == "313.1669079 m = 313.167 m"
+    assert answers["mm"] == "574.172198 mm = 0.574172 m"
+    assert answers["m"] == "574.172198 m = 574.172 m"
     visitor.drop("setup", "tracer.yaml", (DATA / "tracer.yaml").read_bytes())
     assert visitor.deviations("sheet.length_unit=mm") == expected
 
@@ -302,7 +305,9 @@ def test_what_a_method_has_to_be_told_is_named(visitor):
     error = visitor.work("explain", method="ball_plate")["error"]
     asked = {s["name"] for s in asked_settings("ball_plate") if s["default"] == "-"}
     assert len(asked) == 4
-    assert all(name in error["text"] for name in asked)
+    assert set(error["names"]) == asked
+    assert "--set" not in error["text"]
+    assert '"Diameter of the balls"' in error["text"] or '"diameter of the balls"' in error["text"]
     error = visitor.work("explain", "plan.plate.grid=x", method="ball_plate")["error"]
     assert error["text"].startswith("plan.plate.grid: expected int")
 

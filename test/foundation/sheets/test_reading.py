@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.sheets.forms import SheetSettings
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_ros.foundation.sheets.reading import Known, Reading, SheetSettings, read_any
+from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
 from rotcal_ros.foundation.sheets.words import ANGLE, TIME, Heading, answer, columns_of, units_of
 
 HEADERS = (("position", "target", "length_m"),)

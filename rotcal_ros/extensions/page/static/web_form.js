@@ -50,7 +50,8 @@ function setting({ name, meaning, unit, kind, list, choices, default: usual }) {
   input.dataset.name = name;
   input.dataset.kind = list ? "list" : kind;
   if (!choices.length) {
-    if (/\d/.test(usual)) input.placeholder = micro ? `${Number((usual * 1e6).toPrecision(6))}` : usual;
+    if (typeof usual !== "string") input.placeholder = say(usual); // what the table says counts
+    else if (/\d/.test(usual)) input.placeholder = micro ? `${Number((usual * 1e6).toPrecision(6))}` : usual;
     if (kind === "float" || kind === "int") input.inputMode = list ? "text" : "decimal";
     input.required = usual === "-";
   }
@@ -87,7 +88,8 @@ function given({ dataset: { name, kind }, value }) {
 export function atFields(error) { // what an error says of a setting stands at its field, too
   for (const input of inputs()) {
     const named = new RegExp(`${input.dataset.name.replaceAll(".", "\\.")}(?![\\w.])`);
-    const words = error ? [error.text, ...error.log].find((line) => named.test(line)) : undefined;
+    const says = (line) => named.test(line) || error.names?.includes(input.dataset.name);
+    const words = error ? [error.text, ...error.log].find(says) : undefined;
     input.setAttribute("aria-invalid", String(words !== undefined));
     input.setAttribute("aria-describedby", `${input.id}_trouble`);
     text(`${input.id}_trouble`, words ?? "");
