@@ -28,7 +28,7 @@ from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole, Undivided
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.model import Disturbing, Model, Steps, gathered_of, members_of
+from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Steps, gathered_of, members_of
 from rotcal_ros.adjust.noise import (
     LEAST_FACTOR,
     LEAST_REDUNDANCY,
@@ -313,7 +313,10 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
         if best is None or best.effect is None:
             return None
         diagnosis = look.diagnosis.holding(best, look.rivals(best))
-        after = _explained_beside_noise(diagnosis)
+        try:
+            after = _explained_beside_noise(diagnosis)
+        except DataError:
+            return None  # it does not settle: no explanation
         if after.noise.estimated is None:
             return after
     return None
@@ -500,7 +503,7 @@ class Look:
         columns = effect.at(self.fit.computed)
         seen = seen_by(self.fit, columns, family=effect.family)
         if not effect.family:
-            test = effect_test(seen, self.rest)
+            test = effect_test(seen, self.rest, largest=effect.largest)
             whole = _columns(columns, slice(None))
             return [self._explanation(effect, whole, seen, test)] if test.rank else []
         squares = member_squares(seen)
@@ -547,16 +550,36 @@ class Look:
                 if len(kept) > LARGEST_GROUP and isinstance(fit.jacobian, Circular):
                     found.append(_as_a_whole(fit, grouping.kind, name, kept, lost))
                     continue
-                gathered = gathered_of(grouping, kept)
-                # of others it is not asked what gathers, nor what that would do
-                felt = fit.response_of(kept) if len(gathered) else np.zeros((0, len(kept)))
-                group = Group.of(
-                    grouping.kind, name, kept, fit.white[kept][:, None],
-                    1.0 / fit.std[kept][:, None], fit.cofactors.among(kept),
-                    Sensitivity.whole(felt), gathered, lost,
-                )  # fmt: skip
-                found.append(group)
+                parts = _parts(grouping, members)
+                for k, part in enumerate(parts):
+                    here = part[fit.used[part]]
+                    if len(here) > 1:
+                        of = f"{name}, part {k + 1} of {len(parts)}" if len(parts) > 1 else name
+                        found.append(self._group(grouping, of, here, len(part) - len(here)))
         return found
+
+    def _group(self, grouping: Grouping, name: str, rows: Ints, lost: int) -> Group:
+        """Return the group of ``rows`` (e,) that are used, of which ``lost`` ones are not."""
+        fit, gathered = self.fit, gathered_of(grouping, rows)
+        # of others it is not asked what gathers, nor what that would do
+        felt = fit.response_of(rows) if len(gathered) else np.zeros((0, len(rows)))
+        return Group.of(
+            grouping.kind, name, rows, fit.white[rows][:, None], 1.0 / fit.std[rows][:, None],
+            fit.cofactors.among(rows), Sensitivity.whole(felt), gathered, lost,
+        )  # fmt: skip
+
+
+def _parts(grouping: Grouping, members: Ints) -> list[Ints]:
+    """Return the ``members`` (e,) of a group in parts that are not too large, one after the other.
+
+    What is asked of a group costs the cube of its members; those of a part are neighbours.
+    """
+    count = -(-len(members) // LARGEST_GROUP)
+    if count == 1:
+        return [members]
+    along = members if grouping.along is None else grouping.along[members]
+    ordered = members[np.argsort(along, kind="stable")]
+    return [np.sort(part) for part in np.array_split(ordered, count)]
 
 
 def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole | Undivided:

@@ -8,7 +8,7 @@ to the axis average line (ISO 230-7), as what turns with the table does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -70,6 +70,16 @@ class Spectrum:
         """
         yield WHITE
         yield from (cls((order,), (1.0,)) for order in range(1, highest + 1))
+
+    @classmethod
+    def mean(cls, shares: Mapping[Spectrum, float]) -> Spectrum:
+        """Return the mean of spectra, of each with a share that is 1 in all."""
+        whole: dict[int, float] = {}
+        for spectrum, share in shares.items():
+            for order, own in zip(spectrum.orders, spectrum.shares, strict=True):
+                whole[order] = whole.get(order, 0.0) + share * own
+        white = sum(share * spectrum.white for spectrum, share in shares.items())
+        return cls(tuple(whole), tuple(whole.values()), white)
 
     def root(self, angles: Floats) -> Floats:
         """Return columns (n, r) whose products add up to :meth:`covariance`, of least number."""

@@ -26,6 +26,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.explanations import (
     SIZES,
+    FreeExchange,
     Hypotheses,
     any_subset,
     free,
@@ -34,6 +35,7 @@ from rotcal_ros.adjust.explanations import (
     scatter,
     search,
     shifts,
+    shifts_flipped,
     studentised,
     without,
 )
@@ -367,53 +369,56 @@ def _common(group: Group, subset: Bools) -> Floats:
 
 
 class _Tried:
-    """Merits of subsets that are off together, each worked out once."""
+    """Merits of subsets that are off together, each worked out once: ``known`` by its bytes."""
 
     def __init__(self, group: Group, belief: Belief) -> None:
         self.group, self.belief = group, belief
-        self._known: dict[bytes, float] = {}
+        self.known: dict[bytes, float] = {}
         self._gathered = {subset.tobytes() for subset in group.gathered}
 
     def merit(self, subset: Bools) -> float:
         """Return ln of prior times Bayes factor."""
         key = subset.tobytes()
-        if key not in self._known:
-            self._known[key] = self._merit(subset, key)
-        return self._known[key]
+        if key not in self.known:
+            alike, apart = shifts(self.group, subset[None]), free(self.group, subset)
+            bayes = np.concatenate([alike.log_bayes()[0], apart.log_bayes()[0]])
+            self.known[key] = float(self._weighed(bayes[None], subset[None])[0])
+        return self.known[key]
 
-    def _merit(self, subset: Bools, key: bytes) -> float:
-        count = float(subset.sum())
-        prior = np.log(self.belief.scattered) + float(
-            any_subset(len(subset), np.array([count]))[0] if count > 1.0 else -np.log(len(subset))
-        )
-        if key in self._gathered:
-            prior = np.logaddexp(prior, np.log(self.belief.gathered / len(self._gathered)))
-        alike, apart = shifts(self.group, subset[None]), free(self.group, subset)
-        bayes = log_sum(np.concatenate([alike.log_bayes()[0], apart.log_bayes()[0]]))
-        return float(prior + bayes) - float(np.log(2 * len(SIZES)))
+    def flipped(self, here: FreeExchange) -> Floats:
+        """Return the merits (e,) of the subset of ``here`` with one element in or out.
 
-    @cached_property
-    def limits(self) -> tuple[int, int]:
-        """Fewest and most elements of a subset."""
-        return 1, most_of(self.group.size)
+        -inf where too few or too many are left.
+        """
+        alike = shifts_flipped(self.group, here.subset[None])[0]
+        other = here.subset ^ np.eye(len(here.subset), dtype=np.bool_)
+        merit = self._weighed(np.concatenate([alike, here.flipped()], axis=1), other)
+        count = other.sum(axis=1)
+        return np.where((count >= 1) & (count <= most_of(len(count))), merit, -np.inf)
+
+    def _weighed(self, bayes: Floats, subsets: Bools) -> Floats:
+        """Return ln of the mean of Bayes factors (q, t) times the prior of ``subsets`` (q, e)."""
+        count, size = subsets.sum(axis=1).astype(np.float64), subsets.shape[1]
+        any_ = np.where(count > 1.0, any_subset(size, np.maximum(count, 1.0)), -np.log(size))
+        prior = np.log(self.belief.scattered) + any_
+        if self._gathered:
+            listed = np.array([subset.tobytes() in self._gathered for subset in subsets])
+            share = np.log(self.belief.gathered / len(self._gathered))
+            prior = np.where(listed, np.logaddexp(prior, share), prior)
+        return np.asarray(prior + log_sum(bayes) - np.log(bayes.shape[1]))
 
     def polished(self, subset: Bools) -> Bools:
         """Return ``subset`` with elements taken in and put back while that gains."""
-        here: Bools = subset.copy()
+        here = FreeExchange(self.group, subset)
+        value = self.merit(subset)
         for _ in range(POLISHED):
-            best: Bools | None = None
-            value = self.merit(here)
-            for k in range(len(here)):
-                other = here.copy()
-                other[k] ^= True
-                if not self.limits[0] <= other.sum() <= self.limits[1]:
-                    continue
-                if self.merit(other) > value + 1e-9:
-                    best, value = other, self.merit(other)
-            if best is None:
-                return here
-            here = best
-        return here
+            merit = self.flipped(here)
+            best = int(np.argmax(merit))
+            if merit[best] <= value + 1e-9:
+                break
+            here.flip(best)
+            value = float(merit[best])
+        return here.subset
 
 
 def _candidates(group: Group, tried: _Tried) -> Bools:
@@ -430,11 +435,12 @@ def _candidates(group: Group, tried: _Tried) -> Bools:
 
 def _forward(group: Group, tried: _Tried) -> Bools:
     """Return the subsets that a forward search by free errors passes through."""
-    here = np.zeros(group.size, dtype=np.bool_)
+    here = FreeExchange(group, np.zeros(group.size, dtype=np.bool_))
     path = []
     for _ in range(most_of(group.size)):
-        trial = here | np.eye(group.size, dtype=np.bool_)
-        merit = [-np.inf if here[k] else tried.merit(trial[k]) for k in range(group.size)]
-        here = trial[int(np.argmax(merit))]
-        path.append(here)
+        merit = np.where(here.subset, -np.inf, tried.flipped(here))
+        best = int(np.argmax(merit))
+        here.flip(best)
+        path.append(here.subset.copy())
+        tried.known[path[-1].tobytes()] = float(merit[best])
     return np.array(path)

@@ -216,9 +216,14 @@ def recurring(run: Ints, when: Floats) -> Floats:
     return np.asarray(np.where((run >= 0)[:, None], shapes, 0.0))
 
 
-def knocks(run: Ints, when: Floats) -> Floats:
-    """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k)."""
-    return Steps(run, when).whole()
+def knocks(run: Ints, when: Floats, most: int | None = None) -> Floats:
+    """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k).
+
+    Of far more moments than ``most`` some, evenly: one between two is seen nearly as well.
+    """
+    every = Steps(run, when)
+    stride = 1 if most is None else max(1, every.shape[1] // most)
+    return every.whole(slice(None, None, stride))
 
 
 def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
@@ -227,8 +232,7 @@ def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
     ``felt`` (n, k): what each reading feels of k ways to move, one after the other. Of very many
     moments some, evenly.
     """
-    every = knocks(run, when)
-    some = every[:, :: max(1, every.shape[1] // MOST_MOMENTS)]
+    some = knocks(run, when, MOST_MOMENTS)
     return np.column_stack([some * each[:, None] for each in felt.T])
 
 

@@ -29,7 +29,12 @@ from rotcal_ros.capture.decisions import single_shot_missing
 from rotcal_ros.capture.passage import why_not_turning
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
-from rotcal_ros.capture.table import VELOCITY, lasting_feedback_fault, why_not_at_rest
+from rotcal_ros.capture.table import (
+    VELOCITY,
+    arrival,
+    lasting_feedback_fault,
+    why_not_at_rest,
+)
 from rotcal_ros.capture.window import Beam, TracerStream
 from rotcal_ros.foundation.arrays import Stamps
 from rotcal_ros.foundation.observations import (
@@ -108,6 +113,8 @@ class Capture:
         self._commands, self._probe = StreamCounts(), StreamCounts()
         self._answers = Answers()
         self._probe_stamp: int | None = None
+        self._stood: ProbeSample | None = None  # since when, by positions that were sent unasked
+        self._unasked_ns = 0
         self._set_backs = 0
         self._next_attempt = [first_attempt if step.turn is not None else 0 for step in plan.steps]
         self._pending: deque[Attempt] = deque()
@@ -188,7 +195,7 @@ class Capture:
     def complaint(self) -> str | None:
         """Return what keeps the latest order from being measured, well before it is given up."""
         if (wrong := self._answers.complaint()) or not self._pending:
-            return wrong
+            return wrong or self._no_answer()
         attempt, table = self._pending[-1], self._streams.table
         if attempt.step.turn is not None:
             fault = why_not_turning(table, attempt, _PATIENCE_NS)
@@ -201,6 +208,23 @@ class Capture:
             table, attempt.begin_ns, reached_ns, step.table_angle, self._settings
         )
         return f"{step.in_words(attempt.number)}: {reason}"
+
+    def _no_answer(self) -> str | None:
+        """Return that table and probe stand still, and nobody answers the latest order."""
+        step, table, stood = self._answers.open_step, self._streams.table, self._stood
+        if step is None or stood is None or self._plan.steps[step].kind == PointKind.READING:
+            return None
+        place, since_ns = self._plan.steps[step], self._answers.ordered_ns
+        if since_ns is None or table.latest is None:
+            return None
+        rests_ns = arrival(table, since_ns, place.table_angle, self._settings)
+        if rests_ns is None or self._unasked_ns - max(rests_ns, stood.stamp_ns) < _PATIENCE_NS:
+            return None
+        off = dist(stood.position, place.position)
+        return (
+            f"{self._answers.unanswered_order()}; table and probe stand still, the probe "
+            f"{off:.3g} m from where it was sent"
+        )
 
     def hopeless(self) -> str | None:
         """Return why no attempt will ever be accepted, with what to change, if that is certain."""
@@ -238,6 +262,8 @@ class Capture:
             self._commands.unknown_step += 1
             self._remarks.append(f"a command for {self._not_in_plan(command.step)}")
             return ()
+        for stream in self._streams.fast:
+            stream.flush()
         came = [s.latest for s in self._streams.fast if s.latest is not None]
         self._answers.order(command, max(came, default=None))
         self._commands.unanswered = self._answers.unanswered
@@ -257,6 +283,9 @@ class Capture:
         if self._goes_on(sample):
             return self._take_reading(sample)
         if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
+            near, self._unasked_ns = self._settings.probe_tolerance_m, sample.stamp_ns
+            if self._stood is None or dist(sample.position, self._stood.position) > near:
+                self._stood = sample
             return ()
         self._admit()
         newest = self._pending[-1] if self._pending else None
@@ -534,6 +563,11 @@ class Answers:
         self._answered[key] = None
         if len(self._answered) > _REMEMBERED:
             del self._answered[next(iter(self._answered))]
+
+    @property
+    def open_step(self) -> int | None:
+        """The step of the latest order while it has no answer."""
+        return self._ordered[0] if self._ordered is not None and self._is_open() else None
 
     def unanswered_order(self) -> str | None:
         """Return in words which order has no answer yet."""

@@ -104,10 +104,11 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
 def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
     """Return the corrections of ``table``, measured on top of ``held``, and of ``held`` in one.
 
-    The sum is zero where that of ``held`` is. The numbers in a controller are known exactly, so
-    the uncertainty is that of ``table``, times the slope 1 + t'. It has a row at every angle that
-    was measured and at the rows of ``held`` between them. Raises DataError when one of them covers
-    the full circle and the other an arc, or an arc does not cover the rows.
+    At the reference angle of ``held`` the sum is what that is there. The numbers in a controller
+    are known exactly, so the uncertainty is that of ``table``, times the slope 1 + t'. It has a
+    row at every angle that was measured and at the rows of ``held`` between them. Raises DataError
+    when one of them covers the full circle and the other an arc, or an arc does not cover the
+    rows.
     """
     if table.closed != (held.period > 0.0):
         whole, part = ("table", "one in force") if table.closed else ("one in force", "table")
@@ -123,7 +124,7 @@ def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
         o + held.correction(rows + o, approach)
         for o, approach in zip(own, DIRECTIONS, strict=True)
     ]
-    zero = held.correction(np.array([held.reference_angle]), DIRECTIONS[0])[0]
+    zero = held.correction(np.array([held.reference_angle]), DIRECTIONS[0])[0] - held.zero
     std = [
         further.std(rows, approach) * (1.0 + held.slope(rows + o, approach))
         for o, approach in zip(own, DIRECTIONS, strict=True)

@@ -18,7 +18,7 @@ import numpy as np
 from rotcal_ros.compensation.agreement import require_verified
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.held_table import in_force_of
+from rotcal_ros.compensation.held_table import ZERO_DEG, in_force_of
 from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
@@ -49,6 +49,8 @@ CONFIRMATION: Final = "confirmation_sha256"
 CONTENTS: Final = "contents_sha256"
 FIRST_ANGLE_DEG: Final = "first_angle_deg"
 LAST_ANGLE_DEG: Final = "last_angle_deg"
+NO_ZERO: Final = 1e-12
+"""A forward correction at the reference angle, rad, that is only rounding."""
 
 
 @dataclass(frozen=True)
@@ -285,6 +287,7 @@ def _controller_facts(controller: Controller) -> dict[str, Any]:
 
 
 def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str, Any]:
+    zero = float(Correction(rows)(rows.reference_angle, DIRECTIONS[0]))
     return {
         CONTENTS: in_force_of(files),
         "rows": len(rows.angles),
@@ -294,6 +297,7 @@ def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str
         LAST_ANGLE_DEG: float(rows.angles[-1]) / DEGREE,
         "widest_spacing_deg": float(np.max(np.diff(rows.angles))) / DEGREE,
         "reference_angle_deg": rows.reference_angle / DEGREE,
+        **({ZERO_DEG: zero / DEGREE} if abs(zero) > NO_ZERO else {}),
     }
 
 

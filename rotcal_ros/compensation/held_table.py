@@ -31,6 +31,9 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, TURN
 from rotcal_ros.foundation.untrusted import load_json
 
+ZERO_DEG: Final = "correction_at_reference_deg"
+"""In a side file: the forward correction at the reference angle; without it none."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeldTable:
@@ -38,7 +41,8 @@ class HeldTable:
 
     ``in_force`` is the hash of the files. ``angles`` (n,), ``period`` and ``reference_angle``
     (rad) are as in a :class:`CompensationTable`; ``first`` (rad) is where the travel begins.
-    ``machine`` is the machine it was made for.
+    ``machine`` is the machine it was made for. ``zero`` (rad) is the forward correction that it
+    has at the reference angle on purpose: what the control did there without a table.
     """
 
     in_force: str
@@ -48,6 +52,7 @@ class HeldTable:
     reference_angle: float
     first: float
     machine: MachineIdentity = NO_MACHINE
+    zero: float = 0.0
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the correction (rad) at ``angle`` (rad), for a circle in the first turn."""
@@ -80,6 +85,7 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
         angles = np.array(known["row_angles_deg"], dtype=np.float64) * DEGREE
         period = TURN if known["closed"] else 0.0
         reference = float(known["reference_angle_deg"]) * DEGREE
+        zero = float(known.get(ZERO_DEG, 0.0)) * DEGREE
     except (ValueError, TypeError, KeyError) as error:
         raise DataError(
             "the rows of the table in force are not known: its side file "
@@ -98,6 +104,7 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
         reference_angle=reference,
         first=controller.travel[0] if period else 0.0,
         machine=machine_of(files),
+        zero=zero,
     )
 
 

@@ -36,7 +36,8 @@ class PowerRow:
 
     ``size`` is in ``unit``. There the verdict changes with the wanted probability; if it never
     does, ``reached`` is False and ``size`` is the largest one tried. If the uncertainty holds an
-    allowance, ``allowed`` is True and ``size`` is that allowance. ``error`` is what an unnoticed
+    allowance, ``allowed`` is True and ``size`` is that allowance; ``beyond`` it is the larger one
+    that is found, or the largest that was tried, with its error. ``error`` is what an unnoticed
     effect of that size does, in stated standard uncertainties; ``named`` says whether the verdict
     line names the effect.
     """
@@ -50,6 +51,7 @@ class PowerRow:
     allowed: bool
     error: float
     named: bool
+    beyond: tuple[float, float] = (0.0, 0.0)
 
     @property
     def misleads(self) -> bool:
@@ -65,6 +67,7 @@ class PowerRow:
             "size": self.size * unit_si,
             "noticed": self.reached,
             "allowed": self.allowed,
+            "beyond": self.beyond[0] * unit_si if self.allowed else None,
             "error_std": self.error if isfinite(self.error) else None,
             "named": self.named,
             "misleads": self.misleads,
@@ -74,7 +77,9 @@ class PowerRow:
         """Return effect, treatment, size, error and whether it is named, for people."""
         size = f"{self.size:.3g} {self.unit}"
         if self.allowed:
-            size = f"allowed {size}"
+            seen = "found from" if self.reached else "not found up to"
+            larger, error = self.beyond
+            size = f"allowed {size}, {seen} {larger:.3g} {self.unit} ({error:.2g} std)"
         elif not self.reached:
             size = f"not up to {size}"
         named = "yes" if self.named else "no"
@@ -150,9 +155,11 @@ class Bench:
         facts = (effect, disturbance.what, treatment, disturbance.unit)
         if allowed > 0.0:
             error = share_of(attempt, allowed, self.runs).error
-            return PowerRow(
-                *facts, allowed, False, True, np.inf if error is None else error, named
-            )
+            first = min(2.0 * allowed, disturbance.largest)
+            beyond = search(attempt, first, disturbance.largest, self.runs)
+            held = np.inf if error is None else error
+            larger = beyond.size, beyond.error
+            return PowerRow(*facts, allowed, beyond.reached, True, held, named, larger)
         found = search(attempt, disturbance.start, disturbance.largest, self.runs)
         return PowerRow(*facts, found.size, found.reached, False, found.error, named)
 

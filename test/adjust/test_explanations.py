@@ -12,6 +12,7 @@ from rotcal_ros.adjust.explanations import (
     LARGE,
     OWN,
     SIZES,
+    FreeExchange,
     _flipped,
     free,
     scatter,
@@ -190,3 +191,25 @@ def test_no_subset_of_three_elements():
     view, _, _ = world()
     group = view.group("station", "small", np.arange(3), np.arange(3))
     assert search(group).shape == (0, 3)
+
+
+@pytest.mark.parametrize("axes", [1, 3])
+def test_free_subsets_that_differ_by_one_element_are_known_without_each_by_itself(axes):
+    """In and out at random; three axes of which one element lacks one."""
+    rng = np.random.default_rng(axes)
+    rows = 9 * axes
+    view = Dense(rng.standard_normal((2 * rows, 7)), np.eye(7), rng.standard_normal(2 * rows) * 2)
+    unit = rng.uniform(0.5, 2.0, (9, axes))
+    unit[4, 1:] = 0.0
+    at = np.arange(rows).reshape(9, axes)
+    group = view.group("station", "station 1", np.arange(9), np.where(unit > 0.0, at, -1), unit)
+    start = rng.random(9) < 0.3
+    here = FreeExchange(group, start)
+    for k in [*rng.integers(0, 9, 12).tolist(), None]:
+        for element, found in enumerate(here.flipped()):
+            other = here.subset ^ (np.arange(9) == element)
+            if other.any():
+                expected = free(group, other).log_bayes()[0]
+                np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        if k is not None:
+            here.flip(k)

@@ -10,7 +10,7 @@ from linear_worlds import lines, outputs, places_on_a_ring, residuals
 from rotcal_ros.adjust.explanations import shifts, without
 from rotcal_ros.adjust.groups import Dense
 from rotcal_ros.adjust.judgement import blame, judge
-from rotcal_ros.adjust.subsets import neighbourhoods
+from rotcal_ros.adjust.subsets import neighbourhoods, runs
 
 E, GROUPS = 20, 6
 DESIGN = {zero: lines(GROUPS, E, zero) for zero in (True, False)}
@@ -158,3 +158,20 @@ def test_a_shift_that_leaves_no_residual_is_not_believed_where_noise_was_scaled_
     nudged = sound.residual + 0.1 * corners[:, :1]  # what the last step of scaling has left
     spoiled = replace(sound, cofactor=sound.cofactor - 0.06 * leverage, residual=nudged)
     assert np.abs(shifts(spoiled, faces).log_bayes()).max() < 1e-9
+
+
+def test_whom_to_blame_in_a_large_group_costs_few_decompositions(monkeypatch):
+    """Half of 60 x 60 free subsets on the way: only those that are compared at the end."""
+    rng, e, decomposed = np.random.default_rng(1), 60, []
+    errors = rng.standard_normal(2 * e)
+    errors[[3, 4, 5, 31, 32, 33]] += np.repeat([20.0, -20.0], 3)
+    design = lines(2, e)
+    view = Dense(design, outputs(design, 2), residuals(design, errors))
+    group = view.group("run", "run 0", np.arange(e), np.arange(e), gathered=runs(np.arange(e)))
+    plain = np.linalg.eigh
+    monkeypatch.setattr(
+        np.linalg, "eigh", lambda matrix: decomposed.append(matrix.shape) or plain(matrix)
+    )
+    found = blame(group)
+    assert np.flatnonzero(found.subset).tolist() == [3, 4, 5, 31, 32, 33]
+    assert len(decomposed) < 2 * e

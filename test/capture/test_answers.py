@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import pytest
 from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene, probe_sample
 
 from rotcal_ros.capture import Capture
 from rotcal_ros.capture.capture import Answers
-from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind, TableSample
 
 PLAN = make_plan()
 
@@ -64,3 +65,29 @@ def test_the_capture_counts_what_was_not_answered_and_says_it():
     assert capture.counts["probe"]["duplicates"] == 2
     assert "names step 0, attempt 0" in capture.complaint()
     assert "names step 0, attempt 0" in capture.waiting_for
+
+
+@pytest.mark.parametrize(
+    ("moves_s", "turns_s", "told_s"),
+    [(0.0, 0.0, 3), (0.0, 5.0, 8), (6.0, 0.0, 9), (60.0, 0.0, None)],
+)
+def test_a_machine_that_never_answers_is_told_once_table_and_probe_have_stood(
+    moves_s, turns_s, told_s
+):
+    """Not while the one or the other is still on its way."""
+    capture, step, said = Capture(PLAN, SETTINGS, RULES), PLAN.steps[1], {}
+    away = step.table_angle + 0.5
+    capture.feed(TableSample(0, away, 0.0))
+    capture.feed(order(1))
+    for t in range(1, 121):
+        now_s = 0.1 * t
+        turned = now_s >= turns_s
+        capture.feed(TableSample(t * SECOND // 10, step.table_angle if turned else away, 0.0))
+        place = (step.position[0] + 0.01 * max(0.0, moves_s - now_s), *step.position[1:])
+        unasked = replace(answer(1, kind=PointKind.UNKNOWN), stamp_ns=t * SECOND // 10)
+        capture.feed(replace(unasked, position=place))
+        assert capture.counts  # a beat
+        said[t // 10] = capture.complaint()
+    first = min((s for s, text in said.items() if text), default=None)
+    assert first == told_s
+    assert told_s is None or "table and probe stand still" in said[11]

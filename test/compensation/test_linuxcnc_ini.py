@@ -281,6 +281,7 @@ def test_backlash_is_added_once_and_only_where_it_acted(machine, tmp_path):
     made = prepare_export(total, "linuxcnc", now=NOW, spacing=TAU / 36, settings=settings)
     up, down = columns(made)
     assert up - down == pytest.approx(PLAY, abs=1e-6)
+    assert (up[0], down[0]) == pytest.approx((PLAY / 2, -PLAY / 2), abs=1e-6)  # the same zero
     assert any("nothing of it is added" in text for text in made.warnings)
     other = exported(machine, backlash_deg=0.0)  # as a person states of the measurement
     assert np.ptp(np.subtract(*columns(other))) == pytest.approx(0.0, abs=1e-9)

@@ -50,7 +50,7 @@ def test_no_effect_does_more_than_two_standard_uncertainties_unnoticed_and_unnam
     for effect, treatment, size, error, named in sections()[heading]:
         assert named == "yes" or float(error) <= 2.0, effect
         assert (named == "yes") >= (treatment == "not protected"), effect
-        assert re.fullmatch(r"(not up to |allowed )?[\d.e+-]+ \S+", size), effect
+        assert re.fullmatch(r"(not up to |allowed )?[\d.e+-]+ \S+(, .* std\))?", size), effect
         assert treatment != "not stated"
 
 
@@ -141,6 +141,9 @@ def test_an_allowance_is_held_against_what_it_is_for(real):
     row = Bench(Plain(real, limit=99.0, treatment="bounded"), runs=20).row(bounded)
     assert (row.allowed, row.size) == (True, pytest.approx(5.0))
     assert row.error == pytest.approx(2.5)
+    assert row.reached  # a larger one is, at half a standard uncertainty for each um
+    assert row.beyond[1] == pytest.approx(0.5 * row.beyond[0])
+    assert "found from" in row.cells()[2]
     assert row.misleads
 
 

@@ -2,7 +2,8 @@
 
 Physics written down once more: the table turns about its axis and deviates; the axis stands
 tilted and shifted in the machine's frame, the plate shifted, tilted and turned on the table; the
-machine errs by a field over its own positions, in the frame of the axis.
+machine errs by a field over its own positions, in the frame of the axis. EAC and EBC are where the
+table's axis points, ECC the turn about it.
 """
 
 from dataclasses import dataclass, field
@@ -104,7 +105,8 @@ class ExactPlate:
         for b, on_table in places.items():
             on_table = on_table - np.array([0.0, 0.0, height])  # the origin's height
             for i in self.present:
-                turned = rotation(self.rotation[i]) @ about_z(self.angle[i]) @ on_table
+                lean, turn = rotation(self.rotation[i] * [1, 1, 0]), self.rotation[i, 2]
+                turned = lean @ about_z(self.angle[i] + turn) @ on_table
                 turned = turned + self.translation[i]
                 turned = turned + self.machine_error[(i + b) % self.grid]
                 rows.append((i, b, *(axis @ turned + self.shift)))

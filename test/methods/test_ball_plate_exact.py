@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG
-from exact_plate import RADIUS, ExactPlate, about_z
+from exact_plate import RADIUS, ExactPlate, about_z, in_gauge
 from plate_data import PAPER_PLATE
 
 from rotcal_ros.foundation.components import COMPONENTS
@@ -41,6 +41,26 @@ def test_exact_centres_give_the_truth_whatever_the_alignment(grid, balls, real):
     errors = worst(result, plate)
     assert max(errors.values()) < 1e-3, errors
     assert np.max(result.residuals.residual) < 1e-3 * SIGMA
+
+
+def test_a_table_that_is_far_off_has_the_errors_that_are_stated():
+    """600 arcsec of ECC and 60 of tilts: their product was 1.4 standard uncertainties."""
+    squares = []
+    for seed in range(4):
+        plate, rng = (
+            ExactPlate(36, [0, 4, 9, 13, 17, 21, 26, 30], seed=seed),
+            np.random.default_rng(seed),
+        )
+        tilts = 60 * ARCSEC * rng.standard_normal((36, 2))
+        turn = 600 * ARCSEC * (np.cos(plate.angle + 0.3) + 0.3 * np.cos(3 * plate.angle))
+        plate.rotation = in_gauge(np.column_stack([tilts, turn]), plate.angle)
+        result = solve(plate.problem(noise=1e-7, sigma=1e-7))
+        assert result.verdict == "ok"
+        squares += [
+            (result.deviations[name] - plate.true(name)) ** 2 / result.std[name] ** 2
+            for name in ("EAC", "EBC", "ECC")
+        ]
+    assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_slightly_tilted_frame_leaves_the_axial_motion_alone():

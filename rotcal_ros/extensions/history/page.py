@@ -143,7 +143,7 @@ def _written_before(folder: Path) -> dict[str, str]:
     except (OSError, ValueError, TypeError, AttributeError):
         return {}
     inside = [(name, h) for name, h in pairs if name == PAGE or _is_of_folder(name)]
-    return {name: h for name, h in inside if h == _hash_of(folder / name)}
+    return {name: h for name, h in inside if h and h == _hash_of(folder / name)}
 
 
 def _is_of_folder(name: str) -> bool:

@@ -17,6 +17,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.observations import Approach, TableSample, Turn
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.simulation.settings import (
@@ -75,18 +76,18 @@ def table_poses(
 ) -> tuple[Floats, Floats]:
     """Return rotation (n, 3, 3) and translation (n, 3) from the table to the machine frame.
 
-    A point q of the table stands at A (E Rz(angle) q + d) + o: E and d hold the deviations at
-    ``angles`` (n,), A and o the tilt and the offset of the axis. ``extra_angle`` (rad) adds to
-    the angular deviation (backlash, repeatability).
+    A point q of the table stands at A (E Rz(angle + ECC) q + d) + o: E, the turn about (EAC, EBC,
+    0), and d hold the deviations at ``angles`` (n,), A and o the tilt and the offset of the axis.
+    ``extra_angle`` (rad) adds to the angular deviation (backlash, repeatability).
     """
     error = deviations(settings, angles)
     zero = np.zeros_like(angles)
-    turn = rotations(zero, zero, angles)
-    small = rotations(error["EAC"], error["EBC"], error["ECC"] + extra_angle)
+    turn = rotations(zero, zero, angles + (error["ECC"] + extra_angle))
+    lean = rotation_from_vector(np.column_stack([error["EAC"], error["EBC"], zero]))
     tilt = np.array(settings.axis_tilt_arcsec) * ARCSEC
     axis = rotations(tilt[:1], tilt[1:], np.zeros(1))[0]
     shift = np.column_stack([error["EXC"], error["EYC"], error["EZC"]])
-    return axis @ small @ turn, shift @ axis.T + np.array(settings.axis_offset_m)
+    return axis @ lean @ turn, shift @ axis.T + np.array(settings.axis_offset_m)
 
 
 def correction(settings: TableSettings, angles: Floats, approach: Approach) -> Floats:

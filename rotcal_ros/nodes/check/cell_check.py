@@ -382,7 +382,7 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
     else:
         state: State = "good" if own else "note"
         yield CheckLine(part, order, state, f"node {', '.join(own or stray)} obeys it")
-    if stray:
+    if stray and (line is None or line.state != "missing"):  # else it has said so
         too = "too " if line is not None or own else ""
         found = f"node {', '.join(stray)} obeys it {too}and has no group in the configuration"
         todo = f"end {', '.join(stray)}, or give the configuration the group of that node"
@@ -401,7 +401,7 @@ def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     others = sorted({*snapshot.graph.publishers(names.JOINT_STATES)} - {adapter})
     if others and cells != snapshot.adapter.topic:
         found = f"node {', '.join(others)} publishes {cells}, and so does {adapter}"
-        todo = f"end {', '.join(others)}, or leave out the group table_adapter"
+        todo = f"end {', '.join(others)}, or leave out the group of {adapter}"
         yield CheckLine("table", "joint_states", "missing", found, todo)
     if wrong := snapshot.adapter.wrong():
         yield CheckLine("table", "joint", "missing", wrong.found, wrong.todo)

@@ -12,8 +12,10 @@ from scipy.optimize import brentq
 from scipy.stats import binom, chi2, ncx2
 
 from rotcal_ros.adjust.arrow import Arrow, weighted
+from rotcal_ros.adjust.causes import LARGEST_GROUP, _parts
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.model import members_of
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.protection import EFFECTS
@@ -657,3 +659,20 @@ def test_tables_that_turn_are_refused_where_they_do_not_fit(tmp_path):
         read_measurements(path, turns)
     with pytest.raises(DataError, match="was read while the table turned: state"):
         read_measurements(path, demo)
+
+
+def test_what_is_enumerated_of_many_angles_stays_bounded():
+    """Work, not time: groups of which all pairs are looked at, and moments of a knock."""
+    few, many = (
+        World.drawn(planned(table_step_deg=360 / n, table_positions=n), np.random.default_rng(1))
+        for n in (36, 144)
+    )
+    for world in (few, many):
+        model = modelled(world, world.readings(SIGMA, np.random.default_rng(2)))
+        knock = next(effect for effect in model.effects if effect.effect == "knock")
+        assert knock.at(model.observed).shape[1] < 2000
+        for grouping in model.groupings:
+            for members in members_of(grouping, model.may_go).values():
+                parts = _parts(grouping, members)
+                assert max(len(part) for part in parts) <= LARGEST_GROUP
+                np.testing.assert_array_equal(np.sort(np.concatenate(parts)), members)

@@ -88,17 +88,27 @@ def independent(noise, m):
 NOISE = 2e-7
 
 
-def measured(rng, m, motion_std, runs):
+def moves(rng, m, orders):
+    """Return an error motion (m, 2) of size 1: white, or of orders alike."""
+    if not orders:
+        return rng.standard_normal((m, 2))
+    phase = np.outer(2 * np.pi * np.arange(m) / m, orders)
+    waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+    return waves @ rng.standard_normal((2 * len(orders), 2)) / np.sqrt(len(orders))
+
+
+def measured(rng, m, motion_std, runs, orders=()):
     """Yield motion, bearings and covariance of so many circles with an error motion."""
     angles = 2 * np.pi * np.arange(m) / m
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
     known = independent(NOISE, m)
     for _ in range(runs):
         stations = true + NOISE * rng.standard_normal((m, 3))
-        stations[:, :2] += motion_std * rng.standard_normal((m, 2))
+        stations[:, :2] += motion_std * moves(rng, m, orders)
         found = table_motion(stations, angles)
-        estimate = error_motion_of(found, known, 1.0, None, contradicted=False)
-        total = known.lengths.dense() + error_motion_spread(found, estimate.used).dense()
+        estimate, spectrum = error_motion_of(stations, found, known, 1.0, None, False)
+        motion = error_motion_spread(found, estimate.used, spectrum)
+        total = known.lengths.dense() + motion.dense()
         yield found, bearing_slopes(stations, found).dense(), total
 
 
@@ -129,11 +139,25 @@ def test_intervals_hold_neither_more_nor_less_than_95_percent(m, motion_std):
     assert (0.925 if LONG else 0.915) <= np.mean(hits) <= (0.98 if LONG else 0.985)
 
 
+@pytest.mark.parametrize("orders", [(2, 3, 4), tuple(range(2, 11))])
+@pytest.mark.parametrize(("m", "motion_std"), [(12, 3e-7), (12, 1e-6), (36, 1e-6)])
+def test_intervals_hold_where_the_error_motion_has_low_orders(m, motion_std, orders):
+    """Half of order 2 leaves no residual, and is felt twice."""
+    rng, runs, hits, squares = np.random.default_rng(200 + m), 200 if LONG else 60, [], []
+    for found, bearing, total in measured(rng, m, motion_std, runs, orders):
+        seen = bearing - bearing[0]
+        std = np.sqrt(np.einsum("ia,ia->i", seen @ total, seen))[1:]
+        hits.append(np.abs(found.cumulative[1:]) <= 1.96 * std)
+        squares.append((found.cumulative[1:] / std) ** 2)
+    assert np.mean(hits) >= 0.925
+    assert np.sqrt(np.mean(squares)) <= 1.08
+
+
 def test_exact_stations_on_an_exact_circle_have_no_error_motion():
     angles = 2 * np.pi * np.arange(12) / 12
     stations = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), 0 * angles], axis=1)
     none = independent(0.0, 12)
-    found = error_motion_of(table_motion(stations, angles), none, 1.0, None, contradicted=False)
+    found, _ = error_motion_of(stations, table_motion(stations, angles), none, 1.0, None, False)
     assert found.likely == 0.0
     assert found.allowed < 1e-11
 
@@ -144,7 +168,7 @@ def test_without_any_error_motion_little_is_added():
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
     known = independent(noise, m)
     used = [
-        error_motion_of(table_motion(stations, angles), known, 1.0, None, False).used
+        error_motion_of(stations, table_motion(stations, angles), known, 1.0, None, False)[0].used
         for stations in (true + noise * rng.standard_normal((m, 3)) for _ in range(100))
     ]
     assert np.median(used) < 0.2 * noise

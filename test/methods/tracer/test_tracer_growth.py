@@ -78,7 +78,7 @@ def test_angles_and_circle_are_those_of_whole_matrices(variant):
     close(*(test.residuals.squares(test.moved(moves)) for test in tests))
     close(*(np.array([test.residuals.variance, test.residuals.dof]) for test in tests))
     assert circle_test(tests[0]).sigma0 == pytest.approx(circle_test(tests[1]).sigma0, rel=1e-9)
-    found = [error_motion_of(motion, c, 1.0, None, False) for c in (thin, dense)]
+    found = [error_motion_of(fit.stations, motion, c, 1.0, None, False)[0] for c in (thin, dense)]
     assert found[0].allowed == pytest.approx(found[1].allowed, rel=1e-9, abs=1e-12)
     assert found[0].likely == pytest.approx(found[1].likely, rel=1e-9)
 

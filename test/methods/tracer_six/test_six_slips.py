@@ -1,17 +1,18 @@
 """A fringe that the counter slips in the midst of a run, and nobody says so."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from chances import LONG
-from scipy.stats import norm
 from six_coverage import TWELVE
 from six_scene import good_targets, scene
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.methods.tracer.solver import TracerLimits
+from rotcal_ros.methods.tracer.solver.zeros import Shifts, slips_among
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 from rotcal_ros.methods.tracer_six.solver.solution import adjust
 
@@ -115,7 +116,7 @@ def test_what_stays_unseen_of_a_slip_is_in_the_uncertainty():
 
 @pytest.mark.slow
 def test_the_allowance_is_what_plain_solves_make_of_slips():
-    """Each slip solved whole: what it moves, and by chi-squared how well it can be seen."""
+    """Each slip solved whole: what it moves, and by chi-squared how probable it is."""
     made, every = scene(np.random.default_rng(1), good_targets()[TWELVE[:6]], m=4), np.arange(72)
     problem = SixProblem(**made.rows, **KNOWN, order=every)
     plain = replace(problem, slip=0.0, settings=KEEP_ALL)
@@ -126,19 +127,32 @@ def test_the_allowance_is_what_plain_solves_make_of_slips():
 
     names, alone = ("EZC", "EAC", "EBC"), adjust(plain)
     begins = every[every % 24 > 0]  # a run that slips as a whole has another zero
-    moved, apart = {name: [] for name in names}, []
+    moved, ratio = {name: [] for name in names}, []
     for at in begins:
         up, down = shifted(at, FRINGE), shifted(at, -FRINGE)
-        apart.append(np.sqrt(0.5 * (up.fit.chi2 + down.fit.chi2) - alone.fit.chi2))
+        fall = alone.fit.chi2 - np.array([up.fit.chi2, down.fit.chi2])
+        ratio.append(np.exp(0.5 * fall).mean() / len(begins))
         for name in names:
             moved[name].append(0.5 * (up.deviations()[name] - down.deviations()[name]))
     solution = adjust(problem)
-    side = np.minimum(begins % 24, 24 - begins % 24)
-    limit = solution.slips.shifts.limit(problem.settings.rejection_significance)
-    missed = np.where(side < 4, 1.0, norm.cdf(limit - np.array(apart)))
-    chance = 0.5 * missed / len(missed)
+    chance = np.array(ratio) / (1.0 + np.sum(ratio))
     for name in names:
         curve = np.array(moved[name])
         allowed = solution.covariance_of(name) - alone.covariance_of(name)
         assert np.abs(allowed - (curve.T * chance) @ curve).max() < 1e-3 * allowed.max(), name
         assert allowed.max() > 0.1 * alone.covariance_of(name).max(), name
+
+
+def test_the_lengths_say_how_probable_an_unseen_slip_is():
+    """By Bayes' theorem of exp(-chi-squared / 2), with a slip at each moment and without."""
+    size, score = 3e-7, np.array([1e7, -6e6, 0.0, 2e6])
+    information = np.array([2e13, 1e13, 1e12, 4e13])
+    timed = SimpleNamespace(side=np.full(4, 100))
+    shifts = Shifts(timed, np.arange(4), score, information, np.ones(4), np.zeros((4, 6)))
+    slips = slips_among(shifts, size, 0.01, asked=True)
+    fits = np.array([[s * u - s**2 * i / 2 for s in (size, -size)] for u, i in
+                     zip(score, information, strict=True)])  # fmt: skip
+    likely = np.exp(fits).mean(axis=1) / 4
+    np.testing.assert_allclose(slips.chance, likely / (1 + likely.sum()), rtol=1e-12)
+    before = slips_among(shifts, size, 0.01)
+    assert (before.chance <= 0.5 / 4).all()

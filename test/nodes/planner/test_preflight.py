@@ -4,10 +4,12 @@ from dataclasses import replace
 from math import nan
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.capture.instruments.plausibility import scatter_of
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
@@ -134,3 +136,33 @@ def test_readings_are_no_points_of_the_machine():
     reads = CaptureRules({PointKind.READING: points(mean_point)})
     angles = replace(TRACER, method=replace(TRACER.method, capture=reads))
     assert doubts(GOOD | {"frame.probe_point": "autocollimator"}, angles) == []
+
+
+@pytest.mark.parametrize(
+    ("length", "scatter", "rate", "words"),
+    [
+        ("0.350000000", 1e-7, 1000.0, None),
+        ("0.000700000", 1e-7, 1000.0, None),  # lengths may count from anywhere
+        ("0.000700000", 1e-10, 1000.0, "converted to metres twice?"),  # no laser is so quiet
+        ("0.700000000", 1e-4, 1000.0, "scatters by 100 um from reading to reading, allowed 2 um"),
+        ("0.700000000", 1e-4, 1000.0, "is it in mm? Then set topics.length_unit: mm"),
+        ("5.000000000", 1e-7, 1000.0, "times the longest of the plan: is it in mm?"),
+        ("0.350000000", 1e-7, 2.0, "comes at 2 Hz: the 20 readings of a window take 10 s"),
+    ],
+)
+def test_the_unit_and_the_rate_of_lengths_show_without_a_motion(length, scatter, rate, words):
+    values = {
+        **GOOD, "now.tracer_length": f"{length} OK", "scatter_m.tracer_length": f"{scatter}",
+        "rate_hz.tracer_length": f"{rate}",
+    }  # fmt: skip
+    found = doubts(values, TRACER, prepare(TRACER))
+    assert (found == []) == (words is None)
+    assert words is None or any(words in doubt for doubt in found), found
+
+
+def test_a_slow_motion_and_a_jump_are_no_scatter():
+    rng = np.random.default_rng(1)
+    noise = rng.normal(0.0, 3e-7, 200)
+    moved = 0.5 + 1e-5 * np.arange(200) + 0.1 * (np.arange(200) > 150)
+    assert scatter_of(moved + noise) == pytest.approx(3e-7, rel=0.25)
+    assert scatter_of(noise[:5]) is None

@@ -346,8 +346,9 @@ def _there(
 ) -> Floats:
     """Return the centres (n, 3) in the frame of the axis, of a plate turned by ``yaw`` (3, 3)."""
     places = problem.radius * on_circle(problem.angles[problem.ball_step]) + plate
-    table = rotation_from_vector(found.rotation)
-    table = table @ rotation_about_z(problem.angles[problem.table_positions]) @ yaw
+    table = rotation_from_vector(found.rotation * [1.0, 1.0, 0.0])
+    turn = problem.angles[problem.table_positions] + found.rotation[:, 2]
+    table = table @ rotation_about_z(turn) @ yaw
     there = np.einsum("nij,nj->ni", table[problem.table_index], places)
     there += found.translation[problem.table_index] + cmm
     return np.asarray(there)

@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust.arrow import Design
+from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.model import (
     CurveModel,
     Disturbing,
@@ -48,6 +49,8 @@ CIRCLE: Final = 5
 SMALL: Final = 1e-3
 """Variance, as a share of that of the lengths, that is too small to matter."""
 
+ROUNDING: Final = 1e-9
+"""Share of its variance by which an error motion is another at every angle at least."""
 UM: Final = Unit("um", MICROMETRE)
 PPM: Final = Unit("um/m", 1e-6)
 
@@ -285,7 +288,11 @@ def curve_model(
     m = len(angles)
     plane = [3 * j + axis for j in range(m) for axis in (0, 1)]
     motion = lengths.rows_of("shift", plane) - np.tile(lengths.rows_of("frame"), (m, 1))
-    std = np.full(2 * m, max(_error_motion(problem, solution), KNOWN))
+    size, spectrum = _error_motion(problem, solution)
+    # by combinations that are independent of each other
+    covariance = spectrum.covariance(angles) + ROUNDING * np.eye(m)
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    motion, std = np.kron(whitening, np.eye(2)) @ motion, np.full(2 * m, max(size, KNOWN))
     return lengths.model(
         {"ECC": lengths.rows_of("turn")},
         [
@@ -301,18 +308,20 @@ def _on_a_circle(problem: TracerProblem) -> TracerProblem:
     return replace(problem, variant="joint", circle_std=problem.circle_std or FREE_CIRCLE)
 
 
-def _error_motion(problem: TracerProblem, solution: TracerSolution | None) -> float:
-    """Return the standard deviation of the error motion, m: as stated, else as used."""
+def _error_motion(
+    problem: TracerProblem, solution: TracerSolution | None
+) -> tuple[float, Spectrum]:
+    """Return standard deviation, m, and spectrum of the error motion: as stated, else as used."""
     stated = problem.error_motion_std
     stated = problem.circle_std if stated is None else stated
     if stated is None and solution is not None:
-        return solution.error_motion.used
+        return solution.error_motion.used, solution.spectrum
     if stated is None:
         raise ObservabilityError(
             "these lengths alone do not determine the error motion of the table, which they have "
             "to be weighed by beside other instruments: state solver.error_motion_std_m"
         )
-    return stated
+    return stated, WHITE
 
 
 def _carried(

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.closures import closures
+from rotcal_ros.adjust.error_motion import Spectrum
 from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.noise import GlobalTest, NoiseEvidence
@@ -80,9 +81,9 @@ class TracerSolution:
     """A solved problem; ``grid`` has the standard deviations that were used, after ``noise``.
 
     ``scale`` enlarges the covariance of the stations for what the noise leaves unexplained.
-    ``rejected`` says by row of the problem why a length was not used. ``slips``: those that would
-    not be found; None where every station has a zero of its own. All arrays of stations follow
-    ``positions``.
+    ``rejected`` says by row of the problem why a length was not used. ``spectrum``: that of the
+    error motion. ``slips``: those that would not be found; None where every station has a zero of
+    its own. All arrays of stations follow ``positions``.
     """
 
     problem: TracerProblem
@@ -93,6 +94,7 @@ class TracerSolution:
     covariance: StationCovariance
     motion: TableMotion
     error_motion: ErrorMotion
+    spectrum: Spectrum
     angles: AngleUncertainty
     scale: float
     evidence: Evidence
@@ -109,7 +111,7 @@ class TracerSolution:
         """What the stations leave their circle by, with the error motion that was used."""
         return circle_tested(
             self.fit.stations, self.motion, self.covariance.total, self.error_motion.used,
-            self.grid.circle_std,
+            self.grid.circle_std, self.spectrum,
         )  # fmt: skip
 
     @property
@@ -197,12 +199,14 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
         statement = _statement(seen, circle_std, circle_std)
     known = circle_std if problem.error_motion_std is None else problem.error_motion_std
     contradicted = (statement or circle).probability < significance
-    error_motion = error_motion_of(motion, covariance, scale, known, contradicted, circle_std)
+    error_motion, spectrum = error_motion_of(
+        fit.stations, motion, covariance, scale, known, contradicted, circle_std
+    )
     slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
     unseen = None if slips is None else slips.covariance()
     gathered = screened.gathering.covariance()
     angles = angle_uncertainty(
-        motion, fit.stations, covariance, error_motion.used, scale, unseen, gathered
+        motion, fit.stations, covariance, error_motion.used, scale, unseen, gathered, spectrum
     )
     evidence = Evidence(
         lengths=_stated_test(problem, screened, placed, unexplained),
@@ -231,7 +235,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
     return TracerSolution(
         problem, placed.grid, screened.noise, screened.evidence, fit, covariance, motion,
-        error_motion, angles, scale, evidence, rejected, slips,
+        error_motion, spectrum, angles, scale, evidence, rejected, slips,
     )  # fmt: skip
 
 

@@ -75,8 +75,12 @@ def solve(problem: StationProblem) -> Result:
     if stated is not None:
         test = circle_test(circle_tested(problem.stations, motion, exact.total, stated, None))
     contradicted = test.probability < problem.significance
-    error_motion = error_motion_of(motion, exact, 1.0, stated, contradicted)
-    angles = angle_uncertainty(motion, problem.stations, exact, error_motion.used, 1.0)
+    error_motion, spectrum = error_motion_of(
+        problem.stations, motion, exact, 1.0, stated, contradicted
+    )
+    angles = angle_uncertainty(
+        motion, problem.stations, exact, error_motion.used, 1.0, spectrum=spectrum
+    )
     closing = closures(
         problem.table_angles,
         motion.cumulative,

@@ -99,9 +99,9 @@ class TracerTrials:
     ``state`` (p, 4) and ``targets`` (n, 3) are the solution, ``weights`` (p, n) those of the
     solver. ``gain`` belongs to its variant; for "station" the inverse normal matrices (m, 4, 4).
     ``scale`` enlarges the stated noise as the solver does, ``wobble`` (2, 3) are standard error
-    motions in the plane of the stations, ``zeros`` (r, m, n) standard errors that all lengths of a
-    run have in common (m), ``slips`` those that stay unseen. ``circle``: contrasts of a stated
-    circle about the solution.
+    motions in the plane of the stations, over these by ``along`` (m, r). ``zeros`` (r, m, n):
+    standard errors that all lengths of a run have in common (m), ``slips`` those that stay unseen.
+    ``circle``: contrasts of a stated circle about the solution.
     """
 
     grid: Grid
@@ -111,6 +111,7 @@ class TracerTrials:
     weights: Floats
     scale: float
     wobble: Floats
+    along: Floats
     zeros: Floats
     gain: Floats | NetworkGain
     circle: CircleContrasts | None = None
@@ -142,7 +143,8 @@ class TracerTrials:
             length += np.tensordot(rng.standard_normal((count, len(self.zeros))), self.zeros, 1)
         places = rng.standard_normal((count, n, 3))
         targets = grid.targets + self.scale * grid.target_std * places
-        wobble = rng.standard_normal((count, grid.n_stations, 2)) @ self.wobble
+        drawn = rng.standard_normal((count, self.along.shape[1], 2))
+        wobble = self.along @ drawn @ self.wobble
         return length, targets, wobble
 
     def draw_circle(self, rng: np.random.Generator, count: int) -> Floats | None:
@@ -256,6 +258,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
         weights=weights,
         scale=solution.scale,
         wobble=solution.error_motion.used * solution.motion.plane.basis(),
+        along=solution.spectrum.root(solution.table_angles),
         zeros=np.zeros((0, *grid.used.shape)),
         gain=gain,
         circle=None if grid.circle_std is None else circle_contrasts(fit.stations),

@@ -15,23 +15,30 @@ of +-1.96 standard deviations holds 95 % of what is predicted. From exact statio
 Student's t with m - 3 degrees of freedom; where the noise of the stations explains the residuals,
 little is left of it.
 
-The prior is that of Jeffreys, d sigma / sigma, for error motions well above the stations' noise
-across the circle (x = sigma / noise), times y^6 / (1 + y^6) with y = x / 1.5, and beside it "none
-at all" with the weight of ABSENT natural logarithms of sigma. It was set by the coverage of 8 and
-9 residuals of equal noise, which is an integral over chi-squared: 94 to 97 % for every size. With
-d sigma / sigma alone a round table's intervals held 99 %. With fewer residuals a round table's
-hold more (98.8 % with 4), since so few cannot show that it is round.
+Real axes move in few undulations, which few residuals witness; of order 2 the half that turns the
+way of the table leaves none, for the centre of the circle takes it up, and the angle feels it
+twice. So it is open which orders the motion has (:data:`SPECTRA`): white, or orders from 2 up, of
+equal or falling sizes. The residuals weigh them, and the covariance is that of their mean.
+
+The prior of the size is that of Jeffreys, d sigma / sigma, for error motions well above the
+stations' noise across the circle (x = sigma / noise), times y^6 / (1 + y^6) with y = x / 1.5, and
+beside it "none at all" with the weight of ABSENT natural logarithms of sigma. It was set by the
+coverage of 8 and 9 residuals of equal noise, which is an integral over chi-squared: 94 to 97 % for
+every size. With d sigma / sigma alone a round table's intervals held 99 %. With fewer residuals a
+round table's hold more (98.8 % with 4), since so few cannot show that it is round.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import erfc
 
+from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.low_rank import LowRank, Slopes
 from rotcal_ros.adjust.noise import UNTESTED, GlobalTest
 from rotcal_ros.adjust.roots import root_between
@@ -60,6 +67,17 @@ NOTICED: Final = 1.5
 """Error motion, in units of the stations' noise, from which the prior is that of Jeffreys."""
 STEEPNESS: Final = 6
 """Power of sigma by which the prior vanishes below, so that "none" and "some" stay apart."""
+FEW: Final = 64
+"""Stations up to which whole matrices are as quick, and lose no digits where these are exact."""
+SPECTRA: Final[Mapping[Spectrum, float]] = {
+    WHITE: 0.4,
+    **{
+        Spectrum.of_sizes([0.0, *(k**-fall for k in range(2, highest + 1))]): 0.1
+        for highest in (3, 5, 8)
+        for fall in (0.0, 1.0)
+    },
+}
+"""Which orders an error motion may have, with what probability beforehand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +86,19 @@ class CircleResiduals:
 
     ``seen`` (k,): distances, m; ``noise`` (k, k): their covariance from that of the stations, m^2.
     What their combinations ``absorbed`` (k, 3), orthonormal, say went into centre and radius; of
-    whole matrices those were taken off before, and none is left, (k, 0).
+    whole matrices those were taken off before, and none is left, (k, 0). ``combined`` (m, k): what
+    of the stations' radial distances they are; None: these distances themselves.
     """
 
     seen: Floats
     noise: LowRank
     absorbed: Floats
+    combined: Floats | None = None
 
     @classmethod
-    def free(cls, seen: Floats, noise: LowRank) -> CircleResiduals:
+    def free(cls, seen: Floats, noise: LowRank, combined: Floats | None = None) -> CircleResiduals:
         """Return residuals of which nothing is absorbed any more."""
-        return cls(seen, noise, np.zeros((len(seen), 0)))
+        return cls(seen, noise, np.zeros((len(seen), 0)), combined)
 
     @property
     def dof(self) -> int:
@@ -99,19 +119,47 @@ class CircleResiduals:
         """Return chi-squared (t,) of ``values`` (t, k) in place of what was seen."""
         return self._fit(self.noise, self._open(values))[0]
 
-    def likelihood(self, variances: Floats) -> Floats:
+    def likelihood(self, variances: Floats, radial: Floats | None = None) -> Floats:
         """Return ln of the likelihood (t,) of what was seen, up to a constant.
 
-        With noises of these ``variances`` (t,), m^2, beside that of the stations.
+        With errors of these ``variances`` (t,), m^2, beside those of the stations: independent
+        ones, or by ``radial`` (m, r) columns of a motion at the stations, of size 1.
         """
+        columns = radial if self.combined is None or radial is None else self.combined.T @ radial
         if self.noise.columns is None:
-            noise, axes = np.linalg.eigh(self.noise.dense())
-            squares = (axes.T @ self.seen) ** 2
-            variance = np.maximum(noise, 0.0) + variances[:, None]
-            return np.asarray(-0.5 * (np.log(variance) + squares / variance).sum(axis=1))
+            noise, axes = self._axes
+            std = np.sqrt(noise)[:, None]
+            along = axes.T / std if columns is None else axes.T @ columns / std
+            values, vectors = np.linalg.eigh(along @ along.T)
+            squares = (vectors.T @ (axes.T @ self.seen / std[:, 0])) ** 2
+            larger = 1.0 + np.maximum(values, 0.0) * variances[:, None]
+            fit = np.log(larger).sum(axis=1) + (squares / larger).sum(axis=1)
+            return np.asarray(-0.5 * (np.log(noise).sum() + fit))
         seen = self._open(self.seen[None])
-        found = [self._fit(self.noise.lifted(v), seen) for v in variances.tolist()]
-        return np.array([-0.5 * (log + squares[0]) for squares, log in found])
+        if columns is None:
+            found = [self._fit(self.noise.lifted(v + TINY**2), seen) for v in variances.tolist()]
+            return np.array([-0.5 * (log + squares[0]) for squares, log in found])
+        inner, log = self._products(np.column_stack([seen.T, self._open(columns.T).T]))
+        values, vectors = np.linalg.eigh(inner[1:, 1:])
+        explained = variances[:, None] * (vectors.T @ inner[1:, 0]) ** 2
+        larger = 1.0 + np.maximum(values, 0.0) * variances[:, None]
+        fit = (np.log(larger) - explained / larger).sum(axis=1)
+        return np.asarray(-0.5 * (log + inner[0, 0] + fit))
+
+    @cached_property
+    def _axes(self) -> tuple[Floats, Floats]:
+        """Variances (k,) and axes (k, k) of the noise; TINY keeps exact stations finite."""
+        noise, axes = np.linalg.eigh(self.noise.dense())
+        return np.maximum(noise, 0.0) + TINY**2, axes
+
+    def _products(self, columns: Floats) -> tuple[Floats, float]:
+        """Return C'N^-1 C of open ``columns`` (k, c), N what is free of the noise; ln det N."""
+        noise = self.noise.lifted(TINY**2)
+        solved, log = noise.solved(np.column_stack([columns, self.absorbed]))
+        inner = np.column_stack([columns, self.absorbed]).T @ solved
+        c = columns.shape[1]
+        taken = inner[:c, c:] @ np.linalg.solve(inner[c:, c:], inner[c:, :c])
+        return inner[:c, :c] - taken, log + float(np.linalg.slogdet(inner[c:, c:])[1])
 
     @property
     def mean_square(self) -> float:
@@ -141,14 +189,16 @@ def _circle_residuals(
     """
     direction, absorbed = _radial(motion)
     radial = Slopes.alone(direction @ motion.plane.basis()).spread(total).quick()
-    if radial.columns is not None and circle_std is None:
+    if radial.columns is not None and circle_std is None and len(absorbed) > FEW:
         return CircleResiduals(motion.radial, radial, np.linalg.qr(absorbed)[0])
     free = _free(absorbed)
     seen, noise = free.T @ motion.radial, free.T @ radial.times(free)
     if circle_std is None:
-        return CircleResiduals.free(seen, LowRank.whole(noise))
+        return CircleResiduals.free(seen, LowRank.whole(noise), free)
     alone = without_prior(seen, noise, circle_std)
-    return CircleResiduals.free(alone.seen, LowRank.of_blocks(alone.noise[:, None, None]))
+    return CircleResiduals.free(
+        alone.seen, LowRank.whole(np.diag(alone.noise)), free @ alone.basis
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,12 +220,14 @@ def circle_tested(
     total: LowRank,
     expected_std: float,
     circle_std: float | None,
+    spectrum: Spectrum = WHITE,
 ) -> CircleTest:
     """Return the test of whether ``stations`` (m, 3) leave their circle by more than expected.
 
     ``total`` (3 m, 3 m): covariance of the stations, ``expected_std`` (m): of their deviation from
-    the circle. Radial distances, with the error motion as expected; where the stations were
-    bound to a circle with ``circle_std`` (m), radial and axial ones as the lengths determine them.
+    the circle, with a ``spectrum``. Radial distances, with the error motion as expected; where
+    the stations were bound to a circle with ``circle_std`` (m), radial and axial ones as the
+    lengths determine them.
     """
     if circle_std is not None:
         value, slope = circle_contrasts(stations)
@@ -187,7 +239,7 @@ def circle_tested(
             lambda moves: moves.reshape(len(moves), -1) @ basis,
             alone.redundancy,
         )
-    circle = _circle_residuals(motion, total + error_motion_spread(motion, expected_std))
+    circle = _circle_residuals(motion, total + error_motion_spread(motion, expected_std, spectrum))
     direction, absorbed = _radial(motion)
     outward = direction @ motion.plane.basis()
 
@@ -198,11 +250,25 @@ def circle_tested(
     return CircleTest(circle, moved)
 
 
-def error_motion_spread(motion: TableMotion, std: float) -> LowRank:
-    """Return the covariance (3 m, 3 m) of independent error motions ``std`` (m) in the plane."""
-    normal = motion.plane.normal
-    in_plane = std**2 * (np.eye(3) - np.outer(normal, normal))
-    return LowRank.of_blocks(np.tile(in_plane, (len(motion.in_plane), 1, 1)))
+def error_motion_spread(motion: TableMotion, std: float, spectrum: Spectrum = WHITE) -> LowRank:
+    """Return the covariance (3 m, 3 m) of error motions ``std`` (m) in the plane.
+
+    Of both directions by themselves, with a ``spectrum`` over the angles.
+    """
+    normal, m = motion.plane.normal, len(motion.in_plane)
+    in_plane = spectrum.white * std**2 * (np.eye(3) - np.outer(normal, normal))
+    white = LowRank.of_blocks(np.tile(in_plane, (m, 1, 1)))
+    if not spectrum.orders:
+        return white
+    columns = np.kron(_of_orders(motion, spectrum), motion.plane.basis().T)
+    core = std**2 * np.eye(columns.shape[1])
+    return white + LowRank(np.zeros_like(white.blocks), columns, core)
+
+
+def _of_orders(motion: TableMotion, spectrum: Spectrum) -> Floats:
+    """Return columns (m, 2 r) of what the r orders of a ``spectrum`` do along one direction."""
+    angles = np.arctan2(motion.in_plane[:, 1], motion.in_plane[:, 0])
+    return spectrum.root(angles)[:, : 2 * len(spectrum.orders)]
 
 
 def _radial(motion: TableMotion) -> tuple[Floats, Floats]:
@@ -216,38 +282,80 @@ def _free(absorbed: Floats) -> Floats:
     return np.asarray(np.linalg.qr(absorbed, mode="complete")[0][:, 3:], dtype=np.float64)
 
 
-def _tangential_std(motion: TableMotion, covariance: StationCovariance) -> float:
-    """Return the root mean square standard deviation of the stations along their circle, m."""
-    across = np.column_stack([-motion.in_plane[:, 1], motion.in_plane[:, 0]]) / motion.radius
-    along = across @ motion.plane.basis()
-    variance = np.einsum("ja,jab,jb->j", along, covariance.position_blocks(), along)
-    return float(np.sqrt(variance.mean()))
+class _Supposed(NamedTuple):
+    """A ``spectrum`` that an error motion may have, and its probability beforehand.
+
+    ``radial`` (m, r): columns of what its unit does to the radial distances; None: it is white.
+    ``felt``: by what its unit adds to the mean variance of what is predicted.
+    """
+
+    spectrum: Spectrum
+    probability: float
+    radial: Floats | None
+    felt: float
 
 
-def _estimate_error_motion(circle: CircleResiduals, tangential: float) -> tuple[float, float]:
-    """Return the likely and the allowed standard deviation of the error motion, m.
+class _Estimate(NamedTuple):
+    """Likely and allowed standard deviation of an error motion, m, and its spectrum."""
 
-    ``tangential``: standard deviation of a station along the circle, m, which the error motion
-    joins in squares. The prior is in this module's docstring.
+    likely: float
+    allowed: float
+    spectrum: Spectrum
+
+
+def _supposed(motion: TableMotion, bearing: Slopes) -> list[_Supposed]:
+    """Return what error motions may be like; what is predicted are angles, from the first."""
+    direction, _ = _radial(motion)
+    found = []
+    for spectrum, probability in SPECTRA.items():
+        felt = _mean_variance(bearing, error_motion_spread(motion, 1.0, spectrum))
+        radial = None
+        if spectrum.orders:
+            along = _of_orders(motion, spectrum)
+            radial = (direction[:, None] * along[:, :, None]).reshape(len(along), -1)
+        found.append(_Supposed(spectrum, probability, radial, felt))
+    return found
+
+
+def _mean_variance(bearing: Slopes, stations: LowRank) -> float:
+    """Return the mean variance of the angles from the first, of ``stations`` (3 m, 3 m), rad^2."""
+    others = np.arange(1, len(bearing.own))
+    return float(bearing.spread(stations).between(np.zeros_like(others), others).mean())
+
+
+def _estimate_error_motion(
+    circle: CircleResiduals, variance: float, supposed: Sequence[_Supposed]
+) -> _Estimate:
+    """Return what the ``circle`` leaves open of the error motion.
+
+    ``variance``: of what is predicted without it. The prior is in this module's docstring.
     """
     level = circle.variance
     sigma = DECADES * np.sqrt(level + circle.mean_square + TINY**2)
-    sigma = np.concatenate([[0.0], sigma])
-    # exact stations on an exact circle: TINY keeps the likelihood of "none" finite
-    fit = circle.likelihood(sigma**2 + TINY**2)
-    seen = sigma[1:] ** STEEPNESS
-    prior = SPACING * seen / (seen + (NOTICED**2 * level) ** (STEEPNESS / 2))
-    posterior = np.exp(fit - fit.max()) * np.concatenate([[ABSENT], prior])
+    some = sigma**STEEPNESS
+    prior = SPACING * some / (some + (NOTICED**2 * level) ** (STEEPNESS / 2))
+    fits = [circle.likelihood(np.zeros(1))]
+    fits += [circle.likelihood(sigma**2, each.radial) for each in supposed]
+    fit = np.concatenate(fits)
+    prior = np.concatenate([[ABSENT], *(each.probability * prior for each in supposed)])
+    posterior = np.exp(fit - fit.max()) * prior
     posterior /= posterior.sum()
-    together = np.hypot(sigma, tangential)
+    felt = np.array([each.felt for each in supposed])
+    together = np.sqrt(variance + np.append(0.0, np.outer(felt, sigma**2)))
 
     def beyond(limit: float) -> float:
         reach = limit / (np.sqrt(2.0) * np.maximum(together, TINY))
         return float(posterior @ erfc(reach)) - OUTSIDE
 
-    half = root_between(beyond, 0.0, float(20.0 * together[-1]), TINY)
-    allowed = np.sqrt(max((half / HALF_OF_95_PERCENT) ** 2 - tangential**2, 0.0))
-    return float(sigma[int(np.argmax(fit))]), float(allowed)
+    half = root_between(beyond, 0.0, float(20.0 * together.max()), TINY)
+    share = posterior[1:].reshape(len(supposed), -1).sum(axis=1) + TINY
+    share = share / share.sum()
+    more = max((half / HALF_OF_95_PERCENT) ** 2 - variance, 0.0)
+    return _Estimate(
+        float(np.append(0.0, np.tile(sigma, len(supposed)))[int(np.argmax(fit))]),
+        float(np.sqrt(more / (share @ felt))),
+        Spectrum.mean({e.spectrum: p for e, p in zip(supposed, share.tolist(), strict=True)}),
+    )
 
 
 def likely_circle(circle: CircleTest, expected_std: float) -> float:
@@ -258,32 +366,37 @@ def likely_circle(circle: CircleTest, expected_std: float) -> float:
     if circle.residuals.dof == 0:
         return expected_std
     alone = circle.residuals.lifted(-(expected_std**2))
-    return _estimate_error_motion(alone, float(np.sqrt(alone.variance)))[1]
+    white = [_Supposed(WHITE, 1.0, None, 1.0)]
+    return _estimate_error_motion(alone, alone.variance, white).allowed
 
 
 def error_motion_of(
+    stations: Floats,
     motion: TableMotion,
     covariance: StationCovariance,
     scale: float,
     stated: float | None,
     contradicted: bool,
     circle_std: float | None = None,
-) -> ErrorMotion:
-    """Return the error motion that the covariance has to hold.
+) -> tuple[ErrorMotion, Spectrum]:
+    """Return the error motion that the covariance has to hold, and its spectrum.
 
-    What was stated, unless the circle contradicts it or nothing was: then what the circle leaves
-    open, if that is more. ``scale`` enlarges the covariance of the stations, which were bound to
-    a circle with ``circle_std`` (m).
+    What was stated, as white, unless the circle contradicts it or nothing was: then what the
+    circle leaves open, if that is more. ``scale`` enlarges the ``covariance`` of the ``stations``
+    (m, 3), which were bound to a circle with ``circle_std`` (m).
     """
-    stations = covariance.enlarged(scale)
-    circle = _circle_residuals(motion, stations.total, circle_std)
+    total = covariance.enlarged(scale).total
+    circle = _circle_residuals(motion, total, circle_std)
     if circle.dof == 0:
-        return ErrorMotion(stated, 0.0, 0.0, 0, stated or 0.0)
-    likely, allowed = _estimate_error_motion(circle, _tangential_std(motion, stations))
-    used = stated
-    if used is None or contradicted:
-        used = max(used or 0.0, allowed)
-    return ErrorMotion(stated, likely, allowed, circle.dof, used)
+        return ErrorMotion(stated, 0.0, 0.0, 0, stated or 0.0), WHITE
+    bearing = bearing_slopes(stations, motion)
+    found = _estimate_error_motion(
+        circle, _mean_variance(bearing, total), _supposed(motion, bearing)
+    )
+    used, spectrum = stated, WHITE
+    if used is None or (contradicted and found.allowed > used):
+        used, spectrum = found.allowed, found.spectrum
+    return ErrorMotion(stated, found.likely, found.allowed, circle.dof, used), spectrum
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,10 +437,11 @@ def angle_uncertainty(
     scale: float,
     slips: Floats | None = None,
     gathered: Floats | None = None,
+    spectrum: Spectrum = WHITE,
 ) -> AngleUncertainty:
     """Propagate the stations' covariance times ``scale``^2 and the error motion to the angles.
 
-    ``stations`` (m, 3), m, have gone through this ``motion``.
+    ``stations`` (m, 3), m, have gone through this ``motion``, whose errors have a ``spectrum``.
     ``slips`` (3 m, 3 m): what unseen slips add to that of the stations, m^2. ``gathered`` (m, m):
     what disturbances that gather in one place add to that of the cumulative angles, rad^2.
     """
@@ -335,7 +449,7 @@ def angle_uncertainty(
     sources = {
         "lengths": own.lengths,
         "targets": own.targets,
-        "error_motion": error_motion_spread(motion, error_motion_std),
+        "error_motion": error_motion_spread(motion, error_motion_std, spectrum),
     }
     if own.circle is not None:
         sources["circle"] = own.circle

@@ -20,7 +20,8 @@ slip
     of it as any other. The probability with which the test for jumps misses a slip follows from
     the geometry, and so does what the slip then does to the stations, or to the curves of a whole
     table; the covariance is the expected square of that. Like any covariance it does not depend on
-    the readings, and can be stated in advance.
+    the readings, and can be stated in advance. Of a whole table, where slips do more and are found
+    less, the readings are asked: each moment has the probability that its likelihood ratio leaves.
 walk
     Dead path and temperature move a zero a little all the time. Every length then gets a zero of
     its own, and the steps from one to the next, in the order of measuring, are observations: zero,
@@ -299,22 +300,19 @@ def split(grid: Grid, jump: Jump, order: Ints) -> tuple[Grid, Ints]:
 class Slips:
     """Slips of ``size`` (m), one fringe, that begin at the moments of ``shifts``.
 
-    ``missed`` (t,): probability that nothing is found of a slip at each of them.
+    ``missed`` (t,): probability that nothing is found of a slip at each of them. ``chance`` (t,):
+    how probably a slip begins there and stays unseen.
     """
 
     size: float
     shifts: Shifts
     missed: Floats
+    chance: Floats
 
     @property
     def found(self) -> float:
         """How probably a slip at any moment is found."""
         return 1.0 - float(self.missed.mean())
-
-    @property
-    def chance(self) -> Floats:
-        """How probably (t,) a slip begins at each moment and stays unseen."""
-        return SLIPPED / len(self.missed) * self.missed
 
     def covariance(self) -> Floats:
         """Return what unseen slips add to the covariance (q, q) of what the shifts move, SI."""
@@ -367,19 +365,33 @@ def largest_share(moved: Floats, std: Floats) -> Floats:
 
 
 def slips_among(
-    shifts: Shifts | None, size: float, significance: float, scale: float = 1.0
+    shifts: Shifts | None,
+    size: float,
+    significance: float,
+    scale: float = 1.0,
+    *,
+    asked: bool = False,
 ) -> Slips | None:
     """Return slips of ``size`` (m) that a test of ``significance`` may miss.
 
     None without ``shifts``, or of size 0.
 
-    ``scale``: how much larger the noise of all lengths is than their network has it.
+    ``scale``: how much larger the noise of all lengths is than their network has it. ``asked``:
+    the lengths say how probable each slip is, by Bayes' theorem; else that is stated beforehand.
     """
     if shifts is None or not size or not len(shifts.at):
         return None
     apart = size * np.sqrt(shifts.information) / scale
     found = ndtr(apart - shifts.limit(significance))
-    return Slips(size, shifts, np.where(shifts.enough, 1.0 - found, 1.0))
+    missed = np.where(shifts.enough, 1.0 - found, 1.0)
+    chance = SLIPPED / len(missed) * missed
+    if asked:
+        score = size * shifts.score / scale**2
+        ratio = np.logaddexp(score, -score) - np.log(2.0) - 0.5 * apart**2
+        largest = max(float(ratio.max()), 0.0)
+        odds = SLIPPED / len(missed) * np.exp(ratio - largest)
+        chance = odds / ((1.0 - SLIPPED) * np.exp(-largest) + odds.sum())
+    return Slips(size, shifts, missed, chance)
 
 
 def wandering(grid: Grid, order: Ints, std: float) -> tuple[Grid, Ints]:

@@ -482,7 +482,7 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     lengths = GlobalTest.of(fit.chi2, fit.dof)
     scale = lengths.enlargement(limits.test_significance)
     covariance = scale**2 * _enlarged(fit, table)
-    slips = slips_among(shifts, problem.slip, limits.rejection_significance, scale)
+    slips = slips_among(shifts, problem.slip, limits.rejection_significance, scale, asked=True)
     unseen = 0.0 if slips is None else _by_curve(slips.covariance())
     gathered = screened.gathering.covariance()
     unseen += 0.0 if gathered is None else _by_curve(gathered)
