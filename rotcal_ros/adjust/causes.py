@@ -313,7 +313,10 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
         if best is None or best.effect is None:
             return None
         diagnosis = look.diagnosis.holding(best, look.rivals(best))
-        after = _explained_beside_noise(diagnosis)
+        try:
+            after = _explained_beside_noise(diagnosis)
+        except DataError:
+            return None  # it does not settle: no explanation
         if after.noise.estimated is None:
             return after
     return None
@@ -500,7 +503,7 @@ class Look:
         columns = effect.at(self.fit.computed)
         seen = seen_by(self.fit, columns, family=effect.family)
         if not effect.family:
-            test = effect_test(seen, self.rest)
+            test = effect_test(seen, self.rest, largest=effect.largest)
             whole = _columns(columns, slice(None))
             return [self._explanation(effect, whole, seen, test)] if test.rank else []
         squares = member_squares(seen)

@@ -30,6 +30,8 @@ UNSEEN: Final = 1e-9
 """Information of a size, per that of its errors without the unknowns, that is none."""
 NOTHING: Final = 1e-150
 """Probability below which a normal quantile is not asked for: it would be infinite."""
+INCREDIBLE: Final = 10.0
+"""Times the largest size of an effect: who is no surer than that of a size does not see it."""
 HARMLESS: Final = 0.1
 """Error, in standard uncertainties, of what cannot be separated from nothing."""
 
@@ -88,13 +90,16 @@ def effect_test(
     rest: tuple[float, float] | None = None,
     least: float = 1e-300,
     nothing: float = UNSEEN,
+    largest: float = np.inf,
 ) -> EffectTest:
-    """Test all columns together.
+    """Test all columns together, but for what sizes far beyond the ``largest`` alone would show.
 
     ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated
     from it; None: the noise is known. Its variance is ``least`` or more. ``nothing``: as UNSEEN.
     """
     axes, values, _ = _axes(seen, nothing)
+    sure = np.linalg.norm(axes, axis=0) < INCREDIBLE * largest * np.sqrt(values)
+    axes, values = axes[:, sure], values[sure]
     inverse = (axes / values) @ axes.T
     size = inverse @ seen.score
     squares, rank = float(seen.score @ size), len(values)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from rotcal_ros.adjust import alternatives
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import Attempt, AttemptStreams, CaptureRules, Wait
@@ -47,6 +49,7 @@ from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import PlannedMeasurements, planned_table
 from rotcal_ros.methods.method import Measurements, See, TableReader
 from rotcal_ros.methods.result_tables import ResultTable
+from rotcal_ros.methods.table_balls import set_up
 from rotcal_ros.methods.table_balls.model import (
     AXIS,
     MOTIONS,
@@ -340,16 +343,17 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
     return see
 
 
-def model(configuration: Configuration, read: Readings) -> Model:
+def model(configuration: Configuration, read: Readings, *, whole: bool = False) -> Model:
     """Return what is read for the engine; DataError where a ball is not where it is planned.
 
     A displacement counts from where the nest was sent, which is where the ball is planned.
+    ``whole`` as of :func:`~.model.model_of`.
     """
     balls = balls_of(configuration, read)
     if configuration.plan.measure == DISPLACEMENT:
         sent = balls.sent[balls.tilt, balls.position, balls.target]
         read = replace(read, points=read.points + sent)
-    found = model_of(configuration.plan, configuration.solver, read)
+    found = model_of(configuration.plan, configuration.solver, read, whole=whole)
     if len(balls.bars):
         _check_lengths(balls, read)
         return found
@@ -387,9 +391,11 @@ def states(configuration: Configuration, read: Readings, found: Adjusted) -> Sta
     details: dict[str, Any] = {"untold": [name for name in COMPONENTS if name not in balls.shown]}
     if balls.tilting is not None:
         details["tilts"] = np.array(balls.tilting.degrees) * DEGREE
-    protections = tuple(_protections(configuration, balls, found))
+    every = set_up.compared(configuration, read, found.why, partial(model, whole=True))
+    protections = (*_protections(configuration, balls, found), *alternatives.protections(every))
+    doubts = tuple(alternatives.doubts(every))
     axes = _axes(balls, found, configuration.plan.chain)
-    return Statement((), protections, details | {"trajectories": ways}, axes)
+    return Statement(doubts, protections, details | {"trajectories": ways}, axes)
 
 
 def restated(configuration: Configuration, read: Readings, found: Adjusted) -> Restated | None:

@@ -56,6 +56,7 @@ from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotati
 from rotcal_ros.methods.table_balls.motions import correlated, drawn, spectra
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
+    DISPLACEMENT,
     BallsPlanSettings,
     BallsSolverSettings,
     sense_of,
@@ -428,13 +429,13 @@ def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
         yield from ({x: c, y: s}, {x: -s, y: c})
 
 
-def stated_motions(balls: BallsOnTable, places: Floats) -> Floats:
+def stated_motions(balls: BallsOnTable, places: Floats, *, whole: bool = False) -> Floats:
     """Return rows (k, u) of motions that are stated to be zero, per their standard deviation.
 
     Motions are stated as they are, and by definition without their means and turning parts
     (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
     """
-    rows, at = _untold_rows(balls, places), balls.motions
+    rows, at = _untold_rows(balls, places, whole=whole), balls.motions
     taken = rows[:, at] @ np.linalg.qr(_sums(balls).T)[0]
     left, ways = np.linalg.eigh(np.eye(len(rows)) - taken @ taken.T)
     kept = left > SHARED
@@ -455,12 +456,12 @@ def _stated_beside(balls: BallsOnTable) -> Floats:
     return np.concatenate([np.zeros((0, sum(balls.blocks.values()))), *known])
 
 
-def _untold_rows(balls: BallsOnTable, places: Floats) -> Floats:
-    """Return orthonormal rows (k, u), per unit of a statement, of motions that are open."""
+def _untold_rows(balls: BallsOnTable, places: Floats, *, whole: bool) -> Floats:
+    """Return orthonormal rows (k, u), per unit of a statement, of open motions or of all."""
     count = balls.tilts * len(balls.angles)
     stop, seen = np.arange(count), np.zeros((count, len(balls.aims), 1, 1))
     seen[balls.stop, balls.target] = 1.0
-    untold = balls.untold(places, seen)
+    untold = np.broadcast_to(np.eye(6), (count, 6, 6)) if whole else balls.untold(places, seen)
     rows = np.zeros((count, 6, sum(balls.blocks.values())))
     at = balls.first["EXC"] + np.arange(6) * count + stop[:, None]  # of each stop, its six
     rows[stop[:, None, None], np.arange(6)[:, None], at[:, None]] = untold
@@ -550,27 +551,27 @@ def components_of(balls: BallsOnTable) -> tuple[str, ...]:
     return tuple(name for name in COMPONENTS if name == "ECC" or name in balls.shown)
 
 
-def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings) -> Model:
+def model_of(
+    plan: BallsPlanSettings, solver: BallsSolverSettings, read: Readings, *, whole: bool = False
+) -> Model:
     """Return unknowns, centres or lengths, and what could spoil them.
 
     Outputs are the :func:`components_of` the balls at the table positions, and below them
     :data:`AXIS` at the height of the origin and the line of the tilting axis. ``also``: the
     motions of each ball where the balls do not determine all six of the table, the errors of the
-    linear axes, and what happens at each tilt. Deviations are the means of the tilts.
+    linear axes, and what happens at each tilt. Deviations are the means of the tilts. ``whole``:
+    what is stated holds of all motions, not only of those that the balls leave open.
     """
     balls = BallsOnTable.of(plan, solver, read)
     start, count = balls.started(read.points), balls.coordinates
     design, places = balls(start)[1].toarray(), start[4 : balls.first["EXC"]].reshape(-1, 3)
-    motions = stated_motions(balls, places)
+    motions = stated_motions(balls, places, whole=whole)
     known = np.concatenate([motions, _stated_beside(balls)])
     known = np.concatenate([known, defined(balls, np.concatenate([design / balls.sigma, known]))])
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
     shifts = _from_mean(knocks(zero, when, MOST_MOMENTS), zero)
-    run = np.repeat(passes(read.station, read.position, read.order), count)
-    each = [recurring(np.where(zero == k, run, -1), when) for k in np.unique(zero)]
-    returning = _from_mean(np.concatenate(each, axis=1), zero)
     model = Model(
         blocks=balls.blocks,
         observed=read.value if count == 1 else read.points.ravel(),
@@ -591,14 +592,51 @@ def model_of(plan: BallsPlanSettings, solver: BallsSolverSettings, read: Reading
         ),
         effects=(
             Disturbing("drift", "machine or table drift", drifts(zero, when), largest, UM),
-            Disturbing("recurring drift", AGAIN, returning, largest, UM),
+            Disturbing("recurring drift", AGAIN, _returning(balls, read, zero), largest, UM),
             Disturbing("knock", "machine or table moved", shifts, largest, UM, family=True),
+            *_gain(balls, plan.measure),
         ),
         row_names=list(_names(balls, read)),
     )
     model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
+    if whole or not len(motions):
+        return model
     together = correlated(motions[:, balls.motions], moves(balls, solver))
-    return replace(model, correlated=(together.below(len(zero)),)) if len(motions) else model
+    return replace(model, correlated=(together.below(len(zero)),))
+
+
+def _returning(balls: BallsOnTable, read: Readings, zero: Ints) -> Floats:
+    """Return drifts that come back (n, k), each counted from the mean of a ``zero`` (n,).
+
+    Of the machine along x, y and z, and of all lengths of a bar. What is seen at one stop of the
+    table drifts alike: balls that are touched one after the other would tell of the time between
+    them, and of nothing else.
+    """
+    run = passes(read.station, read.position, read.order)
+    _, stop = np.unique(np.stack([run, read.position]), axis=1, return_inverse=True)
+    shapes = recurring(run, (np.bincount(stop, read.when) / np.bincount(stop))[stop])
+    felt = np.broadcast_to(np.eye(3), (len(run), 3, 3))
+    if len(balls.bars):
+        alone = replace(balls, bars=balls.bars[:0])
+        arm = balls.sent[balls.tilt, balls.position, balls.target]
+        arm = alone.sent[balls.tilt, balls.position, balls.ball] - arm
+        along = arm / np.linalg.norm(arm, axis=1)[:, None]
+        felt = np.insert(along, 3, 1.0, axis=1)[:, None]
+    return _from_mean(np.einsum("nca,ns->ncas", felt, shapes).reshape(len(zero), -1), zero)
+
+
+def _gain(balls: BallsOnTable, measure: str) -> Iterator[Disturbing]:
+    """Yield what is wrong where an instrument shows too much or too little of what is off."""
+    if measure == BAR:
+        wanted = np.linalg.norm(balls.arms, axis=1)[balls.target]
+        what = "the ball bar shows too much or too little"
+    elif measure == DISPLACEMENT:
+        wanted = balls.sent[balls.tilt, balls.position, balls.target].ravel()
+        what = "the nest shows too much or too little"
+    else:
+        return
+    percent = Unit("%", 0.01)
+    yield Disturbing("gain", what, lambda computed: (computed - wanted)[:, None], 0.1, percent)
 
 
 def moves(balls: BallsOnTable, solver: BallsSolverSettings) -> dict[str, tuple[Floats, ...]]:

@@ -1,0 +1,152 @@
+"""Whether the same readings were meant otherwise: of the other sign, counted the other way round.
+
+A mistake of set-up is no effect of some size that could be taken off. It is another model of the
+same readings, with the same unknowns, and what speaks for one or the other is how probable each
+makes what was read. The motions of a table are stated; of two models the one in which they have to
+be far larger is the less probable. A scatter, of readings or of motions, that contradicts what is
+stated is estimated for each model by itself: a statement of a wrong size speaks for neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from rotcal_ros.adjust.arrow import dense
+from rotcal_ros.adjust.fit import OPEN
+from rotcal_ros.adjust.groups import CHECKED
+from rotcal_ros.adjust.model import Model
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.protection import Effect, Protection
+
+EXCLUDED: Final = np.log(20.0)
+"""ln of how many times as probable readings are as they were taken, where they exclude others."""
+SURELY: Final = np.log(1000.0)
+"""ln of how many times as probable another meaning makes them, where it is held to be true.
+
+By chance sound readings look so less than once in a thousand times.
+"""
+
+MOST: Final = np.log(1e9)
+"""ln of odds that are named; what is more says no more."""
+LEAST: Final = 0.01
+"""Factor on what is stated beforehand, at least."""
+ROUNDS: Final = 4
+"""Steps to the solution of a model that is nearly linear, and to its noise."""
+
+
+class Alternative(NamedTuple):
+    """What else readings may be: by a mistake like ``effect`` it holds that ``what``.
+
+    ``model`` makes the model of them; it raises a RotcalError where they cannot be meant so.
+    """
+
+    effect: Effect
+    what: str
+    model: Callable[[], Model]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """An alternative, and ln of how many times as probable it makes the readings.
+
+    Minus infinity: they cannot be meant so.
+    """
+
+    alternative: Alternative
+    gain: float
+
+
+def compared(
+    as_taken: Model, gone: Collection[int], others: Iterable[Alternative]
+) -> list[Compared]:
+    """Return what speaks for the ``others``, those first for which there is most.
+
+    All models have the same observations, in one order, and the same unknowns. What is ``gone``,
+    by row, is left out of each, unless it does better with them.
+    """
+    here = _improbability(as_taken, gone)
+
+    def gain(other: Alternative) -> float:
+        try:
+            return 0.5 * (here - _improbability(other.model(), gone))
+        except RotcalError:
+            return -np.inf
+
+    each = [Compared(other, gain(other)) for other in others]
+    return sorted(each, key=lambda one: -one.gain)
+
+
+def _improbability(model: Model, gone: Collection[int]) -> float:
+    """Return -2 ln of the likelihood, with or without what is ``gone``: each costs a size."""
+    every = np.ones(len(model.observed))
+    if not gone:
+        return _restricted(model, every)
+    price = 3.0 * len(gone) * float(np.log(len(every)))
+    some = np.where(np.isin(np.arange(len(every)), list(gone)), 0.0, 1.0)
+    return min(_restricted(model, every), price + _restricted(model, some))
+
+
+def _restricted(model: Model, used: Floats) -> float:
+    """Return -2 ln of the restricted likelihood: what the unknowns take up tells of no noise.
+
+    Patterson and Thompson (1971). The factors on the noise of readings are 1 or more; what is
+    stated beforehand may be far too large, too.
+    """
+    part = model.of_component == np.arange(len(model.components))[:, None]
+    least = np.where((part & model.may_go).any(axis=1), 1.0, LEAST)
+    factors, x, found = np.ones(len(part)), model.first, np.inf
+    for _ in range(ROUNDS):
+        computed, design = model.equations(x)
+        weight = used / (model.std * factors[model.of_component])
+        columns = dense(design) * weight[:, None]
+        length = np.linalg.norm(columns, axis=0)
+        length = np.where(length > 0.0, length, 1.0)
+        basis, size, ways = np.linalg.svd(columns / length, full_matrices=False)
+        told = size > OPEN * size[0]
+        basis = basis[:, told]
+        taken = basis.T @ ((model.observed - computed) * weight)
+        x = x + (ways[told].T @ (taken / size[told])) / length
+        left = (model.observed - computed) * weight - basis @ taken
+        redundancy = part @ ((used > 0.0) - (basis**2).sum(axis=1))
+        squares = part @ left**2
+        found = float(squares.sum() + 2.0 * redundancy @ np.log(factors))
+        share = np.where(redundancy > CHECKED, squares / np.maximum(redundancy, CHECKED), 1.0)
+        factors = np.maximum(factors * np.sqrt(share), least)
+    return found
+
+
+def doubts(every: Sequence[Compared]) -> Iterator[str]:
+    """Return in words that readings were surely meant otherwise."""
+    best = next(iter(every), None)
+    if best is None or best.gain < SURELY:
+        return
+    alike = [one.alternative.what for one in every if best.gain - one.gain < EXCLUDED]
+    what = ", or ".join(alike)
+    yield f"it looks as if {what} ({_odds(best.gain)} : 1): put it right, and solve again"
+
+
+def _odds(gain: float) -> str:
+    return f"{np.exp(min(gain, MOST)):.1g}"
+
+
+def protections(every: Sequence[Compared]) -> Iterator[Protection]:
+    """Return by effect whether readings that were meant otherwise would show it."""
+    for effect in dict.fromkeys(one.alternative.effect for one in every):
+        mine = [one for one in every if one.alternative.effect == effect]
+        what, gain = mine[0].alternative.what, mine[0].gain
+        if gain > SURELY:
+            yield Protection(effect, "tested", f"it was found that {what}")
+            continue
+        if unseen := [one.alternative.what for one in mine if one.gain > -EXCLUDED]:
+            why = f"what was read does not exclude that {', or '.join(unseen)}"
+            yield Protection(effect, "not protected", why)
+            continue
+        why = f"that {what} cannot be: such readings are refused"
+        if np.isfinite(gain):
+            why = f"what was read speaks against it that {what} ({_odds(-gain)} : 1)"
+        yield Protection(effect, "tested", why)

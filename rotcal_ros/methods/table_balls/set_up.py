@@ -1,0 +1,144 @@
+"""What readings of balls may be by a mistake of set-up: other signs, sense or numbering."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from rotcal_ros.adjust import alternatives
+from rotcal_ros.adjust.alternatives import Alternative, Compared
+from rotcal_ros.adjust.model import Model
+from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.protection import Effect
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.table_balls.model import BallsOnTable
+from rotcal_ros.methods.table_balls.settings import BAR, DISPLACEMENT, below_the_table
+from rotcal_ros.planning.readings import Readings
+from rotcal_ros.planning.table_angles import table_angles
+
+AXES: Final[tuple[tuple[str, tuple[tuple[int, ...], ...]], ...]] = (
+    ("displacements are those of the nest from the ball", ((-1, 0, 0), (0, -1, 0), (0, 0, -1))),
+    ("dx counts the other way", ((-1, 0, 0), (0, 1, 0), (0, 0, 1))),
+    ("dy counts the other way", ((1, 0, 0), (0, -1, 0), (0, 0, 1))),
+    ("dz counts the other way", ((1, 0, 0), (0, 1, 0), (0, 0, -1))),
+    ("dx and dy are exchanged", ((0, 1, 0), (1, 0, 0), (0, 0, 1))),
+    ("the nest is turned by 90 deg about z", ((0, -1, 0), (1, 0, 0), (0, 0, 1))),
+    ("the nest is turned by -90 deg about z", ((0, 1, 0), (-1, 0, 0), (0, 0, 1))),
+)
+"""Other axes of displacements, and what takes them to those of the machine."""
+DOWN: Final = (("z points into the table", ((1, 0, 0), (0, 1, 0), (0, 0, -1))),)
+"""The same of centres."""
+MOST_ANGLES: Final = 24
+"""Table angles that are compared, evenly out of more: they show a mistake of set-up as well."""
+
+
+class Otherwise(NamedTuple):
+    """That ``what`` holds, by a mistake like ``effect``: then this set-up and these readings."""
+
+    effect: Effect
+    what: str
+    configuration: Configuration
+    read: Readings
+
+
+def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:
+    """Yield what else was read may be."""
+    plan = configuration.plan
+    for letter in (below_the_table(plan.chain), "C"):
+        if letter:
+            turned = replace(configuration, plan=replace(plan, chain=_toggled(plan.chain, letter)))
+            yield Otherwise("sense", f"{letter} turns the other way", turned, read)
+    step = float(np.median(np.diff(table_angles(plan)))) / DEGREE
+    for on, where in ((step, "behind"), (-step, "before")):
+        angles = tuple(angle / DEGREE + on for angle in table_angles(plan))
+        turned = replace(configuration, plan=replace(plan, table_angles_deg=angles))
+        what = f"the table stood one position {where} the one that is stated"
+        yield Otherwise("numbering", what, turned, read)
+    for what, target in _exchanged(configuration, read):
+        yield Otherwise("numbering", what, configuration, replace(read, target=target))
+    yield from _signs(configuration, read)
+
+
+def _toggled(chain: str, letter: str) -> str:
+    """Return a chain whose axis ``letter`` turns the other way."""
+    if f"-{letter}" in chain:
+        return chain.replace(f"-{letter}", letter)
+    return chain.replace(letter, f"-{letter}")
+
+
+def _exchanged(configuration: Configuration, read: Readings) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the targets (n,) were two neighbours, set-ups or balls, taken for each other."""
+    plan, what = configuration.plan, "balls"
+    every, other = len(plan.balls_m) // 3, np.zeros(len(read.target), np.int64)
+    number = read.target
+    if plan.measure == BAR:
+        every, what = len(plan.bars_m) // 3, "set-ups"
+        other, number = read.target // every * every, read.target % every
+    for k in range(every if every > 2 else every - 1):
+        pair = k, (k + 1) % every
+        one, two = number == pair[0], number == pair[1]
+        found = np.where(one, pair[1], np.where(two, pair[0], number))
+        yield f"{what} {min(pair)} and {max(pair)} are taken for each other", other + found
+
+
+def _signs(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:
+    """Yield readings that count the other way, or along other axes."""
+    plan = configuration.plan
+    if plan.measure == BAR:
+        balls = BallsOnTable.of(plan, configuration.solver)
+        wanted = np.linalg.norm(balls.arms, axis=1)[read.target]
+        found = replace(read, value=2.0 * wanted - read.value)
+        what = "a bar that grows longer shows less"
+        yield Otherwise("sign of readings", what, configuration, found)
+        return
+    signs = AXES if plan.measure == DISPLACEMENT else DOWN
+    for what, axes in signs:
+        points = read.points @ np.array(axes, dtype=np.float64).T
+        found = replace(read, points=points, value=points[:, 0])
+        effect: Effect = "sign of readings" if plan.measure == DISPLACEMENT else "sign of z"
+        yield Otherwise(effect, what, configuration, found)
+
+
+def _thinned(configuration: Configuration, read: Readings) -> tuple[Configuration, Readings, Ints]:
+    """Return the same at MOST_ANGLES or fewer, evenly, and which (k,) readings these are."""
+    angles = np.array(table_angles(configuration.plan)) / DEGREE
+    every = -(-len(angles) // MOST_ANGLES)
+    rows = np.flatnonzero(read.position % every == 0)
+    plan = replace(configuration.plan, table_angles_deg=tuple(angles[::every].tolist()))
+    points = read.points[rows] if len(read.points) else read.points
+    found = Readings(
+        read.position[rows] // every, read.target[rows], read.station[rows], read.value[rows],
+        read.order[rows], points,
+    )  # fmt: skip
+    return replace(configuration, plan=plan), found, rows
+
+
+def compared(
+    configuration: Configuration,
+    read: Readings,
+    gone: Collection[int],
+    model: Callable[[Configuration, Readings], Model],
+) -> list[Compared]:
+    """Return what speaks for readings that were meant otherwise, without rows that are ``gone``.
+
+    ``model`` makes that of a set-up and readings; all motions must be stated in it.
+    """
+
+    def of(configuration: Configuration, read: Readings) -> Model:
+        return model(*_thinned(configuration, read)[:2])
+
+    each = [
+        Alternative(o.effect, o.what, partial(of, o.configuration, o.read))
+        for o in otherwise(configuration, read)
+    ]
+    rows = _thinned(configuration, read)[2]
+    count = 1 if configuration.plan.measure == BAR else 3
+    kept = np.repeat(rows * count, count) + np.tile(np.arange(count), len(rows))
+    number = {row: k for k, row in enumerate(kept.tolist())}
+    gone = [number[row] for row in gone if row in number]
+    return alternatives.compared(of(configuration, read), gone, each)
