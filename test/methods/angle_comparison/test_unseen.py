@@ -1,10 +1,15 @@
 """What the readings of two circles cannot show is named; what they can show is found."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from circle_world import FOUR, NOISE, THREE, TURN, TWO, CircleWorld, solved, stated
+from click.testing import CliRunner
 
+from rotcal_ros import read_result
 from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.angle_comparison.model import model_of, readings_of
 from rotcal_ros.methods.prospect import prospects
@@ -186,3 +191,17 @@ def test_covariances_are_those_of_the_pseudo_inverse_about_the_same_zero(n, shif
     expected = from_first @ inverse[:n, :n] @ from_first.T
     assert found == pytest.approx(expected, rel=0, abs=1e-12 * expected.max())
     assert np.abs(found[:n, :n] - inverse[:n, :n]).max() > 0.1 * expected.max()
+
+
+def test_settings_beside_each_other_in_a_table_are_solved_to_their_truth(tmp_path):
+    """A matrix of readings as people keep it, with the values that were drawn for it."""
+    folder = Path(__file__).parent / "settings_of_a_polygon"
+    out = tmp_path / "result.json"
+    words = ["solve", str(folder / "readings.csv"), "--setup", str(folder / "setup.yaml")]
+    run = CliRunner().invoke(rotcal, [*words, "-o", str(out)])
+    assert run.exit_code == 0, run.output
+    result = read_result(out)
+    _, true, _ = np.loadtxt(folder / "truth.csv", delimiter=",", skiprows=1).T
+    off = np.abs(result.deviations["ECC"][:12] / ARCSEC - true)
+    assert (off <= 2.0 * result.std["ECC"][:12] / ARCSEC + 1e-9).all()
+    assert {"numbering", "single readings"}.isdisjoint(result.unprotected)
