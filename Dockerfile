@@ -1,5 +1,6 @@
 # rotcal_ros with ROS 2 from wheels, for x86-64. Build and run: docs/install.md
-ARG BASE=docker.io/library/debian:bookworm-slim
+# The most exact tag; --build-arg BASE=...@sha256:... pins its bytes, too.
+ARG BASE=docker.io/library/debian:bookworm-20260202-slim
 
 FROM ${BASE} AS build
 # hadolint ignore=DL3008

@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 DEMO := out/demo$(VENV:.venv%=%)
 # For CI, with known truth: a table of ros2_control and a ball plate behind I++ DME at once, the goals
 # of a trajectory controller, and the closed loop on LinuxCNC.
-JAZZY_TESTS := test/nodes/test_two_cells.py test/cli/test_doctor.py \
+JAZZY_TESTS := test/nodes/test_every_reader.py test/nodes/test_two_cells.py test/cli/test_doctor.py \
 	test/extensions/ros2_control/test_table_goals.py test/linuxcnc/test_closed_loop.py
 SEED ?= 1
 SAMPLE ?= 400

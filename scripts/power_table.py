@@ -41,7 +41,7 @@ larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of 
 No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. The
 effects are explained below the table, or else below the nearest table above.
 
-Three errors have no size here, because no size changes the verdict:
+Some errors have no size here, because no size changes the verdict:
 
 * **An offset between parts of the table that nothing joins**
   ([groups](ball_plate.md#closed-form-and-groups)). Such a result is always `suspect`.
@@ -49,6 +49,12 @@ Three errors have no size here, because no size changes the verdict:
   `numbering` until `plan.tracer_m` states where the tracer stands.
 * **A z axis that points down** in a table of ball centres, or of a tracer at several places. The
   verdict line names `sign of z`.
+* **Two circles**: settings that are numbered or exchanged, single readings and certificates that
+  nothing checks, a reference that leans or gives way alike in all settings. The verdict line names
+  `numbering`, `single readings`, `gauge`, `polygon tilt` and `slip`
+  ([what tests them](angle_comparison.md#what-the-readings-cannot-show)).
+* **A link that one input alone determines**, and a table of values that nothing measured again, in
+  a [combination](evaluation.md#combination). The verdict line names `gauge`, `single readings`.
 
 Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
 `rotcal plan power CONFIG` measures your own plan. The words:

@@ -19,7 +19,7 @@ VENV=$PWD/.venv$SUFFIX
 BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
 EXTRAS=${ROTCAL_EXTRAS:-ros,many,history,opcua,ads,dcc,notebook,page,docs,test},build,build-$DISTRO
-PINS=(constraints.txt "constraints-$DISTRO.txt")
+LOCK=locks/$DISTRO.txt
 # Settings of a sourced ROS installation or of another environment would leak into this one.
 unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unset VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -43,8 +43,7 @@ quietly() {
 python_says() { "$PYTHON" -c "import sys, sysconfig; $1"; }
 
 check_machine() {
-    [[ -e constraints-$DISTRO.txt ]] ||
-        fail "ROS 2 '$DISTRO' is not supported; there are:" constraints-*.txt
+    [[ -e $LOCK ]] || fail "ROS 2 '$DISTRO' is not supported; there are:" locks/*.txt
     [[ $(uname -sm) == "Linux x86_64" ]] ||
         fail "ROS 2 wheels exist for x86-64 Linux only, this is $(uname -sm)"
     command -v "$PYTHON" >/dev/null ||
@@ -75,20 +74,31 @@ make_environment() {
 install_packages() {
     say "2/3 Python packages and ROS 2 wheels (1 GB on disk, a minute or two)"
     local pip=("$VENV/bin/python" -m pip --disable-pip-version-check)
-    local wanted=("${PINS[@]/#/-c}" --no-build-isolation -e ".[$EXTRAS]") settings
-    quietly "${pip[@]}" install "${PINS[@]/#/-c}" setuptools wheel
+    local hashed=(--require-hashes --no-deps --no-build-isolation -r) settings
+    locked tools >"$BUILD/tools.txt"
+    locked core "$EXTRAS" >"$BUILD/packages.txt"
+    quietly "${pip[@]}" install "${hashed[@]}" "$BUILD/tools.txt"
+    hashed+=("$BUILD/packages.txt")
     # uv takes seconds where pip takes a minute, but knows nothing of a mirror that pip is told of.
     settings=$("${pip[@]}" config list)
-    if [[ $settings =~ [.](no-index|index-url)= ]] || ! by_uv "${wanted[@]}"; then
-        quietly "${pip[@]}" install "${wanted[@]}"
+    if [[ $settings =~ [.](no-index|index-url)= ]] || ! by_uv "${hashed[@]}"; then
+        quietly "${pip[@]}" install "${hashed[@]}"
     fi
+    quietly "${pip[@]}" install --no-deps --no-build-isolation -e .
     enter_into_ament_index
+}
+
+# The packages of some extras, with versions and hashes, from the lock of the distribution.
+locked() {
+    local parts="$*"
+    awk -v parts=" ${parts//,/ } " '
+        /^# for: / { ours = 0; for (n = 3; n <= NF; n++) ours = ours || index(parts, " " $n " ") }
+        /^#/ { next }
+        ours' "$LOCK"
 }
 
 by_uv() {
     echo "+ uv pip install $*" >>"$LOG"
-    "$VENV/bin/python" -m pip --disable-pip-version-check install -c constraints.txt uv \
-        >>"$LOG" 2>&1 || return
     env ${PIP_CERT:+SSL_CERT_FILE="$PIP_CERT"} \
         "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "$@" >>"$LOG" 2>&1
 }
@@ -144,11 +154,11 @@ flock 9 # two terminals, one set-up
 # An environment can neither be moved nor serve another Python.
 environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
 packages=$({
-    echo "$environment" && cat "${PINS[@]}" setup.* scripts/setup.sh rotcal_ros/{__init__,foundation/node_names}.py
+    echo "$environment" && cat "$LOCK" setup.* scripts/setup.sh rotcal_ros/{__init__,foundation/node_names}.py
     find config launch -type f | sort
 } | hash_of)
 messages=$({
-    echo "$environment" && cat "${PINS[@]}"
+    echo "$environment" && cat "$LOCK"
     find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum
 } | hash_of)
 if is_made packages "$packages" && is_made messages "$messages"; then

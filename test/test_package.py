@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 import yaml
 from catkin_pkg.package import parse_package
+from packaging.markers import Marker
+from packaging.utils import canonicalize_name
 
 import rotcal_ros
 from rotcal_ros.foundation.middleware import SUPPORTED
@@ -111,6 +113,73 @@ def test_every_supported_distribution_pins_all_of_ros(distribution, setup_py):
     lines = (ROOT / f"constraints-{distribution}.txt").read_text().splitlines()
     pinned = {line.partition("==")[0] for line in lines if line.startswith("ros-")}
     assert pinned == wheels | {"ros-rmw-fastrtps-cpp"}  # an extra of ros-rclpy
+
+
+LOCKED = re.compile(
+    r"# for: (?P<parts>.+)\n(?P<name>[\w.-]+)==(?P<version>\S+)(?: ; (?P<marker>[^\\]+?))? \\\n"
+    r"(?P<hashes>(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)"
+)
+
+
+def locked(distribution):
+    """Return (parts, name, version, marker) of all packages of a lock, and what else it holds."""
+    text = (ROOT / "locks" / f"{distribution}.txt").read_text()
+    found = [
+        (m["parts"].split(), canonicalize_name(m["name"]), m["version"], m["marker"])
+        for m in LOCKED.finditer(text)
+    ]
+    return found, LOCKED.sub("", text)
+
+
+@pytest.mark.parametrize("distribution", SUPPORTED)
+def test_a_lock_has_a_version_and_hashes_of_every_package_and_names_no_registry(distribution):
+    found, rest = locked(distribution)
+    assert len(found) > 200
+    assert all(line.startswith("# ") for line in rest.splitlines())
+    assert "://" not in rest
+
+
+@pytest.mark.parametrize("python", ["3.10", "3.11", "3.12", "3.13", "3.14"])
+@pytest.mark.parametrize("distribution", SUPPORTED)
+def test_a_lock_has_what_each_extra_needs_as_it_is_pinned(distribution, python, setup_py):
+    found, _ = locked(distribution)
+    here = {"python_version": python, "python_full_version": f"{python}.9", "extra": ""}
+    here |= {"sys_platform": "linux", "platform_machine": "x86_64"}
+
+    def fits(marker):
+        return marker is None or Marker(marker).evaluate(here)
+
+    there = [(parts, name, version) for parts, name, version, marker in found if fits(marker)]
+    versions = {name: version for _, name, version in there}
+    assert len(versions) == len(there)  # one version of each
+    pins = [
+        line.split(" ; ")
+        for path in (ROOT / "constraints.txt", ROOT / f"constraints-{distribution}.txt")
+        for line in path.read_text().splitlines()
+        if "==" in line
+    ]
+    for pin, *marker in pins:
+        name, _, version = pin.partition("==")
+        if canonicalize_name(name) in versions and fits(*marker or [None]):
+            assert versions[canonicalize_name(name)] == version
+    others = {f"build-{other}" for other in SUPPORTED} - {f"build-{distribution}"}
+    wanted = {"core": setup_py["install_requires"], **setup_py["extras_require"]}
+    for part in wanted.keys() - {"mutants", "release", *others}:
+        named = {canonicalize_name(re.match(r"[\w.-]+", text)[0]) for text in wanted[part]}
+        assert named <= {name for parts, name, _ in there if part in parts}, part
+
+
+def test_the_base_of_the_container_and_the_actions_of_ci_are_pinned():
+    actions = [
+        line.split("uses:")[1]
+        for path in (ROOT / ".github").glob("workflows/*.y*ml")
+        for line in path.read_text().splitlines()
+        if "uses:" in line
+    ]
+    assert actions
+    assert all(re.fullmatch(r" \S+@[0-9a-f]{40} # v[\d.]+", action) for action in actions)
+    base = re.search(r"^ARG BASE=(.+)$", (ROOT / "Dockerfile").read_text(), re.M)[1]
+    assert re.search(r":\w+-\d{8}-slim$|@sha256:[0-9a-f]{64}$", base)
 
 
 def test_the_environment_is_found_by_ros_run_and_launch(setup_py):

@@ -55,6 +55,8 @@ class Columns:
 class Decoder:
     """Decodes the messages of one channel; ``broken`` counts those that could not be.
 
+    ``unreadable`` says why, if all of them are in a form that is not read.
+
     ``begins_with_header`` says that seconds and nanoseconds of a stamp stand first in a message.
 
     Raises BagError when the channel's definition cannot be used.
@@ -63,6 +65,7 @@ class Decoder:
     def __init__(self, channel: ChannelDefinition) -> None:
         self.channel = channel
         self.broken = 0
+        self.unreadable = ""
         self._store, self.definitions = message_types(channel)
         self._layouts: dict[int, list[tuple[FieldLayout, Bytes]]] = {}
         fields = self.definitions[channel.type_name][1]
@@ -73,6 +76,12 @@ class Decoder:
 
         None, and counted as broken, when the bytes are not such a message.
         """
+        if self._is_of_other_form(data):
+            self.broken += 1
+            return None
+        if data[1:2] in _XCDR2:
+            with suppress(DamagedRecord):
+                data = plain_cdr(data, self.channel.type_name, self.definitions)
         with suppress(Exception):
             return self._store.deserialize_cdr(data, self.channel.type_name)
         # Some serialisers, as rclpy's, leave unused bytes at the end.
@@ -113,6 +122,8 @@ class Decoder:
         for layout, template in known:
             if layout.fits(message[np.newaxis], template, alike)[0]:
                 return layout, template
+        if self._is_of_other_form(message[:_ENCAPSULATION].tobytes()):
+            return None
         try:
             layout = work_out_layout(message.tobytes(), self.channel.type_name, self.definitions)
         except DamagedRecord:
@@ -121,6 +132,18 @@ class Decoder:
             known.clear()
         known.append((layout, message.copy()))
         return known[-1]
+
+    def _is_of_other_form(self, data: bytes) -> bool:
+        """Return whether a message is in no form of CDR that is read, and name it."""
+        name = _OTHER_FORMS.get(data[:2])
+        if name is None:
+            return False
+        self.unreadable = (
+            f"topic {self.channel.topic}: messages of {self.channel.type_name} are serialised as "
+            f"{name}, which cannot be read (plain CDR and plain CDR2 can): declare the type "
+            "@final in its writer, or record with a middleware of ROS 2"
+        )
+        return True
 
     def _dtype(self, layout: FieldLayout, wanted: Sequence[str]) -> np.dtype[np.void]:
         missing = [name for name in wanted if name not in layout.fields]
@@ -147,6 +170,10 @@ _TIMES_DEFINITION: Final = "int32 sec\nuint32 nanosec\n"
 _SHOWN: Final = 60
 _LINE_END: Final = re.compile(r"[ \t]*(?:\r\n?|\n)")
 """An end of a line, as on Windows too, with the blanks that editors leave before it."""
+_IDL_PARTS: Final = re.compile(r"(?m)^={80}\n(?:IDL: .*\n)?")
+"""What MCAP's ``ros2idl`` has before every definition, the first one too."""
+_PREPROCESSOR: Final = re.compile(r"(?m)^[ \t]*#.*$")
+"""Lines that rosidl generates, ``#include``: what they name stands in the other parts."""
 _PLACE: Final = re.compile(r"\n(\d+)\n")
 
 
@@ -160,10 +187,16 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     Raises BagError when there is no definition or none that can be used.
     """
     if channel.encoding not in ("ros2msg", "ros2idl"):
-        what = f"only one in {channel.encoding!r}" if channel.encoding else "no definition"
+        if not channel.encoding:
+            raise BagError(
+                f"topic {channel.topic}: the bag holds no definition of {channel.type_name}; "
+                "convert it with 'ros2 bag convert' where the package of this type is installed"
+            )
         raise BagError(
-            f"topic {channel.topic}: the bag holds {what} of {channel.type_name}; convert it "
-            "with 'ros2 bag convert' where the package of this type is installed"
+            f"topic {channel.topic}: the schema {channel.type_name} is described in "
+            f"{channel.encoding!r}, its messages are in {channel.message_encoding!r}: only "
+            "messages of ROS 2 are read (ros2msg or ros2idl, in cdr); publish it as a message of "
+            "ROS 2 and record that, or write its numbers into a table (docs/formats.md)"
         )
     if channel.message_encoding not in _ENCODINGS:
         raise BagError(
@@ -202,7 +235,13 @@ def _parsed(type_name: str, encoding: str, definition: str) -> dict[str, Any]:
         raise _Unusable(f"it is longer than {MAX_DEFINITION} characters")
     text = _LINE_END.sub("\n", definition.removeprefix("\ufeff"))
     if encoding == "ros2idl":
-        return dict(get_types_from_idl(text))
+        parts = _IDL_PARTS.split(_PREPROCESSOR.sub("", text))
+        return {
+            name: fields
+            for part in parts
+            if part.strip()
+            for name, fields in get_types_from_idl(part).items()
+        }
     return dict(get_types_from_msg(text, type_name))
 
 
@@ -280,7 +319,17 @@ Definitions = Mapping[str, tuple[Any, Fields]]
 
 _ENCAPSULATION: Final = 4
 """Bytes before the fields in CDR; fields are aligned from their end: the second one is 0 for
-big, 1 for little endian; other values stand for other encodings."""
+big, 1 for little endian; 6 and 7 are the same in plain CDR2 of XTypes, others are not read."""
+_XCDR2: Final = (b"\6", b"\7")
+_OTHER_FORMS: Final = {
+    bytes([0, kind]): name
+    for kinds, name in (
+        ((2, 3), "a parameter list (PL_CDR)"),
+        ((8, 9), "CDR2 with delimiters (D_CDR2, of appendable types)"),
+        ((10, 11), "CDR2 with members (PL_CDR2, of mutable types)"),
+    )
+    for kind in kinds
+}
 _ASCII: Final = 0x7F
 """Largest byte that is UTF-8 whatever bytes stand beside it."""
 NUMBERS: Final = {
@@ -357,13 +406,25 @@ def work_out_layout(message: bytes, type_name: str, definitions: Definitions) ->
     return _LayoutFinder(message, definitions).layout(type_name)
 
 
+def plain_cdr(message: bytes, type_name: str, definitions: Definitions) -> bytes:
+    """Return a message in plain CDR2 as classic CDR; raises DamagedRecord when it is broken."""
+    finder = _LayoutFinder(message, definitions)
+    finder.layout(type_name)
+    return finder.classic()
+
+
 class _LayoutFinder:
-    """Works out the layout of one message in classic CDR, of either byte order."""
+    """Works out the layout of one message in classic CDR or plain CDR2, of either byte order.
+
+    CDR2 aligns to 4 bytes at most, and has the size of a list of texts or messages before it.
+    """
 
     def __init__(self, message: bytes, definitions: Definitions) -> None:
-        if len(message) < _ENCAPSULATION or message[0] != 0 or message[1] > 1:
+        self._xcdr2 = message[1:2] in _XCDR2
+        if len(message) < _ENCAPSULATION or message[0] != 0 or not (self._xcdr2 or message[1] < 2):
             raise DamagedRecord("a message is not serialised as plain CDR")
-        self._order = "<" if message[1] else ">"
+        self._order = "<" if message[1] & 1 else ">"
+        self._pieces: list[tuple[int, int, int]] = []
         self._message = message
         self._definitions = definitions
         self._position = _ENCAPSULATION
@@ -373,6 +434,15 @@ class _LayoutFinder:
         self._message_fields(type_name, "")
         self._layout.end = self._position
         return self._layout
+
+    def classic(self) -> bytes:
+        """Return the message with the alignment of classic CDR, after :meth:`layout`."""
+        classic = bytearray((0, self._message[1] & 1, 0, 0))
+        for alignment, begin, end in self._pieces:
+            classic += (
+                bytes(-(len(classic) - _ENCAPSULATION) % alignment) + self._message[begin:end]
+            )
+        return bytes(classic)
 
     def _message_fields(self, type_name: str, prefix: str) -> None:
         if type_name not in self._definitions:
@@ -387,6 +457,9 @@ class _LayoutFinder:
             self._message_fields(detail, f"{name}.")
         else:
             (inner, inner_detail), count = detail
+            if self._xcdr2 and (inner != Nodetype.BASE or inner_detail[0] == "string"):
+                self._skip(4, 4)
+                self._pieces.pop()  # classic CDR has no such size
             if kind == Nodetype.SEQUENCE:
                 count = self._count()
             if inner == Nodetype.BASE:
@@ -436,9 +509,12 @@ class _LayoutFinder:
 
     def _skip(self, alignment: int, size: int) -> int:
         """Align, skip ``size`` bytes and return where they begin."""
-        padding = -(self._position - _ENCAPSULATION) % alignment
+        padding = -(self._position - _ENCAPSULATION) % (
+            min(alignment, 4) if self._xcdr2 else alignment
+        )
         begin = self._position + padding
         if begin + size > len(self._message):
             raise DamagedRecord("a message is shorter than its fields")
         self._position = begin + size
+        self._pieces.append((alignment, begin, begin + size))
         return begin

@@ -18,23 +18,6 @@ _SEPARATOR: Final = "=" * 80
 _BUILTIN: Final = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-_ACTION_MESSAGES: Final[dict[str, int | str]] = {
-    "Goal": 0,
-    "Result": 1,
-    "Feedback": 2,
-    "FeedbackMessage": "unique_identifier_msgs/UUID goal_id\n{0}/{1}Feedback feedback\n",
-    "SendGoalRequest": "unique_identifier_msgs/UUID goal_id\n{0}/{1}Goal goal\n",
-    "SendGoalResponse": "bool accepted\nbuiltin_interfaces/Time stamp\n",
-    "SendGoalEvent": (
-        "service_msgs/ServiceEventInfo info\n{0}/{1}SendGoalRequest[<=1] request\n"
-        "{0}/{1}SendGoalResponse[<=1] response\n"
-    ),
-}
-"""Messages that ROS makes of an action: the number of the part of its file, or their text.
-
-The names that ROS gives them (``Calibrate_Goal``) have an underscore, which some readers refuse
-inside a definition: it is left out there.
-"""
 _FIELD: Final = re.compile(r"^(?P<type>[A-Za-z][\w/]*)(<=\d+)?(\[[^\]]*\])?\s+\w+")
 
 
@@ -116,33 +99,14 @@ def _channel(entry: dict[str, Any]) -> ChannelDefinition:
 def _own_text(name: str, share: ShareLookup, wanted_by: str) -> str:
     try:
         package, kind, short = name.split("/")
-        folder = share(package)
-        text = _action_message(folder, package, short)
-        if text is not None:
-            return text
         if kind != "msg":
             raise LookupError(f"{name} is not a message")
-        return (folder / kind / f"{short}.msg").read_text(encoding="utf-8")
+        return (share(package) / kind / f"{short}.msg").read_text(encoding="utf-8")
     except (ValueError, LookupError, OSError) as error:
         raise BagError(
             f"the definition of message {name} (needed for {wanted_by}) is not installed: "
             f"{error}; install or source the package that defines it"
         ) from error
-
-
-def _action_message(folder: Path, package: str, short: str) -> str | None:
-    """Return the text of a message that ROS makes of an action; None for any other message."""
-    whole = short.replace("_", "")
-    for part, around in _ACTION_MESSAGES.items():
-        file = folder / "action" / f"{whole.removesuffix(part)}.action"
-        if not (whole.endswith(part) and file.exists()):
-            continue
-        if isinstance(around, str):
-            return around.format(package, file.stem)
-        lines = file.read_text(encoding="utf-8").splitlines()
-        ends = [-1, *(n for n, line in enumerate(lines) if line.strip() == "---"), len(lines)]
-        return "\n".join(lines[ends[around] + 1 : ends[around + 1]]) + "\n"
-    return None
 
 
 def _dependencies(text: str, package: str) -> list[str]:

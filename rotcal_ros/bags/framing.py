@@ -46,6 +46,7 @@ class Framing:
 
     * ``damages`` holds the faults, ``index_faults`` those of the index alone,
     * ``truncated`` is the offset where a file without a footer ends, else None,
+    * ``cut_off`` says whether it ends within a message or a chunk of messages,
     * ``skipped`` says whether bytes were left out,
     * ``data_sound`` says whether the data section has no fault, ``data_proven`` whether its
       checksum confirms that, ``summary_sound`` whether the summary agrees with its own.
@@ -57,6 +58,7 @@ class Framing:
         self.damages: list[Damage] = []
         self.index_faults: list[Damage] = []
         self.truncated: int | None = None
+        self.cut_off = False
         self.chunked = False
         self.skipped = False
         self.in_summary = False
@@ -99,7 +101,7 @@ class Framing:
         position: int | None = self._begin()
         while position is not None and not self._finished:
             if position + mcap.HEADER_SIZE > self._size:
-                self.truncated = position
+                self._cut_at(position)
                 return
             self._file.seek(position)
             head = self._file.read(mcap.HEADER_SIZE)
@@ -212,10 +214,15 @@ class Framing:
         found = self._search(offset + 1, length if was_read else 0)
         self.skipped = True
         if found is None:
-            self.truncated = offset
+            self._cut_at(offset)
         else:
             self.damage(offset, f"{found - offset} bytes cannot be read")
         return found
+
+    def _cut_at(self, offset: int) -> None:
+        self.truncated = offset
+        self._file.seek(offset)
+        self.cut_off = self._file.read(1) in _WITH_MESSAGES
 
     def _search(self, start: int, read_before: int) -> int | None:
         """Look for a record; ``read_before`` of the bytes from here were read before."""
@@ -275,6 +282,7 @@ class Framing:
                 self.damage(end, "the file does not end as an MCAP file")
 
 
+_WITH_MESSAGES: Final = (bytes([mcap.MESSAGE]), bytes([mcap.CHUNK]))
 _FIRST_WINDOW: Final = 1 << 12
 _LARGEST_WINDOW: Final = 1 << 20
 _HEAD: Final = mcap.HEADER_SIZE + 64

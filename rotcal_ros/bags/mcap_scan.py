@@ -107,6 +107,7 @@ class McapScan(Scan):
             topics=self._topics(lost + self._broken),
             start_ns=start_ns,
             end_ns=end_ns,
+            cut_off=self._framing.cut_off,
             lost_exactly=self._stated_counts is not None or not self._loss_unknown,
             losses_recorded=_integers(self.metadata.get(names.LOSSES, {})),
             run=_integers(self.metadata.get(names.RUN, {})).get("number", 0),

@@ -67,11 +67,12 @@ STEP_CHOICE: Final = "step_choice"
 TABLE_IN_FORCE: Final = "table_in_force"
 PAUSE: Final = "pause"
 HEARTBEAT: Final = "heartbeat"
-GOAL: Final = "calibrate/_action/send_goal/_service_event"
-"""The request of the action: ROS 2 publishes it from Kilted on."""
+GOAL: Final = "goal"
+PROGRESS: Final = "progress"
+"""Goal and feedback of the action as plain messages: readers of bags refuse the types that ROS
+makes of an action."""
 GOAL_STATUS: Final = "calibrate/_action/status"
-ACTION: Final = (GOAL, "calibrate/_action/feedback", GOAL_STATUS)
-"""Topics of the action, hidden from people: goal, feedback and status."""
+"""The only topic of the action that is recorded; it is hidden from people."""
 TF_STATIC: Final = "/tf_static"
 """Static transforms of all cells of a domain; outside of every namespace, and not needed."""
 

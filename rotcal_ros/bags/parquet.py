@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import count
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from rosbags.interfaces import Nodetype
 
 from rotcal_ros.bags.blocks import Block
@@ -28,6 +30,10 @@ _ARROW: Final = {
     "wstring": "string", "float32": "float32", "float64": "float64",
     **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
 }  # fmt: skip
+
+
+_MOST_ELEMENTS: Final = (1 << 31) - 1
+"""Most elements that the lists of one Arrow array can hold together."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,7 @@ class _Stream:
         self._decoder: Decoder | None = None
         try:
             self._decoder = Decoder(channel)
-            fields = _columns(channel.type_name, self._decoder.definitions)
+            self._columns = [*_columns(channel.type_name, self._decoder.definitions)]
         except (BagError, KeyError, RecursionError) as error:
             self._reason = (
                 str(error) if isinstance(error, BagError) else "its definition is broken"
@@ -96,7 +102,9 @@ class _Stream:
             return
         pa, parquet = arrow()
         times = [(LOG_TIME, pa.int64()), (PUBLISH_TIME, pa.int64())]
-        self._schema = pa.schema([*times, *fields])
+        self._schema = pa.schema(
+            [*times, *((column.name, column.type) for column in self._columns)]
+        )
         self._writer = parquet.ParquetWriter(
             path, self._schema, compression="zstd", write_page_checksum=True
         )
@@ -115,20 +123,18 @@ class _Stream:
             self._messages += len(block)
             return
         pa, _ = arrow()
-        rows = list(self._rows(block, self._decoder))
-        self._messages += len(rows)
-        if rows:
+        found = [
+            (*times, message)
+            for index, times in enumerate(block.headers[["log_time", "publish_time"]].tolist())
+            if (message := self._decoder.message(block.payload(index))) is not None
+        ]
+        self._messages += len(found)
+        if found:
+            log, publish, messages = zip(*found, strict=True)
+            times = [pa.array(map(_time, column), pa.int64()) for column in (log, publish)]
+            arrays = [*times, *(column.array(messages) for column in self._columns)]
             with naming(self.path):
-                self._writer.write_table(pa.Table.from_pylist(rows, self._schema))
-
-    def _rows(self, block: Block, decoder: Decoder) -> Iterator[dict[str, Any]]:
-        for index, (log, publish) in enumerate(
-            block.headers[["log_time", "publish_time"]].tolist()
-        ):
-            message = decoder.message(block.payload(index))
-            if message is not None:
-                fields = dict(_flat(message, self._channel.type_name, decoder.definitions))
-                yield {LOG_TIME: _time(log), PUBLISH_TIME: _time(publish), **fields}
+                self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def summary(self) -> TopicFile:
         broken = self._decoder.broken if self._decoder else self._messages
@@ -142,15 +148,39 @@ def _time(time_ns: int) -> int | None:
     return time_ns if time_ns < 1 << 63 else None
 
 
-def _columns(type_name: str, definitions: Mapping[str, Any], prefix: str = "") -> list[Any]:
-    """Return (name, Arrow type) of the fields of a message, nested ones under dotted names."""
-    columns = []
+@dataclass(frozen=True)
+class _Column:
+    """A field of a message, nested ones by their dotted ``name``, and its Arrow ``type``."""
+
+    name: str
+    type: Any
+    kind: Nodetype
+    detail: Any
+    definitions: Mapping[str, Any]
+
+    def array(self, messages: Sequence[Any]) -> Any:
+        """Return the field of many messages as an Arrow array."""
+        pa, _ = arrow()
+        values = list(map(attrgetter(self.name), messages))
+        if isinstance(values[0], np.ndarray):  # numbers: one copy of all of them
+            ends = np.cumsum([0, *map(len, values)], dtype=np.int64)
+            numbers = pa.array(np.concatenate(values), self.type.value_type)
+            if ends[-1] <= _MOST_ELEMENTS:
+                return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), numbers)
+        plain = [_value(value, self.kind, self.detail, self.definitions) for value in values]
+        return pa.array(plain, self.type)
+
+
+def _columns(
+    type_name: str, definitions: Mapping[str, Any], prefix: str = ""
+) -> Iterator[_Column]:
+    """Yield the fields of a message, nested ones under dotted names."""
     for name, (kind, detail) in definitions[type_name][1]:
         if kind == Nodetype.NAME and detail not in TIMES:
-            columns += _columns(detail, definitions, f"{prefix}{name}.")
+            yield from _columns(detail, definitions, f"{prefix}{name}.")
         else:
-            columns.append((f"{prefix}{name}", _type(kind, detail, definitions)))
-    return columns
+            found = _type(kind, detail, definitions)
+            yield _Column(f"{prefix}{name}", found, kind, detail, definitions)
 
 
 def _type(kind: Nodetype, detail: Any, definitions: Mapping[str, Any]) -> Any:
@@ -164,17 +194,6 @@ def _type(kind: Nodetype, detail: Any, definitions: Mapping[str, Any]) -> Any:
         return pa.struct([(name, _type(k, d, definitions)) for name, (k, d) in fields])
     kind, detail = detail[0]
     return pa.list_(_type(kind, detail, definitions))
-
-
-def _flat(
-    message: Any, type_name: str, definitions: Mapping[str, Any], prefix: str = ""
-) -> Iterator[tuple[str, Any]]:
-    for name, (kind, detail) in definitions[type_name][1]:
-        value = getattr(message, name)
-        if kind == Nodetype.NAME and detail not in TIMES:
-            yield from _flat(value, detail, definitions, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", _value(value, kind, detail, definitions)
 
 
 def _value(value: Any, kind: Nodetype, detail: Any, definitions: Mapping[str, Any]) -> Any:

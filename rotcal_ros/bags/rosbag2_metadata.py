@@ -235,7 +235,7 @@ def parse_description(text: str, source: str) -> BagDescription:
         raise BagError(f"{source} is not as rosbag2 writes it: {what}") from error
 
 
-def recorded_files(notes: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
+def recorded_files(notes: Mapping[str, Mapping[str, str]]) -> tuple[FileEntry, ...]:
     """Return the files of the session up to this one, as our recorder noted them in it.
 
     The last one is the file itself, under the name that it was recorded with. Empty for files of
@@ -249,7 +249,7 @@ def recorded_files(notes: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
     except (ConfigurationError, KeyError, TypeError, ValueError, AttributeError):
         return ()
     ours = (known.custom or {}).get(LIBRARY_KEY, "").startswith("rotcal_ros")
-    return known.names if ours else ()
+    return known.files if ours else ()
 
 
 def _description(data: Mapping[str, Any]) -> BagDescription:

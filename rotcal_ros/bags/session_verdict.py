@@ -87,14 +87,13 @@ def judge_session(path: Path, verdicts: Sequence[FileVerdict]) -> SessionVerdict
     missing = dict(_missing_files(folder, files, listed))
     if path.is_dir():
         missing = {**_missing_numbers(folder, files, metadata), **missing}
-    shortened: list[str] = []
     if metadata is not None:
         wrong += _differences(metadata, files, whole=path.is_dir() and not missing)
-        shortened += _shortened_files(metadata, files)
         missing |= {
             text: text for text in (metadata.custom or {}).get(MISSING_KEY, "").splitlines()
         }
     before = (text for v in verdicts for text in missing_before_repair(v.notes))
+    shortened = _shortened_files(metadata, files)
     lacking = _first_sentences(dict.fromkeys((*missing.values(), *shortened, *before)))
     note_unread(lacking)
     return SessionVerdict(
@@ -117,7 +116,8 @@ class _FilesRead:
 
     def __init__(self, verdicts: Sequence[FileVerdict]) -> None:
         self.verdicts = verdicts
-        self.recorded = {v.path.name: recorded_files(v.notes) for v in verdicts}
+        self.entries = {v.path.name: recorded_files(v.notes) for v in verdicts}
+        self.recorded = {name: tuple(f.name for f in es) for name, es in self.entries.items()}
         by_recorded_name = {
             files[-1]: v for v in verdicts if (files := self.recorded[v.path.name])
         }
@@ -131,7 +131,8 @@ class _FilesRead:
         if not entry.messages:
             return None
         same_start = (v for v in self.verdicts if v.start_ns == entry.start_ns)
-        return next((v for v in same_start if v.messages == entry.messages), None)
+        alike = (v for v in same_start if v.messages == entry.messages or not v.whole)
+        return next(alike, None)
 
 
 def _missing_files(
@@ -193,17 +194,25 @@ def _missing_numbers(
     return found
 
 
-def _shortened_files(metadata: BagDescription, files: _FilesRead) -> Iterator[str]:
-    """Yield which files hold less than was recorded, though nothing in them says so."""
-    for entry in metadata.files:
-        verdict = files.find(entry)
-        if verdict is None or not verdict.whole or entry.messages is None:
-            continue
-        if verdict.messages < entry.messages:
-            yield (
-                f"{verdict.path.name} holds {verdict.messages} of the {entry.messages} messages "
-                f"that {METADATA_FILE} lists: it was replaced or shortened"
-            )
+def _shortened_files(metadata: BagDescription | None, files: _FilesRead) -> Iterator[str]:
+    """Yield which files hold less than ``metadata`` or a later file says, torn or not."""
+    stated = [(METADATA_FILE, metadata.files)] if metadata is not None else []
+    short: set[Path] = set()
+    for source, entries in (*stated, *files.entries.items()):
+        for entry in entries:
+            verdict = files.find(entry)
+            if verdict is None or verdict.path in short:
+                continue
+            if verdict.messages + verdict.lost < (entry.messages or 0):
+                short.add(verdict.path)
+                yield (
+                    f"{verdict.path.name} holds {verdict.messages} of the {entry.messages} "
+                    f"messages that {source} lists: it was cut off, replaced or shortened"
+                )
+    found = [] if metadata is None else [files.find(entry) for entry in metadata.files]
+    held = sum(v.messages + v.lost for v in found if v is not None)
+    if metadata is not None and not short and None not in found and held < metadata.messages:
+        yield f"there are {held} of the {metadata.messages} messages that {METADATA_FILE} lists"
 
 
 def _differences(metadata: BagDescription, files: _FilesRead, *, whole: bool) -> Iterator[str]:
@@ -285,7 +294,8 @@ Notes = Mapping[str, Mapping[str, str]]
 _DATE: Final = "date"
 _MISSING: Final = "missing"
 _EARLIER: Final = "earlier"
-_DETAILS: Final = (" sha256", " lost", " damages")
+_LOST: Final = " lost"
+_DETAILS: Final = (" sha256", _LOST, " damages")
 """Endings of the keys about a file, after its name."""
 
 
@@ -305,8 +315,13 @@ def repair_record(before: Sequence[FileVerdict], missing: Sequence[str]) -> dict
         record[damages] = json.dumps([[d.offset, d.what] for d in verdict.damages])
         if earlier := verdict.notes.get(names.REPAIR):
             record[_EARLIER] = json.dumps(dict(earlier))
-    if missing:
-        record[_MISSING] = json.dumps(list(missing))
+    uncounted = [
+        f"{v.path.name}: {v.sentence()}"
+        for v in before
+        if v.proves_loss and not v.lost and not any(v.path.name in text for text in missing)
+    ]
+    if missing or uncounted:
+        record[_MISSING] = json.dumps([*missing, *uncounted])
     return record
 
 
@@ -325,8 +340,13 @@ def repairs_in_words(notes: Notes) -> tuple[str, ...]:
 
 def missing_before_repair(notes: Notes) -> tuple[str, ...]:
     """Return what was already missing when a repaired file was made."""
+    record = notes.get(names.REPAIR, {})
     try:
-        sentences = json.loads(notes.get(names.REPAIR, {}).get(_MISSING, "[]"))
-        return tuple(str(sentence) for sentence in sentences)
-    except (ValueError, TypeError, RecursionError):
+        sentences = [str(sentence) for sentence in json.loads(record.get(_MISSING, "[]"))]
+        for name, text in record.items():
+            if name.endswith(_LOST) and (lost := sum(json.loads(text).values())):
+                file = name.removesuffix(_LOST)
+                sentences.append(f"{file} had lost {lost} messages before it was repaired")
+        return tuple(sentences)
+    except (ValueError, TypeError, AttributeError, RecursionError):
         return ()

@@ -48,7 +48,9 @@ class FileVerdict:
 
     ``lost_exactly`` is False if more messages may be missing than those counted in ``topics``:
     what followed the end of a truncated file is unknown, and so is the content of a damaged chunk
-    whose index is damaged too. ``losses_recorded`` counts from the beginning of the ``run`` of an
+    whose index is damaged too. ``cut_off``: it ends within a message, or a chunk of them.
+
+    ``losses_recorded`` counts from the beginning of the ``run`` of an
     interrupted plan, over all files of it; ``dropouts`` are those of this file, ``notes`` its
     metadata records by name, the last of each.
     """
@@ -61,6 +63,7 @@ class FileVerdict:
     start_ns: int | None
     end_ns: int | None
     lost_exactly: bool = True
+    cut_off: bool = False
     losses_recorded: Mapping[str, int] = field(default_factory=dict)
     run: int = 0
     dropouts: tuple[Dropout, ...] = ()
@@ -82,6 +85,12 @@ class FileVerdict:
         return sum(topic.lost for topic in self.topics.values())
 
     @property
+    def proves_loss(self) -> bool:
+        """Whether the file itself shows that messages which were written cannot be read."""
+        uncounted = self.state == "damaged" and not self.lost_exactly
+        return self.lost > 0 or self.cut_off or uncounted
+
+    @property
     def losses_unread(self) -> dict[str, str]:
         """Recorded losses whose count is not a number, by their names."""
         noted = self.notes.get(names.LOSSES, {})
@@ -95,6 +104,8 @@ class FileVerdict:
         if self.state == "index wrong":
             return f"data sound, index wrong at byte {first.offset}: {first.what}; nothing is lost"
         lost = f"{self.lost} messages lost" if self.lost else "no message known to be lost"
+        if self.proves_loss and not self.lost:
+            lost = "messages lost, it is not known how many"
         more = "" if self.lost_exactly else "; more may be missing"
         return f"{self.state} at byte {first.offset}: {first.what}; {lost}{more}"
 
@@ -110,6 +121,7 @@ class FileVerdict:
             "messages": self.messages,
             "lost": self.lost,
             "lost_exactly": self.lost_exactly,
+            "cut_off": self.cut_off,
             "start_ns": self.start_ns,
             "end_ns": self.end_ns,
             "topics": {

@@ -10,7 +10,9 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
+
+from rotcal_ros.capture.messages import stamp_ns
 
 T = TypeVar("T")
 
@@ -141,6 +143,15 @@ class WhoIsHeard:
         if follows and number is not None:
             self._last[topic] = number
         return follows
+
+
+RUN: Final = "run"
+"""Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
+
+
+def run_name(plan: Any) -> str:
+    """Return a unique name for the run that a rotcal_msgs/CalibrationPlan announces."""
+    return f"{plan.plan_id}@{stamp_ns(plan.header.stamp)}"
 
 
 class Whose(Enum):

@@ -13,7 +13,7 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.settings import declarations
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings, remembered
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, FILE, SheetSettings, remembered
 from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
 from rotcal_ros.foundation.sheets.words import TableColumn
 from rotcal_ros.foundation.tables import (
@@ -135,7 +135,8 @@ def read_measurements(
             f"the positions in {path} stand for: add plan.table_positions, plan.table_step_deg "
             "and plan.table_start_deg, or a column of table angles to the table"
         )
-    announce(replace(reading, sources=(where, *aimed_by)))
+    answers = () if settings == configuration.sheet else (phrase("answers of {0}", FILE),)
+    announce(replace(reading, sources=(where, *aimed_by, *answers)))
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")

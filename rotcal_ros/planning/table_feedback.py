@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from math import isfinite, pi, remainder
 from typing import Final
 
+from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.observations import TableSample
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 
@@ -74,3 +76,23 @@ class TableSpeed:
             return None
         speed = (angle - angles[0][1]) / (since_ns * NANOSECOND)
         return TableSample(stamp_ns, angle, speed)
+
+
+def without_joint(topic: str, joint: str, heard: Iterable[str]) -> str:
+    """Say that a topic has no ``joint``, which joints it has, and which one is likely meant."""
+    there = list(heard)
+    alike = [name for name in there if name.endswith(joint) or joint.endswith(name)]
+    hint = f" (is it {printable(alike[0])}?)" if len(alike) == 1 else ""
+    return (
+        f"{topic} has no joint {joint!r} (cell.joint), it has "
+        f"{', '.join(map(printable, there))}: name one of these{hint}, or leave cell.joint empty "
+        "for the first"
+    )
+
+
+def without_velocity(topic: str, joint: str) -> str:
+    """Say that a joint of a topic has no velocity, and what to do."""
+    return (
+        f"{topic}: joint {printable(joint)} has no velocity, so it is never known to be at "
+        f"rest: {PUBLISH_VELOCITY}"
+    )

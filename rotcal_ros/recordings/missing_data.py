@@ -136,19 +136,19 @@ _FEW: Final = 0.1
 def require_accepted(
     observations: Sequence[Observation],
     counts: Mapping[str, Mapping[str, int]],
-    unreadable: Mapping[str, str],
+    wrong: Iterable[str],
     broken: Mapping[str, int],
     topics: Iterable[str],
 ) -> None:
     """Raise DataError with the reason when none of ``observations`` was accepted.
 
     ``counts`` is what the capture counted per stream, empty when the recorded observations were
-    taken; ``unreadable`` names topics without a usable definition and ``broken`` those whose
-    messages could not be decoded; ``topics`` are all of the bag.
+    taken; ``wrong`` says what is wrong with topics, and ``broken`` whose messages could not be
+    decoded; ``topics`` are all of the bag.
     """
     if any(observation.accepted for observation in observations):
         return
-    reasons = list(unreadable.values())
+    reasons = list(wrong)
     reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
     silent = [
         _TOPICS[stream]
@@ -156,7 +156,7 @@ def require_accepted(
         if not counted.get("received") and stream in _TOPICS
     ]
     if observations:
-        reasons.insert(0, _rejections(observations))
+        reasons.append(_rejections(observations))
     elif not counts:
         reasons.append(f"no topic {names.OBSERVATION} holds any; solve its streams instead")
     elif silent:

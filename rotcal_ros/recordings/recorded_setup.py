@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -18,6 +18,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import Scan
+from rotcal_ros.capture.heard import run_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.observations import Observation
@@ -37,12 +38,18 @@ Subject = tuple[Identity, bool]
 
 
 def find_configuration(
-    files: tuple[Path, ...], topics: Topics, limits: ReadingLimits = DEFAULT_LIMITS
+    files: tuple[Path, ...],
+    topics: Topics,
+    limits: ReadingLimits = DEFAULT_LIMITS,
+    strangers: Collection[str] = (),
 ) -> Configuration:
-    """Return the configuration that a bag was recorded with; reads no further than needed."""
+    """Return the configuration that a bag was recorded with; reads no further than needed.
+
+    Plans for the runs of ``strangers`` do not count.
+    """
     for file in files:
         scan = scan_file(file, limits)
-        for text in _configuration_texts(scan, topics):
+        for text in _configuration_texts(scan, topics, strangers):
             source = f"{file.name}: {names.CONFIGURATION}"
             return parse_configuration(text, source, OFFLINE_GROUPS)
     raise BagError(
@@ -52,6 +59,15 @@ def find_configuration(
     )
 
 
+def attached_configurations(scans: Iterable[Scan]) -> Iterator[tuple[str, str]]:
+    """Yield (text, name of the file) of all attachments with a configuration."""
+    for scan in scans:
+        for kept in (scan.replaced, scan.attachments):
+            if names.CONFIGURATION in kept:
+                text = kept[names.CONFIGURATION].data.decode(errors="replace")
+                yield text, scan.path.name
+
+
 def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], path: Path) -> None:
     """Raise BagError, with the lines, if a bag states two configurations that differ.
 
@@ -59,11 +75,8 @@ def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], pat
     to be given.
     """
     texts: dict[str, str] = {}
-    for scan in scans:
-        for kept in (scan.replaced, scan.attachments):
-            if names.CONFIGURATION in kept:
-                text = kept[names.CONFIGURATION].data.decode(errors="replace")
-                texts.setdefault(text, f"the attachment of {scan.path.name}")
+    for text, file in attached_configurations(scans):
+        texts.setdefault(text, f"the attachment of {file}")
     for text in planned:
         texts.setdefault(text, f"a message on the topic {names.PLAN}")
     if len(texts) > 1:
@@ -130,7 +143,7 @@ def as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Co
     return replace(configuration, simulated=simulated, identity=identity)
 
 
-def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
+def _configuration_texts(scan: Scan, topics: Topics, strangers: Collection[str]) -> Iterator[str]:
     decoders: Decoders = {}
     for block in scan.blocks():
         if names.CONFIGURATION in scan.attachments:
@@ -138,7 +151,11 @@ def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
         for part in topics.split(block, scan, decoders):
             if part.role == names.PLAN:
                 with part.checked():
-                    yield from (message.configuration for _, message in part.messages(block))
+                    yield from (
+                        message.configuration
+                        for _, message in part.messages(block)
+                        if run_name(message) not in strangers
+                    )
     if names.CONFIGURATION in scan.attachments:
         yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")
 

@@ -34,7 +34,9 @@ from rotcal_ros.bags.storage_scan import (
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.capture import messages as records
+from rotcal_ros.capture.announced_runs import strangers
 from rotcal_ros.capture.attempt import nanoseconds
+from rotcal_ros.capture.heard import run_name
 from rotcal_ros.capture.instruments.steps import StepFinder
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
 from rotcal_ros.foundation.clock_jumps import read_note
@@ -75,7 +77,8 @@ class Recording:
     ``announced`` which tables the cell announced as in force for the measured axis, ``other_axes``
     for which other axes it did so. ``frames`` are its static transforms, ``unreadable`` says why
     topics could not be read, ``clock`` how the system clock jumped, ``session`` whether all files
-    are there, ``dropouts`` what the recorder itself missed.
+    are there, ``dropouts`` what the recorder itself missed, ``foreign_plans`` how many
+    plans belong to no run of the bag's planner, ``stream_faults`` what is wrong with the joints.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -100,6 +103,8 @@ class Recording:
     clock: tuple[str, ...] = ()
     session: SessionVerdict = field(default_factory=SessionVerdict)
     dropouts: tuple[PlacedDropout, ...] = ()
+    foreign_plans: int = 0
+    stream_faults: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> Configuration:
@@ -109,8 +114,8 @@ class Recording:
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit.
 
-        It also carries the warnings about the bag, and its verdict is at best suspect if a file is
-        missing.
+        It also carries the warnings about the bag, and its verdict is at best suspect if the bag
+        or its metadata shows that messages are missing.
         """
         self._require_observations()
         try:
@@ -124,7 +129,8 @@ class Recording:
         """Return a ``result`` of these observations with the warnings about the bag."""
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         warned = replace(result, warnings=(*result.warnings, *further))
-        return warned.doubted() if self.session.missing else warned
+        short = self.session.missing or any(v.proves_loss for v in self.verdicts)
+        return warned.doubted() if short else warned
 
     def of_curves(self) -> CurveModel | None:
         """Return the observations as a model, to be solved with those of other instruments."""
@@ -150,7 +156,8 @@ class Recording:
     def _require_observations(self) -> None:
         """Raise DataError with the reason when no observation was accepted."""
         topics = {name for verdict in self.verdicts for name in verdict.topics}
-        require_accepted(self.observations, self.counts, self.unreadable, self.broken, topics)
+        wrong = *self.stream_faults, *self.unreadable.values()
+        require_accepted(self.observations, self.counts, wrong, self.broken, topics)
 
     def _as_chosen(self) -> methods.Calibration | None:
         """Return the calibration whose policy chose the steps; None if it only listed them."""
@@ -200,6 +207,11 @@ class Recording:
         texts += doubtful(self.observations, self.counts)
         texts += _undecoded(self.broken)
         texts += _left_alone(self.verdicts)
+        if self.foreign_plans:
+            texts.append(
+                f"{self.foreign_plans} plans on {names.PLAN} belong to no run that the planner "
+                "named: a stranger's, they were ignored"
+            )
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
         if clash := contradiction(self.calibration.in_force(self.announced)):
@@ -245,11 +257,15 @@ def _recording(
     topics: Topics,
     progress: Progress | None,
     limits: ReadingLimits,
+    left_out: frozenset[str] = frozenset(),
 ) -> Recording:
-    """Do as :func:`read_recording`; raise SeveralCells if it is not clear which one is meant."""
+    """Do as :func:`read_recording`; raise SeveralCells if it is not clear which one is meant.
+
+    ``left_out`` are the runs of plans that are known to be a stranger's.
+    """
     given = configuration is not None
     if configuration is None:
-        configuration = recorded_setup.find_configuration(files, topics, limits)
+        configuration = recorded_setup.find_configuration(files, topics, limits, left_out)
     topics.follow(configuration.topics.renamed())
     calibration = methods.prepare(configuration)
     make = partial(_feeder, calibration, configuration)
@@ -259,17 +275,28 @@ def _recording(
     )
     verdicts = tuple(scan.verdict() for scan in contents.scans)
     _require_messages(verdicts, path)
+    if source == "streams" and (changing := feeder.joints.changing()):
+        raise DataError(changing)
+    attached = {text for text, _ in recorded_setup.attached_configurations(contents.scans)}
+    differ = len(attached.union(text for _, text in contents.planned)) > 1
+    foreign = strangers(files, contents.planned, attached, limits) if differ else frozenset()
+    planned = [text for run, text in contents.planned if run not in foreign]
+    of_strangers = {text for run, text in contents.planned if run in foreign - left_out}
+    if not given and configuration.text in of_strangers.difference(attached, planned):
+        return _recording(path, files, source, None, topics, progress, limits, foreign)
     if not given:
-        recorded_setup.require_one_configuration(contents.scans, contents.planned, path)
+        recorded_setup.require_one_configuration(contents.scans, planned, path)
     attachments = {n: a.data for scan in contents.scans for n, a in scan.attachments.items()}
-    attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
-    texts = (attached, *contents.planned)
+    texts = (attachments.get(names.CONFIGURATION, b"").decode(errors="replace"), *planned)
     set_ups = tuple(recorded_setup.recorded_configurations(texts))
     recorded_setup.require_its_method(configuration, set_ups, path)
     judged_live = contents.recorded if same_limit(configuration, set_ups[:1]) else ()
     captured = judged_as_live(feeder.observations, feeder.offsets, judged_live)
     captured = known_to_later_runs(captured, contents.recorded, contents.scans)
     broken = {c.topic: d.broken for c, d in contents.decoders.items() if d.broken}
+    topics.unreadable.update({
+        c.topic: d.unreadable for c, d in contents.decoders.items() if d.unreadable
+    })  # fmt: skip
     note_unread((*topics.unreadable.values(), *_undecoded(broken)))
     subjects = tuple(recorded_setup.recorded_subjects(texts, contents.scans))
     return Recording(
@@ -297,6 +324,8 @@ def _recording(
         ),
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
+        foreign_plans=len(foreign),
+        stream_faults=tuple(feeder.joints.faults()) if source == "streams" else (),
     )
 
 
@@ -356,7 +385,7 @@ class _BagContents:
     """What the files of a bag hold besides the streams."""
 
     recorded: list[Observation] = field(default_factory=list)
-    planned: list[str] = field(default_factory=list)
+    planned: list[tuple[str, str]] = field(default_factory=list)
     choices: list[recorded_setup.RecordedChoice] = field(default_factory=list)
     announced: set[tuple[str, str]] = field(default_factory=set)
     frames: dict[str, StaticFrame] = field(default_factory=dict)
@@ -369,7 +398,7 @@ class _BagContents:
         if part.role == names.OBSERVATION:
             self.recorded += (records.observation(m) for _, m in part.messages(block))
         elif part.role == names.PLAN:
-            self.planned += (message.configuration for _, message in part.messages(block))
+            self.planned += ((run_name(m), m.configuration) for _, m in part.messages(block))
         elif part.role == names.STEP_CHOICE:
             self.choices += (recorded_setup.RecordedChoice.of(m) for _, m in part.messages(block))
         elif part.role == names.TABLE_IN_FORCE:

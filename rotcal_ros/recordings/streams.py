@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -26,7 +26,9 @@ from rotcal_ros.capture.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.capture.messages import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.planning.table_feedback import without_joint, without_velocity
 from rotcal_ros.recordings.topics import RoleMessages
 
 _TRACER: Final = (*STAMP, "sequence", "length", "status")
@@ -67,6 +69,62 @@ class RecordConsumer(Protocol):
         """Take many feedbacks of the table."""
 
 
+class HeardJoints:
+    """Which joints a topic has, and what of the table's is missing, for words about it.
+
+    ``joint`` is the table's; empty: the first one. Raises nothing: it only counts.
+    """
+
+    def __init__(self, joint: str) -> None:
+        self._joint = joint
+        self.topic = ""
+        self._orders: dict[tuple[str, ...], None] = {}
+        self._placed = self._timed = 0
+
+    def note(
+        self, topic: str, listed: Sequence[str], index: int | None, moving: NDArray[Any] | None
+    ) -> None:
+        """Note messages with the same names; ``moving`` are velocities of the joint, if any."""
+        self.topic = topic
+        if len(self._orders) < _MOST_ORDERS:
+            self._orders[tuple(listed)] = None
+        if index is not None and moving is not None:
+            self._placed += len(moving)
+            self._timed += int(np.isfinite(moving).sum())
+
+    def changing(self) -> str:
+        """Return that the first joint is not always the same, if it stands for the table."""
+        firsts = {order[0] for order in self._orders if order}
+        if self._joint or len(firsts) < 2:
+            return ""
+        seen = "; ".join(", ".join(map(printable, order)) for order in self._orders)
+        return (
+            f"{self.topic}: its joints come in changing order ({seen}), so the first one is not "
+            "always the table: name the table's joint (cell.joint)"
+        )
+
+    def faults(self) -> Iterator[str]:
+        """Yield what keeps the table from being known to rest, as the preflight says it."""
+        names_heard = [*dict.fromkeys(name for order in self._orders for name in order)]
+        chosen = self._joint or next(iter(names_heard), "")
+        if names_heard and chosen not in names_heard:
+            yield without_joint(self.topic, self._joint, names_heard)
+        elif names_heard and not self._placed:
+            yield f"{self.topic}: joint {printable(chosen)} has no position: publish it, in rad"
+        elif names_heard and not self._timed:
+            yield without_velocity(self.topic, chosen)
+        elif not self._joint and len(names_heard) > 1:
+            yield (
+                f"{self.topic} has the joints {', '.join(map(printable, names_heard))}, and the "
+                f"first one, {printable(chosen)}, was taken for the table: if it is another one, "
+                "name it (cell.joint)"
+            )
+
+
+_MOST_ORDERS: Final = 8
+"""Most orders of joints that are kept for words."""
+
+
 class StreamFeeder:
     """Feeds blocks of messages to a capture and collects the observations.
 
@@ -75,7 +133,7 @@ class StreamFeeder:
     tolerance, the capture's answer does not depend on it. ``make`` returns a new capture for the
     run with a number. ``joint`` names the table among the joint states; empty means the first.
     ``offset`` says which clocks differ by more than ``limits``, ``doubt`` which seem to differ by
-    less, ``offsets`` what the bag shows of it at each observation.
+    less, ``offsets`` what the bag shows of it at each observation. ``joints`` are those heard.
     """
 
     def __init__(
@@ -95,6 +153,7 @@ class StreamFeeder:
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
+        self.joints = HeardJoints(joint)
         self._make_finder = make_finder
         self._finder = make_finder() if make_finder is not None else None
         self._finding = False
@@ -260,14 +319,17 @@ class StreamFeeder:
             return self._numbers(block, part, form)
         found = [np.zeros(0, FEEDBACK)]
         for columns in part.decoder.columns(block.select(part.rows), _JOINTS, ("name",)):
-            index = records.joint_index(columns.layout.texts.get("name", []), self._joint)
+            listed = columns.layout.texts.get("name", [])
+            index = records.joint_index(listed, self._joint)
             position, velocity = columns.values["position"], columns.values["velocity"]
             if index is None or index >= position.shape[1]:
+                self.joints.note(part.decoder.channel.topic, listed, None, None)
                 continue
             rows = np.zeros(len(columns.rows), FEEDBACK)
             rows["row"], rows["stamp_ns"] = part.rows[columns.rows], columns.stamp_ns()
             rows["angle"] = position[:, index]
             rows["velocity"] = velocity[:, index] if velocity.shape[1] > index else math.nan
+            self.joints.note(part.decoder.channel.topic, listed, index, rows["velocity"])
             found.append(rows)
         return self._converted(block, part, np.concatenate(found))
 

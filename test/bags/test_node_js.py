@@ -1,39 +1,13 @@
 """Our bags as Foxglove reads them: @mcap/core and @foxglove/rosmsg2-serialization."""
 
-import json
-import subprocess
-from pathlib import Path
-
 import pytest
-from aids import on_node
+from bag_readers import on_node_js
 from bag_samples import simulate, write_run
 
 from rotcal_ros.bags.interrupted_files import open_end
 from rotcal_ros.bags.reader import check_files
 from rotcal_ros.bags.settings import WriterSettings
-from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
-
-HERE = Path(__file__).parent / "node"
-
-
-@pytest.fixture(scope="module")
-def reader():
-    """Return a function that reads a bag on Node.js."""
-    program = on_node(HERE / "read_bag.mjs")
-
-    def read(path):
-        command = ["node", str(program), str(path)]
-        lines = subprocess.run(
-            command, check=True, timeout=patient(120), capture_output=True, text=True
-        )
-        found = {}
-        for line in lines.stdout.splitlines():
-            message = json.loads(line)
-            found.setdefault(message["topic"], []).append(message["value"])
-        return found
-
-    return read
 
 
 def stamp_ns(value):
@@ -42,10 +16,10 @@ def stamp_ns(value):
 
 
 @pytest.mark.slow
-def test_every_message_is_read_with_the_same_values(reader, tmp_path):
+def test_every_message_is_read_with_the_same_values(tmp_path):
     run = simulate()
     counts = write_run(tmp_path / "bag", run, WriterSettings(chunk_bytes=20_000, min_free_bytes=0))
-    found = reader(tmp_path / "bag" / "bag_0.mcap")
+    found = on_node_js(tmp_path / "bag" / "bag_0.mcap")
     assert {topic: len(values) for topic, values in found.items()} == {
         topic: count for topic, count in counts.items() if count
     }
@@ -67,14 +41,14 @@ def test_every_message_is_read_with_the_same_values(reader, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_file_closed_after_an_interruption_is_read_like_any(reader, run_bag, tmp_path):
+def test_a_file_closed_after_an_interruption_is_read_like_any(run_bag, tmp_path):
     data = (run_bag / "run_0.mcap").read_bytes()
     path = tmp_path / "killed_0.mcap"
     path.write_bytes(data[: len(data) // 2])
     (verdict,) = check_files((path,))
     end = open_end(verdict)
     end.close("killed_1.mcap")
-    found = reader(path)
+    found = on_node_js(path)
     assert {topic: len(values) for topic, values in found.items()} == {
         name: topic.messages for name, topic in verdict.topics.items() if topic.messages
     }

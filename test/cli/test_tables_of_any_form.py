@@ -224,6 +224,8 @@ def test_an_answer_is_remembered_for_tables_of_the_form(tmp_path) -> None:
     run("combine", tmp_path / "b.csv", *combine, code=2)
     _, told = combined(tmp_path / "a.csv", *answer, "--remember")
     _, again = combined(tmp_path / "b.csv")
+    read = CliRunner().invoke(rotcal, ["combine", str(tmp_path / "b.csv"), *combine]).stderr
+    assert "answers of table_forms.yaml" in read
     np.testing.assert_allclose(again, told)
     assert told[3] == pytest.approx(-0.9)
     run("combine", tmp_path / "other.csv", *combine, code=2)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 from rotcal_ros.foundation.node_state import UNHEARD
 from rotcal_ros.nodes.client import json_client as client_module
+from rotcal_ros.recordings.replay import read_recording
 
 pytestmark = pytest.mark.ros
 
@@ -60,6 +62,13 @@ def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cel
     assert outcome["n_used"] == 59
     for node in ("capture", "solver"):
         assert "ERROR" not in live.log(node)
+    recording = read_recording(live.bag)
+    topics = recording.verdicts[0].topics
+    assert topics["/cell/plan"].messages == 1
+    assert topics["/cell/recorder/plan_left_alone"].messages == 1
+    again, text = recording.solve(), (live.session / "result.json").read_text()
+    known = tuple(json.loads(text)["warnings"])
+    assert replace(again, warnings=known).to_json() == text
 
 
 class PlannerOfOthers:

@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.capture.messages import Orders
 from rotcal_ros.extensions.ipp_dme.client import NOT_STARTED
 from rotcal_ros.extensions.ipp_dme.driver import Driver
@@ -92,7 +93,7 @@ class DmeAdapter(CellNode):
         """Take the plan, which says which ball is touched how often."""
         self._follow_planner()
         early, self._early = self._early, None
-        self._plan, self._run, self._loading = None, announced_plan.run_name(message), True
+        self._plan, self._run, self._loading = None, run_name(message), True
         self._orders.clear()
         self.health.beat()
         try:
@@ -139,7 +140,7 @@ class DmeAdapter(CellNode):
         """Return for which run of a plan the planner works; None: for none, or unknown."""
         if PLANNER in self.health.lost:
             return None
-        return self.health.values(PLANNER).get(announced_plan.RUN)
+        return self.health.values(PLANNER).get(RUN)
 
     def _follow_planner(self) -> None:
         """Drop the plan and its orders when its calibration has ended."""

@@ -36,6 +36,7 @@ from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
 from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.capture import messages
+from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.extensions.replay.replayed_bag import CLOCK, ReplayedBag, of_attempts
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
@@ -47,7 +48,6 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.nodes.recorder.bookkeeping import NEVER_PAUSE
-from rotcal_ros.nodes.runtime.announced_plan import RUN, run_name
 from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.message_types import importable_type
@@ -192,11 +192,14 @@ class Player:
 
     def _publish(self, channel: ChannelDefinition, data: bytes) -> None:
         role = self._bag.called.role(channel.topic)
+        plan = deserialize_message(data, CalibrationPlan) if role == names.PLAN else None
+        if plan is not None and run_name(plan) in self._bag.strangers:
+            return
         if role in ORDERS:  # a machine may have appeared since the last look
             self._guard.look(channel.topic)
         self._publishers[channel.topic].publish(data)
-        if role == names.PLAN:
-            self._have_taken(deserialize_message(data, CalibrationPlan))
+        if plan is not None:
+            self._have_taken(plan)
 
     def _make_publishers(self) -> None:
         """Make a publisher for each topic whose type is installed as it was recorded."""

@@ -22,6 +22,8 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture import messages
+from rotcal_ros.capture.announced_runs import strangers
+from rotcal_ros.capture.heard import run_name
 from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Observation
@@ -31,7 +33,7 @@ from rotcal_ros.methods.configuration import read_topics
 OUTPUTS: Final = frozenset({
     names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table",
     "volumetric_correction", "axis_location", "scene", "scene_motion", names.HEARTBEAT,
-    names.DROPOUTS,
+    names.DROPOUTS, names.GOAL, names.PROGRESS,
 })  # fmt: skip
 """Last names of the topics that our own nodes make of the streams: live nodes make them again."""
 OF_ROS: Final = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
@@ -47,7 +49,8 @@ class ReplayedBag:
 
     ``outputs`` are the topics that our own nodes had published, ``accepted`` the observations that
     the recorded capture had accepted, ``steps`` those of the last run, ``plan_id`` and
-    ``configuration`` those of the plan; empty if the bag has none. Times in ns.
+    ``configuration`` those of the plan; empty if the bag has none. ``strangers`` are the runs of
+    plans that were not the planner's: they are left out. Times in ns.
     """
 
     files: tuple[Path, ...]
@@ -58,8 +61,8 @@ class ReplayedBag:
     called: CalledOtherwise = field(default_factory=lambda: CalledOtherwise("/cell"))
     namespace: str = "/cell"
     plan_id: str = ""
-    runs: int = 0
     configuration: str = ""
+    strangers: frozenset[str] = frozenset()
     accepted: dict[Attempt, Observation] = field(default_factory=dict)
     start_ns: int = 0
     end_ns: int = 0
@@ -138,7 +141,12 @@ class ReplayedBag:
         renamed, self.called = self.called.topics, CalledOtherwise(self.namespace)
         self.called.topics = renamed
         for topic in plans:
-            self.plan_id, self.runs, self.configuration = contents.plan(topic)
+            announced = [(run_name(plan), plan) for plan in contents.messages(topic)]
+            texts = [(run, plan.configuration) for run, plan in announced]
+            self.strangers = strangers(self.files, texts)
+            for run, plan in announced:
+                if run not in self.strangers:
+                    self.plan_id, self.configuration = plan.plan_id, plan.configuration
         for topic in self.channels:
             if self.called.role(topic) == names.OBSERVATION:
                 self.accepted = contents.accepted(topic)
@@ -190,17 +198,12 @@ class _BagPass:
                 rows = np.flatnonzero(block.headers["channel"] == number).tolist()
                 self._payloads.setdefault(channel.topic, []).extend(map(block.payload, rows))
 
-    def plan(self, topic: str) -> tuple[str, int, str]:
-        """Return the last plan's identity, how many were announced, its configuration's text."""
-        plans = list(self._messages(topic))
-        last = plans[-1] if plans else None
-        return getattr(last, "plan_id", ""), len(plans), getattr(last, "configuration", "")
-
     def accepted(self, topic: str) -> dict[Attempt, Observation]:
         """Return the accepted observations on ``topic``."""
-        return of_attempts(messages.observation(m) for m in self._messages(topic))
+        return of_attempts(messages.observation(m) for m in self.messages(topic))
 
-    def _messages(self, topic: str) -> Iterable[Any]:
+    def messages(self, topic: str) -> Iterable[Any]:
+        """Yield the plans or observations on ``topic`` as far as they are defined as ours."""
         with suppress(BagError, AttributeError, TypeError, ValueError):
             decoder = Decoder(self.channels[topic])
             for data in self._payloads.get(topic, ()):

@@ -130,7 +130,7 @@ class SceneNode(CellNode):
         self._scene = self.create_publisher(MarkerArray, "scene", LATCHED)
         self._moving = self.create_publisher(MarkerArray, "scene_motion", LATCHED)
         self._frames = Frames(self)
-        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED, judged=True)
         self.listen(DeviationArray, "deviations", self._take_errors, LATCHED)
         self.listen(ProbeTarget, names.PROBE_TARGET, self._take_order, EVENT)
         self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)

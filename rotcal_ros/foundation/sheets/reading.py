@@ -26,7 +26,7 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.plugins import nearest
 from rotcal_ros.foundation.sheets.deviations import NEAR, Angles, StatedDeviations
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, TimeCell, sheets
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings, remembered
+from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, FILE, SheetSettings, remembered
 from rotcal_ros.foundation.sheets.layout import (
     BESIDE,
     CORNER,
@@ -190,10 +190,12 @@ def read_any(
     own = own_table(source, headers)
     if own is not None:
         return Reading(own)
+    sources: tuple[str, ...] = ()
     if isinstance(source, Table):
         path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
     else:
-        settings = remembered(source, settings)
+        given, settings = settings, remembered(source, settings)
+        sources = () if settings == given else (phrase("answers of {0}", FILE),)
         path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
     if not found:
         names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
@@ -209,7 +211,7 @@ def read_any(
     reading = _Rows(path, layout, settings, known()).read()
     in_memory = isinstance(source, Table) and source.in_memory
     table = replace(reading.table, in_memory=in_memory)
-    return replace(reading, table=table, stated=settings, form_head=layout.form)
+    return replace(reading, table=table, stated=settings, form_head=layout.form, sources=sources)
 
 
 def _require_named(

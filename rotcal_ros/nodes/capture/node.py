@@ -11,6 +11,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
+from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.capture.instruments.steps import Order, StepFinder
 from rotcal_ros.capture.rejections import Rejections, kind_of
 from rotcal_ros.capture.stamp_offsets import StampOffsets
@@ -148,13 +149,13 @@ class CaptureNode(CellNode):
         except Exception as error:
             self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
-        self._run, self._needed = announced_plan.run_name(message), calibration.topics
+        self._run, self._needed = run_name(message), calibration.topics
         self._instruments.not_silent()
         self._verdicts.clear()
         self._state = NodeState.of(State.WORKING, Why.CAPTURING, calibration.method.name)
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
-        values: dict[str, Any] = {announced_plan.RUN: self._run, **self._verdicts}
+        values: dict[str, Any] = {RUN: self._run, **self._verdicts}
         values |= self._instruments.values(self._needed)
         self._warnings.offset(self._instruments.offsets)
         if self._capture is not None:

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import TOPIC, plain_name
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.heard import Believed, Offers, publisher_of
+from rotcal_ros.capture.heard import RUN, Believed, Offers, publisher_of
 from rotcal_ros.evaluation.marks import withheld_by
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.middleware import discovery_in_words
@@ -27,7 +27,7 @@ from rotcal_ros.foundation.node_state import STOPS, Reason
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.accepted_publishers import APART, HEARS, digest
-from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN, RUN
+from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN
 from rotcal_ros.nodes.runtime.beat_values import LISTENS, show
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -67,7 +67,7 @@ SPARE: Final = frozenset({"bridge", *VIEWERS.values()})
 """Nodes that may be inactive while a calibration runs."""
 OWNERS: Final = {
     names.OBSERVATION: "capture", names.OBSERVATION_RECORDED: "recorder",
-    **dict.fromkeys(ORDERS, "planner"),
+    **dict.fromkeys((*ORDERS, names.PLAN, names.GOAL, names.STEP_CHOICE), "planner"),
 }  # fmt: skip
 """Topic -> the only node whose messages count there."""
 Attempt = tuple[int, int]
@@ -85,6 +85,8 @@ class CellLinks:
         self.receipts: dict[Attempt, int] = {}
         self.current_std = math.nan
         self._plan_id = ""
+        self.goals = node.create_publisher(msg.CalibrationGoal, names.GOAL, LATCHED)
+        self.progress = node.create_publisher(msg.CalibrationProgress, names.PROGRESS, EVENT)
         self._publish()
         node.listen(msg.Observation, names.OBSERVATION, self._observed, EVENT, judged=True)
         node.listen(

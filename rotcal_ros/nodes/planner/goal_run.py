@@ -17,7 +17,7 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
-from rotcal_ros.capture.heard import Believed
+from rotcal_ros.capture.heard import RUN, Believed, run_name
 from rotcal_ros.capture.instruments.conventions import single_shots
 from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.foundation.errors import DataError, RotcalError
@@ -33,7 +33,6 @@ from rotcal_ros.nodes.planner.measuring import GoalMeasurement, OperatorRequests
 from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.accepted_publishers import BELIEVED
-from rotcal_ros.nodes.runtime.announced_plan import RUN, run_name
 from rotcal_ros.nodes.runtime.beat_values import (
     OF_MACHINES,
     PREFLIGHT,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.service_introspection import ServiceIntrospectionState
 from rotcal_msgs.action import Calibrate
+from rotcal_msgs.msg import CalibrationGoal, CalibrationProgress
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.node_state import NodeState, State
@@ -30,14 +30,15 @@ from rotcal_ros.nodes.planner.goal_run import GoalRun
 from rotcal_ros.nodes.planner.goal_watch import Codes, GoalWatch, RequiredNodes
 from rotcal_ros.nodes.planner.measuring import require_free
 from rotcal_ros.nodes.planner.progress import GoalProgress
+from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.announced_plan import read_continuation
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.managed_node import read_settings
-from rotcal_ros.nodes.runtime.qos import GOAL
 from rotcal_ros.nodes.runtime.running import in_thread, run
 from rotcal_ros.planning.settings import SafetySettings
 
+Plain = TypeVar("Plain", CalibrationGoal, CalibrationProgress)
 RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
 NO_ORDERS: Final = "the planner orders nothing; a recording goes on"
@@ -78,9 +79,6 @@ class Planner(CellNode):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             result_timeout=RESULT_TIMEOUT_S,
         )
-        if hasattr(self._server, "configure_introspection"):  # from Kilted on
-            contents = ServiceIntrospectionState.CONTENTS
-            self._server.configure_introspection(self.get_clock(), GOAL, contents)
 
     def activated(self) -> None:
         """Take goals."""
@@ -167,6 +165,7 @@ class Planner(CellNode):
         """Return the run of a goal; ConfigurationError or PlanError when it is impossible."""
         calibration = prepare_to_measure(self._configured.configuration(handle.request))
         continuation, self._continuation = self._continuation, None
+        self._links.goals.publish(_plain(CalibrationGoal, handle, handle.request, self.now_ns()))
         plan_id, start_index = calibration.configuration.plan_id, handle.request.start_index
         asked = (plan_id, start_index)
         if continuation is None or (continuation.plan_id, continuation.start_index) != asked:
@@ -207,7 +206,9 @@ class Planner(CellNode):
         if now - self._shown_s < FEEDBACK_PERIOD_S and measuring and not self._pauses.waiting:
             return
         self._shown_s = now
-        handle.publish_feedback(feedback_message(progress, self._links.current_std))
+        feedback = feedback_message(progress, self._links.current_std)
+        handle.publish_feedback(feedback)
+        self._links.progress.publish(_plain(CalibrationProgress, handle, feedback, self.now_ns()))
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         if self._run is None:
@@ -290,6 +291,12 @@ def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Fe
         uncertainty=progress.uncertainty,
         goal=progress.goal,
     )
+
+
+def _plain(kind: type[Plain], handle: ServerGoalHandle, content: Any, now_ns: int) -> Plain:
+    """Return the ``content`` of a goal or a feedback as a message that bags can hold."""
+    fields = {name: getattr(content, name) for name in content.get_fields_and_field_types()}
+    return kind(header=conversions.header(now_ns), goal_id=handle.goal_id, **fields)
 
 
 def main() -> None:

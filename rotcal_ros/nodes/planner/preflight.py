@@ -36,7 +36,7 @@ from rotcal_ros.nodes.runtime.beat_values import (
     name_in,
 )
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY
+from rotcal_ros.planning.table_feedback import without_joint, without_velocity
 
 _AIR: Final = {
     "temperature": names.TEMPERATURE,
@@ -258,16 +258,9 @@ def joint_faults(values: Values, joint: str) -> Iterator[str]:
     if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are listed
         return
     if chosen not in heard:
-        yield (
-            f"{topic} has no joint {joint!r} (cell.joint), it has "
-            f"{', '.join(map(printable, heard))}: name one of these, or leave cell.joint empty "
-            "for the first"
-        )
+        yield without_joint(topic, joint, heard)
     elif not isfinite(heard[chosen][1]):
-        yield (
-            f"{topic}: joint {printable(chosen)} has no velocity, so it is never known to be at "
-            f"rest: {PUBLISH_VELOCITY}"
-        )
+        yield without_velocity(topic, chosen)
 
 
 def joint_doubts(values: Values, configuration: Configuration) -> Iterator[str]:

@@ -227,10 +227,8 @@ class TopicListener:
         if topic.channel.topic == names.TF_STATIC:
             topic.latched.append(Messages.taken(topic.channel, batch))
         elif topic.channel.topic.endswith((f"/{names.GOAL}", f"/{names.GOAL_STATUS}")):
-            # published before the bag begins: request and answer, and the status
-            topic.latched.append(Messages.taken(topic.channel, batch))
-            while len(topic.latched) > 2:
-                topic.latched.popleft()
+            topic.latched.clear()  # published before the bag begins; the last one counts
+            topic.latched.append(Messages.taken(topic.channel, batch[-1:]))
         for _, info in batch:
             received_ns = info["received_timestamp"] or time.time_ns()
             if (lost := _lost_before(topic, info)) is not None:
@@ -257,10 +255,10 @@ def _lost_before(topic: HeardTopic, info: Any) -> int | None:
 def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
     """Return name -> type of all topics to record: namespace, diagnostics, log, others.
 
-    Of the hidden topics only those of the cell's action are among them.
+    Of the hidden topics only the status of the cell's action is among them.
     """
     prefix = node.get_namespace().rstrip("/") + "/"
-    further = {*further, *(prefix + name for name in names.ACTION)}
+    further = {*further, prefix + names.GOAL_STATUS}
     return {
         name: types[0]
         for name, types in node.get_topic_names_and_types()

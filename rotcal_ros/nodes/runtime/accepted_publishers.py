@@ -20,7 +20,7 @@ from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch
 
 BELIEVED: Final = "believed"
 """Value in the planner's beat: which publishers count on each topic while a goal runs."""
-LISTENERS: Final = {names.OBSERVATION: 3, names.STEP_CHOICE: 1}
+LISTENERS: Final = {names.OBSERVATION: 3, names.PLAN: 3, names.STEP_CHOICE: 1, names.GOAL: 1}
 """Topic -> how many of our nodes subscribe; to any other topic of a run, USUAL."""
 USUAL: Final = 2
 UNNAMED: Final = "_NODE_NAME_UNKNOWN_"

@@ -15,8 +15,7 @@ from typing import Final
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.heard import PlansHeard, Whose
-from rotcal_ros.capture.messages import stamp_ns
+from rotcal_ros.capture.heard import RUN, PlansHeard, Whose, run_name
 from rotcal_ros.foundation.errors import DataError, PlanError, RotcalError
 from rotcal_ros.foundation.untrusted import read_text, reading
 from rotcal_ros.methods import Calibration, prepare
@@ -28,15 +27,8 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.qos import LATCHED
 
-RUN: Final = "run"
-"""Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
 REFUSED_RUN: Final = "refused_run"
 """Value in a beat: the run whose plan the node could not take, a blank, and the reason."""
-
-
-def run_name(message: CalibrationPlan) -> str:
-    """Return a unique name for this run of a plan."""
-    return f"{message.plan_id}@{stamp_ns(message.header.stamp)}"
 
 
 def calibration_of(message: CalibrationPlan) -> Calibration:

@@ -13,8 +13,6 @@ from ament_index_python.packages import get_package_share_directory
 
 from rotcal_ros.foundation.errors import BagError
 
-_FEEDBACK: Final = "_FeedbackMessage"
-
 
 def importable_type(type_name: str, type_hash: str) -> type:
     """Return the class of a recorded message type; BagError if the type differs here.
@@ -34,9 +32,6 @@ def message_type(type_name: str) -> type:
     """Return the class of a message type (``pkg/msg/Name``); BagError if there is none."""
     package, kind, name = [*type_name.split("/"), "", ""][:3]
     try:
-        if kind == "action" and name.endswith(_FEEDBACK):
-            action = getattr(import_module(f"{package}.{kind}"), name.removesuffix(_FEEDBACK))
-            return action.Impl.FeedbackMessage
         found: type = getattr(import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise BagError(

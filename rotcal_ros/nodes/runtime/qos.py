@@ -8,15 +8,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 LATCHED: Final = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""Plans and results: late subscribers still get the last one."""
+"""Goals, plans and results: late subscribers still get the last one."""
 
 EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 """Orders, observations, receipts: none may be lost."""
-
-GOAL: Final = QoSProfile(
-    depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
-"""Request and answer of a goal: a recorder that discovers the action only then still gets both."""
 
 STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Readings at kilohertz rates, published reliably by our own nodes."""

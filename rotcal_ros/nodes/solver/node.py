@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
+from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.in_force import of_axis
@@ -26,12 +27,10 @@ from rotcal_ros.methods.calibration import RunStep
 from rotcal_ros.methods.continuation import Recorded
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.announced_plan import (
-    RUN,
     PlanSubscription,
     calibration_of,
     load_method,
     read_continuation,
-    run_name,
 )
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S

@@ -3,6 +3,7 @@
 import base64
 import re
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Thread
 
 import pytest
@@ -73,7 +74,13 @@ def drop(page, name, content):
     expect(page.locator("#files .there", has_text=name)).to_be_visible(timeout=PATIENCE_MS)
 
 
-def dropped(page, name, content):
+def dropped(page, name, content, positions="12"):
+    """Drop a table of lengths with its targets; its numbers of positions are evenly so many."""
+    count = page.locator("[id='set.plan.table_positions']")
+    assert count.get_attribute("placeholder") in ("as in the table", "wie in der Tabelle", None)
+    if positions and count.is_visible():
+        count.fill(positions)
+        count.press("Tab")
     drop(page, "targets.csv", (DATA / "targets.csv").read_bytes())
     drop(page, name, content)
     expect(page.locator("#understood[aria-busy=false]")).to_be_visible(timeout=PATIENCE_MS)
@@ -114,11 +121,27 @@ def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):
     expect(page.locator("#solve")).to_be_disabled()
     expect(page.locator("#error")).to_contain_text("states no unit")
     require_accessible(page)
-    page.get_by_role("button", name="313.1669079 mm = 0.313167 m").click()
+    page.get_by_role("button", name="574.172198 mm = 0.574172 m").click()
     expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
     expect(page.get_by_label("unit of length")).to_have_value("mm")
     page.get_by_role("button", name="Take back: sheet.length_unit = mm").click()
     expect(page.locator("#error")).to_contain_text("states no unit", timeout=PATIENCE_MS)
+
+
+def test_angles_of_a_table_count_where_no_plan_is_stated(opened):
+    page = opened(locale="en-GB")
+    table = Path(__file__).parents[2] / "foundation" / "sheets" / "data"
+    table = (table / "lengths_5_degrees_on.csv").read_bytes()
+    dropped(page, "lengths.csv", table, positions="")
+    expect(page.locator("#tables")).to_contain_text("table angles of the table")
+    expect(page.locator("#solve")).to_be_enabled()
+    count = page.get_by_label("Number of table angles")
+    count.fill("12")
+    count.press("Tab")
+    expect(page.locator("#error")).to_contain_text("5 degrees is not in the plan")
+    require_accessible(page)
+    page.get_by_role("button", name="5 degrees, as the table says").click()
+    expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
 
 
 def test_an_error_stands_at_its_field(opened):
@@ -161,7 +184,7 @@ def test_what_was_stated_outlasts_a_reload_and_another_language(opened):
     page = opened(locale="en-GB")
     rows = [(p, t, "300.0", n) for p, t, n in MM]
     dropped(page, "mine.csv", lines(("Position", "Target", "Length", "Other"), rows, ",").encode())
-    page.get_by_role("button", name="300.0 mm = 0.3 m").click()
+    page.get_by_role("button", name="300 mm = 0.3 m").click()
     page.get_by_label("column that is length").select_option("Other")
     page.get_by_label("Take back: length = Other").wait_for()
     page.get_by_label("How it was measured").select_option("tracer_multistation")

@@ -8,11 +8,12 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
+from rotcal_ros.capture.heard import RUN
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.nodes.planner import goal_run
 from rotcal_ros.nodes.planner.cell_links import CellLinks
 from rotcal_ros.nodes.planner.goal_watch import GoalError, GoalWatch
-from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN, RUN
+from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN
 from rotcal_ros.nodes.runtime.beat_values import LISTENS
 
 STOP = "/safety/estop"

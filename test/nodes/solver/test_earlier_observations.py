@@ -9,9 +9,9 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_msgs.msg import CalibrationPlan
 
+from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.methods.continuation import Recorded
-from rotcal_ros.nodes.runtime.announced_plan import RUN, run_name
 from rotcal_ros.nodes.solver import node as solver
 from rotcal_ros.nodes.solver.node import NO_GOAL_S, PATIENCE_S, EarlierObservations
 from rotcal_ros.planning.plan import Step

@@ -353,7 +353,7 @@ class PageTopics:
         self._visited: dict[float, None] = {}
         self.uncertainty: float | None = None
         self.withheld, self.loading = "", False
-        node.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        node.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED, judged=True)
         node.listen(DeviationArray, "deviations", self._take_deviations, LATCHED)
         # There are few, and a person has to see all of them, however busy the machine is.
         node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, EVENT)

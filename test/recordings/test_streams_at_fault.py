@@ -1,0 +1,89 @@
+"""Offline, too, the stream that is at fault is named with what to do."""
+
+import pytest
+from bag_samples import (
+    CONFIGURATION,
+    START_NS,
+    TYPES,
+    encode,
+    floats,
+    open_writer,
+    serialised,
+)
+
+from rotcal_ros.bags import names
+from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.observations import TableSample
+from rotcal_ros.recordings.replay import read_recording
+
+NAN = float("nan")
+
+
+def in_turn(sample):
+    """The same joints in changing order."""
+    joints = ["arm", "table"], [0.3, sample.angle], [0.0, sample.velocity]
+    return tuple(part[::-1] for part in joints) if sample.stamp_ns // 10**7 % 2 else joints
+
+
+FAULTS = {
+    "velocity NaN": ("", lambda s: (["table"], [s.angle], [NAN]), "joint table has no velocity"),
+    "no velocity": ("", lambda s: (["table"], [s.angle], []), "joint table has no velocity"),
+    "velocity NaN, named": (
+        "table", lambda s: (["arm", "table"], [0.3, s.angle], [0.0, NAN]),
+        "joint table has no velocity",
+    ),
+    "no position": ("", lambda s: (["table"], [], []), "joint table has no position"),
+    "prefix": (
+        "table_joint", lambda s: (["left/table_joint"], [s.angle], [s.velocity]),
+        "no joint 'table_joint' (cell.joint), it has left/table_joint: name one of these "
+        "(is it left/table_joint?)",
+    ),
+    "prefix too much": (
+        "left/table", lambda s: (["arm", "table"], [0.3, s.angle], [0.0, s.velocity]),
+        "it has arm, table: name one of these (is it table?)",
+    ),
+    "changing order": ("", in_turn, "its joints come in changing order"),
+    "several": (
+        "", lambda s: (["arm", "table"], [0.3, s.angle], [0.0, s.velocity]),
+        "has the joints arm, table, and the first one, arm, was taken for the table",
+    ),
+}  # fmt: skip
+
+
+def recorded(folder, run, joint, states):
+    text = CONFIGURATION.replace("    plan:\n", f"    cell: {{joint: '{joint}'}}\n    plan:\n", 1)
+    writer, channels = open_writer(folder, configuration=text)
+    with writer:
+        for number, record in enumerate(run.records):
+            now = START_NS + number * 1_000_000
+            for role, data in encode(record):
+                if isinstance(record, TableSample):
+                    listed, position, velocity = states(record)
+                    data = serialised(
+                        TYPES[role], stamp_ns=record.stamp_ns, name=listed,
+                        position=floats(position), velocity=floats(velocity), effort=floats([]),
+                    )  # fmt: skip
+                if role != names.OBSERVATION:
+                    writer.write(channels[role], data, now, now)
+    return folder
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_joint_at_fault_is_named(fault, simulated_run, tmp_path):
+    joint, states, words = FAULTS[fault]
+    bag = recorded(tmp_path / "bag", simulated_run, joint, states)
+    with pytest.raises(RotcalError) as refused:
+        read_recording(bag).solve()
+    assert isinstance(refused.value, DataError)
+    assert "/cell/joint_states" in str(refused.value)
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("joint", ["table", "left/table_joint"])
+def test_a_named_joint_is_found_in_any_order_and_with_its_prefix(joint, simulated_run, tmp_path):
+    def states(sample):
+        listed, position, velocity = in_turn(sample)
+        return [joint if name == "table" else name for name in listed], position, velocity
+
+    bag = recorded(tmp_path / "bag", simulated_run, joint, states)
+    assert read_recording(bag).observations == tuple(simulated_run.observations)
