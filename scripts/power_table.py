@@ -41,7 +41,7 @@ larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of 
 No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. The
 effects are explained below the table, or else below the nearest table above.
 
-Three errors have no size here, because no size changes the verdict:
+Some errors have no size here, because no size changes the verdict:
 
 * **An offset between parts of the table that nothing joins**
   ([groups](ball_plate.md#closed-form-and-groups)). Such a result is always `suspect`.
@@ -49,6 +49,10 @@ Three errors have no size here, because no size changes the verdict:
   `numbering` until `plan.tracer_m` states where the tracer stands.
 * **A z axis that points down** in a table of ball centres, or of a tracer at several places. The
   verdict line names `sign of z`.
+* **Readings of balls that are meant otherwise**: of the other sign, of a table that turns the other
+  way, of an instrument that shows too little. They make a result `suspect` where [balls show
+  it](table_balls.md#mistakes-of-the-set-up); else the verdict line names `sign of readings`,
+  `sense`, `numbering`, `gain`.
 
 Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
 `rotcal plan power CONFIG` measures your own plan. The words:

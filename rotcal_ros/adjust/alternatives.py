@@ -33,7 +33,7 @@ By chance sound readings look so less than once in a thousand times.
 
 MOST: Final = np.log(1e9)
 """ln of odds that are named; what is more says no more."""
-LEAST: Final = 0.01
+LEAST: Final = 0.5
 """Factor on what is stated beforehand, at least."""
 ROUNDS: Final = 4
 """Steps to the solution of a model that is nearly linear, and to its noise."""
