@@ -1,6 +1,6 @@
 """How often the stated intervals of balls on the table hold the truth.
 
-    python scripts/ball_coverage.py [RUNS] [--case WORDS] [--whole]
+    python scripts/ball_coverage.py [RUNS] [--case WORDS] [--whole] [--motions]
 
 Worlds of the tests' own generator (``test/ball_world.py``) whose errors are drawn from what is
 stated of them: the axis, its motions, the linear axes' scales and squareness, where the balls
@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -23,7 +23,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.adjust.model import Model, fitted
+from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.units import MICROMETRE
@@ -31,11 +32,14 @@ from rotcal_ros.methods.table_balls.model import AXIS, BallsOnTable, components_
 from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolverSettings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "methods" / "table_balls"))
 from ball_world import COLUMN, LEVEL, NAMES, ONE, THREE, World
+from test_motions import MEASURES, STATED, WORLDS, covered, planned, stated
 
 NOISE_M, PLAY_M, TIP_M = 1e-6, 1e-6, 2e-6
 ORTHOGONAL = {"measure": "bar", "bars_m": (0.1, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1)}
 SLANTED = {"measure": "bar", "bars_m": (0.06, 0.05, 0.07, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1)}
+AS_DRAWN = BallsSolverSettings(error_motion_orders="white")
 TILTS = {
     "chain": "AC", "tilts_deg": (-60.0, 0.0, 50.0, 90.0), "tilting_axis_m": (0.02, 0.01, -0.1),
     "table_step_deg": 45.0, "table_positions": 8, "runs": 1,
@@ -54,9 +58,9 @@ class Case:
         """Return a world drawn from what is stated of it; play counts as noise of three balls."""
         plan = BallsPlanSettings(balls_m=self.balls, axis_m=(0.0, 0.0, 0.06), **self.more)
         if not self.spoiled:
-            return World.drawn(plan, rng)
+            return World.drawn(plan, rng, AS_DRAWN)
         sigma = NOISE_M if self.balls == ONE else float(np.hypot(NOISE_M, 0.5 * PLAY_M))
-        world = World.drawn(plan, rng, BallsSolverSettings(tip_std_m=TIP_M, sigma_centre_m=sigma))
+        world = World.drawn(plan, rng, replace(AS_DRAWN, tip_std_m=TIP_M, sigma_centre_m=sigma))
         world.lobing = MICROMETRE
         shift = np.abs(world.touched()[0]) / MICROMETRE
         world.lobing = complex(*(TIP_M / shift * rng.standard_normal(2)))
@@ -121,13 +125,39 @@ def row(name: str, runs: int, whole: bool) -> str:
     return f"| {name} | {each} | {f'{100.0 * good:.1f} %' if whole else '-'} |"
 
 
+def motion_row(orders: str, count: int, measure: str, knows: str, runs: int) -> str:
+    """Return the line of one ball on a table that moves in some orders; ``knows``: as stated."""
+    solver = stated(**STATED.get(knows, {}))
+    share = covered(planned(count, **MEASURES.get(measure, {})), solver, WORLDS[orders], runs)
+    each = " | ".join(f"{100.0 * part:.1f}" for part in share)
+    return f"| {orders} | {knows} | {measure} | {count} | {each} |"
+
+
+def print_motions(runs: int) -> None:
+    """Print how often intervals of one ball hold the truth where motions have orders."""
+    print("| motion | stated | measure | angles | ECC | XOC | YOC | AOC | BOC |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for count in (12, 36, 72):
+        for orders in WORLDS:
+            print(motion_row(orders, count, "touch", "any", runs), flush=True)
+    for orders in STATED:
+        print(motion_row(orders, 12, "touch", orders, runs), flush=True)
+    for measure in MEASURES:
+        for orders in WORLDS:
+            print(motion_row(orders, 12, measure, "any", runs), flush=True)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("runs", nargs="?", type=int, default=1000)
     parser.add_argument("--case", action="append", choices=CASES)
     parser.add_argument("--whole", action="store_true", help="with the verdict of the engine")
+    parser.add_argument("--motions", action="store_true", help="one ball, motions in orders")
     given = parser.parse_args()
+    if given.motions:
+        print_motions(given.runs)
+        return
     print("| case | intervals that hold the truth / % | ok |")
     print("| --- | --- | --- |")
     for name in given.case or CASES:

@@ -53,6 +53,12 @@ Some errors have no size here, because no size changes the verdict:
   way, of an instrument that shows too little. They make a result `suspect` where [balls show
   it](table_balls.md#mistakes-of-the-set-up); else the verdict line names `sign of readings`,
   `sense`, `numbering`, `gain`.
+* **Two circles**: settings that are numbered or exchanged, single readings and certificates that
+  nothing checks, a reference that leans or gives way alike in all settings. The verdict line names
+  `numbering`, `single readings`, `gauge`, `polygon tilt` and `slip`
+  ([what tests them](angle_comparison.md#what-the-readings-cannot-show)).
+* **A link that one input alone determines**, and a table of values that nothing measured again, in
+  a [combination](evaluation.md#combination). The verdict line names `gauge`, `single readings`.
 
 Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
 `rotcal plan power CONFIG` measures your own plan. The words:

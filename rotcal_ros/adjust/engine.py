@@ -25,7 +25,7 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import LARGEST_GROUP, Diagnosis, Limits, found_causes, seen_by
-from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, normal_sf, t_isf
+from rotcal_ros.adjust.distributions import chi2_sf, detected, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
@@ -34,7 +34,7 @@ from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
+from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
@@ -52,6 +52,8 @@ COVERED: Final = 1.959964
 """Standard uncertainties on either side that hold 95 % of a normal distribution."""
 UNCHECKED: Final = 0.99
 """Share of its prior from which on the factor of a component is no estimate."""
+MOST_SIZES: Final = 6
+"""Sizes of an effect that are told one by one."""
 ROUNDED: Final = 1e-6
 """Uncertainty of a size, per largest, below which it is the rounding of one that is open."""
 LIMITS: Final = Limits()
@@ -73,8 +75,11 @@ class FoundEffect(NamedTuple):
         """Return what happened, by how much as far as the observations show it."""
         unit, seen = self.effect.unit, self.std > ROUNDED * self.std.max(initial=0.0)
         sizes, expanded = self.sizes[seen] / unit.si, 2.0 * self.std[seen] / unit.si
-        each = ", ".join(f"{size:.3g} ± {u:.2g}" for size, u in zip(sizes, expanded, strict=True))
-        return f"{self.what}, by {each} {unit.name} (k = 2, p = {self.probability:.2g})"
+        pairs, most = list(zip(sizes.tolist(), expanded.tolist(), strict=True)), ""
+        if len(pairs) > MOST_SIZES:
+            pairs, most = [max(pairs, key=lambda pair: abs(pair[0]))], "up to "
+        each = ", ".join(f"{size:.3g} ± {u:.2g}" for size, u in pairs)
+        return f"{self.what}, by {most}{each} {unit.name} (k = 2, p = {self.probability:.2g})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -471,9 +476,11 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     taken = [e.effect for e in found.diagnosis.taken if e.effect is not None]
     worst: dict[Effect, tuple[Unseen, Disturbing]] = {}
     for effect, seen in found.seen:
-        if effect in taken:
+        if effect in taken and effect.family:
             continue
         hides = _unseen(effect, seen, found.counting_std, each, found.freedom)
+        if effect in taken and hides.treatment != "not protected":
+            continue  # all of it was taken off
         if effect.effect not in worst or hides.error > worst[effect.effect][0].error:
             worst[effect.effect] = hides, effect
     for name, effect in {effect.effect: effect for effect in taken}.items():
@@ -492,6 +499,7 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
         error = None if hides.treatment == "harmless" else hides.error
         yield Protection(name, hides.treatment, f"that {effect.what} {why}", error)
     yield _against_noise(found)
+    yield from _against_single(found)
     yield from _against_gathering(found)
 
 
@@ -509,6 +517,34 @@ def _against_noise(found: Adjusted) -> Protection:
     growth = noise_growth(found.diagnosis.limits.significance, POWER, dof)
     why = f"{dof} residuals test the stated noise, which is estimated where it does not hold"
     return Protection("axis noise", "tested", why, float(np.sqrt(max(growth - 1.0, 0.0))))
+
+
+def _against_single(found: Adjusted) -> Iterator[Protection]:
+    """Yield what is done about one reading that is off, where there are not too many of them.
+
+    The error is that of any of them, as probable, by the largest size that is not left out.
+    """
+    model, fit = found.model, found.fit
+    rows = np.flatnonzero(fit.used & model.may_go)
+    std, words = found.counting_std[: len(found.value)], model.words
+    if not len(rows) or len(std) * len(rows) > MOST_INFLUENCES:
+        return
+    redundancy = fit.redundancy[rows]
+    limit = detected(found.diagnosis.limits.outlier(model), POWER)
+    size = limit / np.sqrt(np.maximum(redundancy, (limit / LARGEST) ** 2))
+    counts = std > 0.0
+    felt = fit.response_of(rows)[: len(std)][counts] * size / std[counts, None]
+    error = float(np.sqrt((felt**2).mean(axis=1)).max(initial=0.0))
+    if error <= TOLERABLE:
+        yield Protection("single readings", "tested", f"{words.elements} check each other", error)
+        return
+    why = f"{words.elements} hardly check each other: an error in one of them stays unseen"
+    if weak := int((redundancy <= CHECKED).sum()):
+        why = (
+            f"{weak} of {len(rows)} {words.elements} are checked by no other: an error in them "
+            "stays unseen"
+        )
+    yield Protection("single readings", "not protected", why, error)
 
 
 def _against_gathering(found: Adjusted) -> Iterator[Protection]:

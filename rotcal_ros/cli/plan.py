@@ -148,13 +148,16 @@ def reliability(
     """Print the smallest error in one observation of a plan that would be found (Baarda).
 
     The observations are sorted by what a slightly smaller error, which may stay unseen, would do
-    to the deviations, in their standard uncertainties.
+    to the deviations, in their standard uncertainties. Below them: U of the plan, and what its
+    readings could not show; of two circles also what one more setting would bring.
     """
     from rotcal_ros.evaluation.reliability import effects_on_deviations
     from rotcal_ros.evaluation.reliability import reliability as reliability_of
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
+    from rotcal_ros.methods.prospect import prospects
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes)).of_distances
+    expected = list(prospects(calibration))
     observations = _predicted_observations(calibration)
     result = calibration.solve(observations)
     if result.residuals is None:
@@ -164,9 +167,10 @@ def reliability(
     effects = effects_on_deviations(calibration, observations, result, found, which)
     data = found.to_dict(worst, effects)
     if as_json:
-        print_json(data)
+        print_json({**data, "prospects": [each.to_dict() for each in expected]})
     else:
         _print_reliability(data)
+        print_words(*(each.in_words(expected[0]) for each in expected))
     return 0
 
 

@@ -40,11 +40,22 @@ from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
-from rotcal_ros.foundation.protection import ALL_EFFECTS, PARTICULAR, Effect, Protection, Treatment
+from rotcal_ros.foundation.protection import (
+    ALL_EFFECTS,
+    PARTICULAR,
+    Effect,
+    Protection,
+    Treatment,
+    unprotected,
+)
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Result, Verdict, Zeros
 
 METHOD: Final = "combination"
+REFERENCE: Final = "reference"
+"""The method of a table of values."""
+UNCHECKED: Final = "nothing checked its values: none was measured twice"
+UNTOLD: Final = (Protection("single readings", "not protected", UNCHECKED),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +90,7 @@ class CombinationInput:
         """
         if isinstance(source, MeasuredCurve):
             known = Circumstances(simulated=True) if source.simulated else None
-            measured = cls(name, "reference", {"ECC": source}, circumstances=known)
+            measured = cls(name, REFERENCE, {"ECC": source}, circumstances=known)
         else:
             measured = cls(
                 name,
@@ -203,7 +214,9 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
         for group in groups
         if too_alike(group.chi2_of_noise, group.dof, SURE / len(groups))
     ]
+    unchecked = _unchecked(groups, inputs)
     notes = [link.in_words() for group in groups for link in group.links] + left_out
+    notes += [f"{name}: {UNCHECKED}" for name in unchecked]
     chi2, dof = sum(group.chi2 for group in groups), sum(group.dof for group in groups)
     step_deviation, step_std = _adjacent(deviations, covariance)
     result = Result(
@@ -221,7 +234,10 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
         adjacent_std=step_std,
         details=_details(groups, inputs),
         protections=join_protections(
-            {m.name: _linked(m.protections, m.name, groups) for m in inputs},
+            {
+                m.name: UNTOLD * (m.name in unchecked) + _linked(m.protections, m.name, groups)
+                for m in inputs
+            },
             _largest_shares(groups),
         ),
         circumstances=Circumstances.joined(
@@ -280,15 +296,23 @@ def _names_of_open(group: ComponentGroup, inputs: Sequence[CombinationInput]) ->
 def _linked(
     protections: Sequence[Protection], name: str, groups: Sequence[ComponentGroup]
 ) -> tuple[Protection, ...]:
-    """Return the protections of input ``name``; its gauge is estimated if others join it."""
-    others = {
-        other for g in groups for link in g.links if link.input == name for other in link.others
-    }
-    if not others:
+    """Return the protections of input ``name``; its gauge is estimated if others join it.
+
+    Not protected where a single one does: nothing checks the error of that link.
+    """
+    own = [link for g in groups for link in g.links if link.input == name]
+    if not own:
         return tuple(protections)
-    why = f"the offsets that it leaves open come from {', '.join(sorted(others))}"
-    joined = Protection("gauge", "estimated", why)
-    return tuple(joined if p.effect == "gauge" else p for p in protections)
+    bare = {link.name: link.others[0] for link in own if not link.checked}
+    others = sorted({other for link in own for other in link.others})
+    joined = Protection(
+        "gauge", "estimated", f"the offsets that it leaves open come from {', '.join(others)}"
+    )
+    if bare:
+        links = [f"the offset between {what} comes from {other}" for what, other in bare.items()]
+        why = f"{', '.join(links)} alone, whose error nothing checks"
+        joined = Protection("gauge", "not protected", why)
+    return (*(p for p in protections if p.effect != "gauge"), joined)
 
 
 def _to_all(own: Joined, angles: Floats) -> Floats | None:
@@ -308,6 +332,12 @@ def _adjacent(
         return None, None
     steps = np.diff(np.eye(len(deviations["ECC"])), axis=0)
     return steps @ deviations["ECC"], std_of(steps @ covariance["ECC"] @ steps.T)
+
+
+def _unchecked(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> list[str]:
+    """Return the tables of values that no other input measured again."""
+    checked = {n for group in groups if group.dof for names in group.members for n in names}
+    return [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
 
 
 def _interpolated(
@@ -400,6 +430,15 @@ def join_protections(
         for effect in ALL_EFFECTS
         if effect in named or effect not in PARTICULAR
     )
+
+
+def weaker(first: Protection, second: Protection) -> Protection:
+    """Return that of two protections against an effect that leaves more unseen."""
+
+    def left(p: Protection) -> tuple[bool, int, float]:
+        return bool(unprotected([p])), -WEAKEST_FIRST.index(p.treatment), p.error or 0.0
+
+    return max(first, second, key=left)
 
 
 def _concerned(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import permutations, product
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -21,7 +21,12 @@ from scipy.linalg import block_diag
 from scipy.optimize import brentq
 
 from rotcal_ros.adjust.distributions import chi2_sf
-from rotcal_ros.evaluation.common_angles import floor, of_observations_alone, shared_covariance
+from rotcal_ros.evaluation.common_angles import (
+    floor,
+    of_observations_alone,
+    same_angles,
+    shared_covariance,
+)
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
@@ -48,7 +53,7 @@ class Link:
 
     ``name`` as in :class:`FreeDirection`; ``offset`` is how far the values of the input are off,
     with standard uncertainty ``std``; ``share`` is the most that it adds to the uncertainty of any
-    value.
+    value. ``others`` are those that determine it: what only one does, nothing checks.
     """
 
     component: str
@@ -62,11 +67,17 @@ class Link:
     def in_words(self) -> str:
         """Return where the offset comes from and what it costs, in one sentence."""
         unit, label = unit_of(self.component)
+        alone = "" if self.checked else " alone: nothing checks that, its stated uncertainty rules"
         return (
             f"{self.component} of {self.input}: the offset between {self.name}, "
-            f"{self.offset / unit:+.3g} {label}, comes from {', '.join(self.others)}; it adds up "
-            f"to {COVERAGE_FACTOR * self.share / unit:.2g} {label} to U"
+            f"{self.offset / unit:+.3g} {label}, comes from {', '.join(self.others)}{alone}; it "
+            f"adds up to {COVERAGE_FACTOR * self.share / unit:.2g} {label} to U"
         )
+
+    @property
+    def checked(self) -> bool:
+        """Whether more than one input determines it."""
+        return len(self.others) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +165,10 @@ def combine_group(
     """
     layout = laid_out(components, inputs)
     joined, columns, between, common = layout
-    far = [name in between for name in inputs]
 
     def weighed_with(curves: Mapping[str, Curves]) -> _Weighed:
-        seen = {name: part_of(name, curves, layout) for name in curves}
+        seen = {name: part_of(name, {**inputs, **curves}, layout) for name in curves}
+        far = [name in between for name in curves]
         parts, left = _with_open([own.part for own in seen.values()], common, far)
         return _Weighed(parts, left, *_clustered(seen, parts, curves))
 
@@ -184,9 +195,70 @@ def combine_group(
         interpolated=between,
         open=left,
     )
+    counting = weighed_with({name: inputs[name] for name in _telling(inputs)})
+
+    def counted(extra: float = 0.0) -> ComponentGroup:
+        wider = pool(widened(counting.weighed, extra**2), gauge)
+        return _told_by(group, wider, counting.members)
+
+    if len(counting.parts) < len(inputs):
+        group = counted()
     if not group.consistent:
-        group = _enlarged(group, weighed, gauge, enlarge)
+        group = _enlarged(group, weighed, gauge, enlarge, counted)
     return replace(group, links=tuple(links_of(group, inputs, parts)))
+
+
+def _telling(inputs: Mapping[str, Curves]) -> list[str]:
+    """Return the inputs that count: of evaluations of the same data the one that is surest.
+
+    The same noise tells each of them how large it is, a little otherwise: as if they had more than
+    one of it, they would gain. An evaluation stands for another that has no angle, no component
+    and no joined zero beyond its own.
+    """
+    names = list(inputs)
+    for first, second in permutations(inputs, 2):
+        if first in names and second in names and _stands_for(inputs[first], inputs[second]):
+            names.remove(second)
+    return names
+
+
+def _stands_for(surer: Curves, other: Curves) -> bool:
+    """Whether ``surer`` evaluates what the ``other`` does, or part of it, more surely."""
+    both = surer.keys() & other.keys()
+    if both != other.keys():
+        return False
+    here = next(iter(both))
+    mine, theirs = surer[here].raw_data, other[here].raw_data
+    ours, _ = mine.shared_with(theirs)
+    if not len(ours) or len(ours) < min(len(mine.hashes), len(theirs.hashes)):
+        return False
+    if any(
+        not same_angles(other[c].angles, surer[c].angles, surer[c].period).any(axis=1).all()
+        or set(surer[c].free_names) - set(other[c].free_names)
+        for c in both
+    ):
+        return False
+    first, second = (sum(_scatter(curves[c]) for c in both) for curves in (surer, other))
+    return first <= second
+
+
+def _scatter(curve: MeasuredCurve) -> float:
+    """Return the mean variance of a curve about its mean."""
+    matrix = curve.covariance
+    return float(np.mean(matrix.diagonal()) - np.mean(matrix))
+
+
+def _told_by(
+    group: ComponentGroup, pooled: Pooled, members: Sequence[Sequence[str]]
+) -> ComponentGroup:
+    """Return a group with the estimate of some of its inputs; how all agree stays as it is."""
+    parts = np.zeros((len(group.members), len(pooled.values)))
+    for names, own in zip(members, pooled.variance_parts, strict=True):
+        parts[next(k for k, every in enumerate(group.members) if names[0] in every)] += own
+    return replace(
+        group,
+        pooled=replace(pooled, variance_parts=parts, chi2=group.pooled.chi2, dof=group.pooled.dof),
+    )
 
 
 class GroupLayout(NamedTuple):
@@ -285,7 +357,10 @@ def links_of(
             for column, word in zip(curves[c].free_columns.T, curves[c].free_names, strict=True):
                 if word and np.ptp(column[rows]):
                     which = _which(word, column[rows], curves[c], rows)
-                    yield _link(group, part, place, column[rows], (c, name, which, others))
+                    way = part.design[place].T @ column[rows]
+                    seen = dict(zip(inputs, parts, strict=True))
+                    which_ones = tuple(n for n in others if seen[n].determines(way)) or others
+                    yield _link(group, part, place, column[rows], (c, name, which, which_ones))
 
 
 def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
@@ -319,9 +394,16 @@ def _link(
 
 
 def _enlarged(
-    group: ComponentGroup, parts: Sequence[ComponentInput], gauge: Floats, enlarge: Enlargement
+    group: ComponentGroup,
+    parts: Sequence[ComponentInput],
+    gauge: Floats,
+    enlarge: Enlargement,
+    counted: Callable[[float], ComponentGroup],
 ) -> ComponentGroup:
-    """Return a group with larger uncertainties, because its inputs contradict each other."""
+    """Return a group with larger uncertainties, because its inputs contradict each other.
+
+    ``counted``: the group where every value has so much more of a standard uncertainty.
+    """
     if len(parts) > 2:
         group = replace(group, farthest=group.inputs[farthest(parts, gauge)])
     if enlarge == "birge":
@@ -329,7 +411,7 @@ def _enlarged(
         return replace(group, enlargement=enlarge, factor=factor)
     if enlarge == "mandel-paule":
         extra = common_std(parts, gauge)
-        wider = pool(widened(parts, extra**2), gauge)
+        wider = counted(extra).pooled
         return replace(group, enlargement=enlarge, common_std=extra, pooled=wider)
     return group
 
@@ -514,6 +596,12 @@ class ComponentInput:
     design: Floats
     free: Floats
     known: int = 0
+
+    def determines(self, way: Floats) -> bool:
+        """Whether its values show how far the curve goes one ``way`` (n,)."""
+        seen = self.design @ way
+        left = seen - self.free @ (self.free.T @ seen)
+        return bool(np.linalg.norm(left) > WEAK * np.linalg.norm(way))
 
 
 @dataclass(frozen=True, eq=False)

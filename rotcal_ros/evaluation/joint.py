@@ -37,6 +37,7 @@ from rotcal_ros.evaluation.combination import (
     owners_of,
     result_of,
     wanted_groups,
+    weaker,
 )
 from rotcal_ros.evaluation.common_angles import same_angles
 from rotcal_ros.evaluation.compare import SURE
@@ -486,6 +487,7 @@ def _result(
 ) -> Result:
     """Return the result of all groups, with what the engine found and doubts."""
     result = result_of(groups, views.shared.inputs)
+    own = {p.effect: p for p in found.protections() if p.effect == "gauge" and result.protections}
     details: dict[str, Any] = {**result.details, **found.details()}
     joint = replace(
         result,
@@ -495,6 +497,9 @@ def _result(
         rejected=tuple(Rejection(row, why) for row, why in sorted(found.why.items())),
         warnings=(*found.doubts, *result.warnings),
         details=details,
+        protections=tuple(
+            weaker(p, own[p.effect]) if p.effect in own else p for p in result.protections
+        ),
     )
     if found.verdict == "failed":
         return replace(joint, verdict="failed", zeros=replace(joint.zeros, within="failed"))

@@ -31,11 +31,13 @@ Particular = Literal[
     "uneven drift",
     "recurring drift",
     "one place",
+    "single readings",
     "numbering",
     "sign of z",
     "sign of readings",
     "sense",
     "gain",
+    "polygon tilt",
     "probe tip",
     "lag",
     "straightness",
@@ -44,13 +46,15 @@ Particular = Literal[
 Effect = Literal[Common, Particular]
 PARTICULAR: Final[tuple[Effect, ...]] = get_args(Particular)
 """Effects that only those methods list whose instruments have them: an artefact that warms and
-grows while it is measured; counted fringes; an instrument on the table, which its mount or cable
-may shift along its circle; one that drifts between two measurements of its nests; a drift that
-comes back with each run; an error that gathers in one place among many; table positions or set-ups
-that are numbered wrong; a z axis that points down, and readings of the other sign, where no
-measurement would show it; a table that turns the other way than is stated; an instrument that
-shows too much or too little; the offset of a probe's tip; readings that are late beside the angle
-of a table that turns; linear axes that do not go straight, and what they lose where they turn."""
+grows while it is measured; counted fringes, or a reference that does not turn as the table does;
+an instrument on the table, which its mount or cable may shift along its circle; one that drifts
+between two measurements of its nests; a drift that comes back with each run; an error that gathers
+in one place among many; readings that no other checks; table positions or set-ups that are
+numbered wrong; a z axis that points down, and readings of the other sign, where no measurement
+would show it; a table that turns the other way than is stated; an instrument that shows too much
+or too little; a polygon or another reference that leans against the axis; the offset of a probe's
+tip; readings that are late beside the angle of a table that turns; linear axes that do not go
+straight, and what they lose where they turn."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = get_args(Common)

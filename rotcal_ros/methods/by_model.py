@@ -96,7 +96,8 @@ class ByModel:
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
     the result, and the curves from each side. ``nominal``: what is read at a step where nothing is
     wrong. ``wrong``: blocks of what may be wrong beside the table, with the effect that it is.
-    ``sign``: -1.0 where the model takes a reading with the other sign. ``restated`` returns a
+    ``sign``: -1.0 where the model takes a reading with the other sign. ``drawn``: unknowns (p,)
+    of what is measured beside the table, where that is not perfect. ``restated`` returns a
     configuration whose statements fit what was found, and what is doubtful of them; None where
     they fit as they are.
     """
@@ -115,6 +116,9 @@ class ByModel:
     counts_from: str = "first angle"
     wrong: Mapping[str, Effect] = field(default_factory=dict)
     sign: Callable[[Configuration], float] = lambda _configuration: 1.0
+    drawn: Callable[[Configuration, Model, np.random.Generator], Floats] = (
+        lambda _configuration, model, _random: np.zeros(model.size[1])
+    )
     restated: Callable[[Configuration, Readings, Adjusted], Restated | None] = (
         lambda _configuration, _read, _found: None
     )
@@ -202,7 +206,8 @@ class ByModel:
     ) -> DisturbedMeasurement:
         """Return readings of every step, with noise and the effects of ``sizes``.
 
-        The table deviates at random; all else is as near to perfect as the outputs allow.
+        The table deviates at random; all else that is not ``drawn`` is as near to perfect as the
+        outputs allow.
         """
         count, sign = self.coordinates(configuration), self.sign(configuration)
         nothing = self._nothing_wrong(configuration, plan)
@@ -213,6 +218,7 @@ class ByModel:
             true - model.outputs @ model.first
         )
         unknowns = unknowns + self._wandering(model, sizes, random)
+        unknowns = unknowns + self.drawn(configuration, model, random)
         found = spoiled(model.at(unknowns), plan, sizes, seed, count)
         values = np.array([o.mean for o in nothing])
         first = slice(len(values) * count)  # what is known comes after them

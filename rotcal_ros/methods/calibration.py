@@ -116,7 +116,8 @@ class Calibration:
             result = replace(result, measured_on=measured_on)
         conflicts = frame_conflicts(self.configuration.cell, self.plan, result, frames)
         warnings = (*result.warnings, *conflicts)
-        result = _numbered_by_feedback(result, used)
+        if not self.method.set_by_hand:
+            result = _numbered_by_feedback(result, used)
         raw = replace(RawData.of(used, _DATED_NS), influence=result.raw_data.influence)
         return replace(
             result, warnings=warnings, circumstances=self._circumstances(used), raw_data=raw

@@ -13,12 +13,15 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.check_lines import CheckLine, State
+from rotcal_ros.methods.prospect import prospects
 from rotcal_ros.planning.approach import way_to
 from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.planning.sequence_time import stated_time
 
 PART = "plan"
+QUICK = 1000
+"""Steps up to which a plan is solved to say what it would give."""
 _SIDES = {Approach.POSITIVE: " from below", Approach.NEGATIVE: " from above"}
 
 
@@ -41,6 +44,7 @@ class DryRun:
         yield self._reach()
         yield from self._beams()
         yield self._time()
+        yield from self._prospects()
 
     @property
     def _steps(self) -> tuple[Step, ...]:
@@ -165,6 +169,15 @@ class DryRun:
         except DataError:
             return CheckLine(PART, "time", "open", "not known: the table cannot go there")
         return CheckLine(PART, "time", "note", f"about {in_words(seconds)}, with {why}")
+
+    def _prospects(self) -> Iterator[CheckLine]:
+        """Yield what the plan cannot show, and what one more would bring, where that is quick."""
+        if self.calibration.method.one_more is None or len(self._steps) > QUICK:
+            return
+        before, *more = prospects(self.calibration)
+        yield CheckLine(PART, "result", "note", before.in_words(before))
+        for each in more:
+            yield CheckLine(PART, "one more", "note", each.in_words(before))
 
     def _window_s(self) -> float:
         """Return how long the capture needs at a step at least; 0 where it is not known."""

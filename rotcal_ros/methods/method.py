@@ -167,7 +167,9 @@ class Method:
     ``short_setup`` turns the entries of a short set-up into settings of plan and solver, by the
     last word of their names. ``figures`` draws what the method alone can show, ``tables`` lists
     it, ``zero`` says in words what the curves count from and how a whole turn closes.
-    ``disturbances`` measure a plan with its noise and with what may spoil it.
+    ``disturbances`` measure a plan with its noise and with what may spoil it. ``set_by_hand``:
+    what may be numbered wrong is what a person sets, which no feedback of the table shows.
+    ``one_more`` returns the configuration whose plan has what helps most added, and what that is.
     """
 
     name: str
@@ -200,6 +202,8 @@ class Method:
     tables: Callable[[Result], Sequence[ResultTable]] = no_tables
     zero: Callable[[Result], Sequence[str]] = zero_at_the_first
     disturbances: Disturbances | None = None
+    set_by_hand: bool = False
+    one_more: Callable[[Configuration], tuple[str, Configuration] | None] | None = None
 
     @property
     def own_settings(self) -> Mapping[str, type[Any]]:

@@ -296,3 +296,17 @@ def test_it_can_be_stored_combined_again_and_fed():
         again.deviations["ECC"], combined(*results).deviations["ECC"], atol=1e-7 * ARCSEC
     )
     np.testing.assert_allclose(again.std["ECC"], combined(*results).std["ECC"], rtol=1e-6)
+
+
+def test_of_values_that_nobody_measured_again_it_is_said_that_nothing_checked_them():
+    grid = np.arange(12) * TAU / 12
+    rng = np.random.default_rng(4)
+    values = (rng.standard_normal((2, 12)) + 4.0 * np.sin(grid)) * ARCSEC
+    once, again = (MeasuredCurve(grid, value, ARCSEC**2 * np.eye(12), TAU) for value in values)
+    alone = combined(once)
+    assert alone.verdict == "ok"
+    assert set(alone.unprotected) == {*EFFECTS, "single readings"}
+    assert "nothing checked its values" in " ".join(alone.warnings)
+    twice = combined(once, again)
+    assert "single readings" not in twice.unprotected
+    assert "nothing checked" not in " ".join(twice.warnings)

@@ -99,6 +99,36 @@ def test_readings_join_the_two_groups_of_a_plate():
     assert (found.std["ECC"] < 0.95 * alone.std["ECC"]).all()
 
 
+def test_a_link_that_readings_alone_determine_is_named():
+    """A polygon whose faces alternate: what it errs by joins the two groups of the plate."""
+    six = JointInput("six", solve(plate_problem()))
+    alternating = 0.3 * ARCSEC * (-1.0) ** np.arange(GRID)
+    rng = np.random.default_rng(3)
+    readings = instrument("polygon", polygon(ALTERNATING, rng, added=alternating))
+    found = solve_together([six, readings]).result
+    assert (np.abs(found.deviations["ECC"] - ALTERNATING) / found.std["ECC"]).max() > 10.0
+    assert found.verdict == "ok"
+    assert "gauge" in found.unprotected
+    gauge = next(p for p in found.protections if p.effect == "gauge")
+    assert "comes from polygon alone, whose error nothing checks" in gauge.why
+    assert "comes from polygon alone: nothing checks that" in found.warnings[0]
+
+
+def test_a_contradiction_that_two_may_not_show_is_named():
+    """0.04 arcsec of order 2: several u, and seldom found."""
+    off, worst, ok = 0.04 * ARCSEC * np.cos(2.0 * ANGLES), [], 0
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        first = polygon(ALTERNATING, rng, shifts=SHIFTS, added=off)
+        second = polygon(ALTERNATING, rng, shifts=OTHER_SHIFTS, noise=2 * POLYGON_NOISE)
+        found = solve_together(as_instruments((first, second))).result
+        worst.append((np.abs(found.deviations["ECC"] - ALTERNATING) / found.std["ECC"]).max())
+        ok += found.verdict == "ok"
+        assert "gauge" in found.unprotected
+    assert ok
+    assert max(worst) > 2.0
+
+
 def test_an_instrument_that_differs_is_told_of_three():
     off = 0.5 * ARCSEC * np.cos(3.0 * ANGLES)
     rng = np.random.default_rng(4)

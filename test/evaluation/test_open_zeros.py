@@ -75,7 +75,8 @@ def test_a_second_result_tells_the_offset(other):
     else:
         assert found.components == SIX.components
     sentence = next(w for w in found.warnings if w.startswith("ECC of six"))
-    assert f"comes from other; it adds up to {2 * link['share'] / ARCSEC:.2g} arcsec" in sentence
+    assert "comes from other alone: nothing checks that, its stated uncertainty rules" in sentence
+    assert f"it adds up to {2 * link['share'] / ARCSEC:.2g} arcsec" in sentence
     # what is added: half the offset, to every value
     assert link["share"] == pytest.approx(link["std"] / 2.0)
 
@@ -151,11 +152,31 @@ def test_a_doubtful_input_stays_doubtful_however_it_is_joined():
     assert combined(SIX.doubted(), TWELVE).verdict == "suspect"
 
 
-def test_a_linked_input_is_protected_as_the_other_is():
-    found = combined(SIX, TWELVE)
-    assert "gauge" not in found.unprotected
+def test_a_link_that_one_input_alone_determines_is_named():
+    """What the link errs by goes into the result, and nothing contradicts it."""
+    alternating = ALTERNATING + 0.3 * ARCSEC * (-1.0) ** np.arange(GRID)
+    wrong = solve(plate_problem(range(GRID), ecc=alternating, seed=8))
+    found = combined(SIX, wrong)
+    off = np.abs(found.deviations["ECC"] - ALTERNATING) / found.std["ECC"]
+    assert off.max() > 10.0
+    assert "gauge" in found.unprotected
     gauge = next(p for p in found.protections if p.effect == "gauge")
-    assert "come from other" in gauge.why or gauge.treatment == "harmless"
+    assert "comes from other alone, whose error nothing checks" in gauge.why
+
+
+def test_of_two_inputs_that_determine_a_link_each_checks_the_other():
+    names = ("six", "twelve", "reading")
+    sources = (SIX, TWELVE, autocollimator())
+    found = combine([CombinationInput.of(*each) for each in zip(names, sources, strict=True)])
+    link = next(k for k in found.result.details["links"] if k["component"] == "ECC")
+    assert link["others"] == ("twelve", "reading")
+    assert "comes from twelve, reading; it adds" in " ".join(found.result.warnings)
+    again = solve(plate_problem(seed=5))
+    found = combine([
+        CombinationInput.of(*each) for each in zip(names, (SIX, TWELVE, again), strict=True)
+    ])  # fmt: skip
+    of_six = [k for k in found.result.details["links"] if k["input"] == "six"]
+    assert {k["others"] for k in of_six} == {("twelve",)}  # six other balls leave it open, too
 
 
 def test_no_tolerance_is_met_with_an_offset_open():

@@ -385,3 +385,33 @@ def test_compare_reads_the_file_of_several_evaluations(tmp_path, warm):
     alone = warm.run("rotcal", "export", out, "--to", "csv", "--out", tmp_path)
     assert alone.returncode == 3
     assert "holds 2 evaluations of the same data" in alone.stderr
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [("solver.variant=station",), ("solver.datum=free",), ("solver.length_std_m=2.0e-7",)],
+)
+def test_evaluations_of_the_same_data_gain_nothing(tracer, changes):
+    """Whatever they estimate of the same noise: the surest stands for all of them."""
+    every = tracer.observations(np.random.default_rng(7))
+    first, second = tracer.solve(every), tracer.solve(every, *changes)
+    found = combine([CombinationInput.of(*e) for e in (("a", first), ("b", second))])
+    keep = np.eye(len(first.angles)) - 1.0 / len(first.angles)
+    sure = min(
+        (np.sqrt((keep @ r.covariance["ECC"] @ keep).diagonal()) for r in (first, second)),
+        key=np.mean,
+    )
+    assert found.result.std["ECC"] == pytest.approx(found.groups[0].factor * sure, rel=1e-6)
+    assert found.groups[0].dof == len(first.angles) - 1  # that they agree is tested as ever
+
+
+def test_evaluations_of_the_same_data_weigh_as_much_as_the_surest_of_them(tracer):
+    rng = np.random.default_rng(8)
+    every, others = tracer.observations(rng), tracer.observations(rng)
+    same = [tracer.solve(every), tracer.solve(every, "solver.datum=free")]
+    again = tracer.solve(others, "solver.length_std_m=1.3e-7")
+    names = [CombinationInput.of(*e) for e in zip("abc", (*same, again), strict=True)]
+    three = combine(names, "none").result
+    two = combine([names[0], names[2]], "none").result
+    assert three.std["ECC"] == pytest.approx(two.std["ECC"], rel=1e-9)
+    assert three.deviations["ECC"] == pytest.approx(two.deviations["ECC"], abs=1e-15)

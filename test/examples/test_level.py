@@ -259,7 +259,7 @@ def test_what_missing_readings_leave_open_is_named():
     ("settings", "more"),
     [
         ({}, ()),
-        ({"azimuths_deg": (0, 90)}, ("axis noise", "repeatability")),
+        ({"azimuths_deg": (0, 90)}, ("axis noise", "repeatability", "single readings")),
     ],
 )
 def test_all_nine_effects_are_stated_and_what_the_readings_cannot_show_is_named(settings, more):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.engine import Adjusted
-from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.engine import Adjusted, predicted
+from rotcal_ros.adjust.fit import require_determined
+from rotcal_ros.adjust.model import Model, block_rows
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError
 from rotcal_ros.foundation.observations import Observation, PointKind
@@ -21,7 +25,9 @@ from rotcal_ros.methods.angle_comparison.model import (
     known_reference,
     lost_orders,
     model_of,
+    readings_of,
 )
+from rotcal_ros.methods.angle_comparison.rivals import rivalry
 from rotcal_ros.methods.angle_comparison.settings import (
     SIGNS,
     ComparisonPlanSettings,
@@ -30,8 +36,8 @@ from rotcal_ros.methods.angle_comparison.settings import (
 )
 from rotcal_ros.methods.angle_comparison.simulation import SimulatedComparison
 from rotcal_ros.methods.arrivals import Arrivals, arrivals_of
-from rotcal_ros.methods.by_model import ByModel, Statement
-from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.by_model import TRUE_SIZE, ByModel, Statement
+from rotcal_ros.methods.configuration import Configuration, changed
 from rotcal_ros.methods.disturbance import harmless, of_readings, repeatability
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
@@ -46,6 +52,10 @@ NOWHERE: Final = (0.0, 0.0, 0.0)
 ARRIVALS: Final = 1.4
 """What arrivals that scatter do before they are found, per what noise does: by simulation of the
 demonstration, as scripts/power_table.py does."""
+MOST_NAMED: Final = 4
+"""Statements that would fit better, to be told."""
+CANDIDATES: Final = 36
+"""Shifts of one more setting that are compared."""
 FARTHEST_RAD: Final = 0.02
 """No instrument for small angles reads more than a degree."""
 
@@ -104,18 +114,40 @@ def model(configuration: Configuration, read: Readings) -> Model:
     return model_of(settings, solver, read)
 
 
-def states(configuration: Configuration, _read: Readings, found: Adjusted) -> Statement:
+def states(configuration: Configuration, read: Readings, found: Adjusted) -> Statement:
     """Return what is doubted, and what is done about effects that no reading can show."""
-    gauge, doubts = Protection("gauge", "estimated", "the shifts separate the two circles"), []
+    rival, doubts = rivalry(configuration.plan, configuration.solver, read, found), []
     if REFERENCE not in found.also:
-        gauge = Protection("gauge", "not protected", "the reference's errors are in the result")
         doubts.append(
             "the errors of the reference are in the result: there is one shift and no "
             "certificate; add shifts, or solver.reference_errors_arcsec"
         )
-    elif configuration.solver.reference_errors_arcsec:
-        gauge = Protection("gauge", "bounded", "the reference's errors have a certificate")
-    return Statement(doubts, (*_unread(), _arrivals(found), gauge), _details(configuration))
+    if rival.better:
+        others = ", or if ".join(rival.better[:MOST_NAMED])
+        doubts.append(f"all readings fit if {others}: correct what is stated")
+    stated = {p.effect: p for p in (*_unread(), _arrivals(found), _gauge(configuration, found))}
+    for protection in rival.protections():
+        if protection.treatment == "not protected" or protection.effect != "gauge":
+            stated[protection.effect] = protection
+    return Statement(doubts, tuple(stated.values()), _details(configuration))
+
+
+def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
+    """Return what is known of the reference: from the shifts, or from a certificate."""
+    if REFERENCE not in found.also:
+        return Protection("gauge", "not protected", "the reference's errors are in the result")
+    if not configuration.solver.reference_errors_arcsec:
+        return Protection("gauge", "estimated", "the shifts separate the two circles")
+    bare = replace(configuration.solver, reference_errors_arcsec=())
+    try:
+        read = readings_of(configuration.plan)
+        require_determined(model_of(configuration.plan, bare, read))
+        checked = len(configuration.plan.shifts_deg) > 1
+    except ObservabilityError:
+        checked = False
+    if checked:
+        return Protection("gauge", "bounded", "the shifts check the certificate of the reference")
+    return Protection("gauge", "not protected", "nothing checks the certificate of the reference")
 
 
 def _details(configuration: Configuration) -> dict[str, Any]:
@@ -127,6 +159,12 @@ def _unread() -> Iterator[Protection]:
     yield Protection("error motion", "harmless", "an instrument for angles sees no shift")
     yield Protection("refraction", "harmless", "a steady bend is the same at all angles")
     yield Protection("tilt", "harmless", "tilts of the table turn about axes that are not read")
+    yield Protection(
+        "slip",
+        "not protected",
+        "a reference that gives way by the same whenever the table comes to an angle looks like "
+        "the table",
+    )
     yield Protection(
         "sign of readings",
         "not protected",
@@ -165,6 +203,38 @@ def arrivals(configuration: Configuration) -> Arrivals | None:
     return arrivals_of(table_angles(plan), runs=1, bidirectional=True)
 
 
+def drawn(configuration: Configuration, model: Model, random: np.random.Generator) -> Floats:
+    """Return unknowns (p,) of a reference as certified, or as wrong as a table."""
+    if "reference mark" not in model.blocks or not model.blocks["reference mark"]:
+        return np.zeros(model.size[1])
+    marks, solver = model.blocks["reference mark"], configuration.solver
+    errors = TRUE_SIZE * ARCSEC * random.standard_normal(marks)
+    if known_reference(solver, Circles.of(configuration.plan)):
+        errors = np.array(solver.reference_errors_arcsec) * ARCSEC
+        errors = errors + solver.reference_std_arcsec * ARCSEC * random.standard_normal(marks)
+    return np.asarray(block_rows(model.blocks, "reference mark").T @ errors)
+
+
+def one_more(configuration: Configuration) -> tuple[str, Configuration] | None:
+    """Return the plan with the setting added that makes U smallest, and which it is."""
+    plan, solver = configuration.plan, configuration.solver
+    marks = len(Circles.of(plan).marks)
+    steps = np.unique(np.linspace(1, marks - 1, min(marks - 1, CANDIDATES)).astype(int))
+    found: list[tuple[float, float]] = []
+    for shift in plan.shifts_deg[0] + 360.0 / marks * steps:
+        more = replace(plan, shifts_deg=(*plan.shifts_deg, float(shift)))
+        with suppress(ObservabilityError):
+            expected = predicted(model_of(more, solver, readings_of(more)))
+            found.append((round(float(expected.std.max()) / ARCSEC, 9), float(shift)))
+    if not found:
+        return None
+    shifts = (*plan.shifts_deg, min(found)[1])
+    return (
+        f"one more setting, plan.shifts_deg [{', '.join(f'{s:g}' for s in shifts)}]",
+        changed(configuration, [f"plan.shifts_deg={list(shifts)}"]),
+    )
+
+
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
     """Return the figures that only this method can fill."""
     return [
@@ -197,6 +267,7 @@ METHOD: Final = ByModel(
     states,
     arrivals=arrivals,
     sign=lambda configuration: SIGNS[configuration.solver.readings_count],
+    drawn=drawn,
 ).method(
     title="Two circles: polygon, indexing table or encoder beside the table",
     page="angle_comparison",
@@ -210,6 +281,8 @@ METHOD: Final = ByModel(
         {"position": "table_position", "setting": "station"}, {"reading_rad": FARTHEST_RAD}
     ),
     figures=figures,
+    set_by_hand=True,
+    one_more=one_more,
     disturbances=(
         *of_readings(0.05, 20.0),
         repeatability(0.02, 10.0),

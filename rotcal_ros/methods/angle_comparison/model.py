@@ -27,6 +27,7 @@ from scipy.sparse import csr_array
 from rotcal_ros.adjust.circles import Circular
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
+    Disturbing,
     Grouping,
     Model,
     from_mean,
@@ -46,6 +47,7 @@ from rotcal_ros.planning.table_angles import table_angles
 
 INSTRUMENT, MOVED = "the instrument", "reference or instrument"
 """What effects are called after."""
+LEANING: Final = "the reference leans"
 WORDS: Final = Words(
     "readings", "a draught, heat or a person", "at the reference", "at the reference"
 )
@@ -140,6 +142,7 @@ def model_of(
     a zero of its own, as a setting does.
     """
     circles, settings = Circles.of(plan), len(plan.shifts_deg)
+    largest = solver.largest_shift_arcsec * ARCSEC
     certified = known_reference(solver, circles)
     blocks = {
         "table angle": circles.n_table,
@@ -164,12 +167,9 @@ def model_of(
             Grouping("reference mark", read.target),
             Grouping("position", read.position),
         ),
-        effects=instrument_effects(
-            INSTRUMENT,
-            read.station,
-            read.when,
-            solver.largest_shift_arcsec * ARCSEC,
-            moved=MOVED,
+        effects=(
+            *instrument_effects(INSTRUMENT, read.station, read.when, largest, moved=MOVED),
+            Disturbing("polygon tilt", LEANING, _leaning(circles, read, settings), largest),
         ),
     )
     if not certified:
@@ -178,6 +178,18 @@ def model_of(
     known = np.eye(mark, sum(blocks.values()), table)
     known[:, -1] = 1.0
     return model.knowing("the certificate", known, errors, solver.reference_std_arcsec * ARCSEC)
+
+
+def _leaning(circles: Circles, read: Readings, settings: int) -> Floats:
+    """Return what is read more where the reference leans, another way in each setting: (n, 4 k).
+
+    An axis that leans by a turns faces by a^2 / 4 twice in a turn, and once by a times the angle
+    by which the instrument itself is turned about its line of sight.
+    """
+    angle = np.array(circles.angles)[read.position]
+    waves = np.stack([f(order * angle) for order in (1, 2) for f in (np.cos, np.sin)], axis=1)
+    each = read.station[:, None] == np.arange(settings)
+    return np.asarray((each[:, :, None] * waves[:, None]).reshape(len(angle), -1))
 
 
 def _design(circles: Circles, read: Readings, mark: int, unknowns: int) -> Circular | csr_array:

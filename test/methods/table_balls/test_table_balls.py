@@ -507,7 +507,9 @@ def test_the_plan_says_what_a_wrong_centre_could_do():
     """By ``rotcal plan reliability``: the second run checks half of every centre."""
     run = CliRunner().invoke(rotcal, ["plan", "reliability", str(CONFIG / "table_balls.yaml")])
     assert run.exit_code == 0, run.output
-    first, _, head, *rows = run.output.splitlines()
+    assert "not tested for: " in run.stderr.splitlines()[-1]
+    first = run.stderr.splitlines()[0]
+    head, *rows = run.stdout.splitlines()
     assert first == "25 observations, mean redundancy 0.52, 0 checked by no other"
     assert head == "position,target,redundancy,error/um,error/std,effect/std"
     # Baarda: a point of three coordinates, with a significance of 0.001 and a power of 0.8
