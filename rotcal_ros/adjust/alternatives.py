@@ -15,8 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.arrow import dense
-from rotcal_ros.adjust.fit import OPEN
+from rotcal_ros.adjust.arrow import OPEN, dense
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Floats

@@ -20,6 +20,8 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
+OPEN: Final = 1e-9
+"""Singular values below this share of the largest are directions that nothing determines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +54,72 @@ class FewEach:
         n = self.few.shape[0]
         return np.asarray(self.few.T @ y[:n] + self.known.T @ y[n:])
 
+    def rows(self, which: Ints) -> Floats:
+        """Return some rows (k, p)."""
+        n, found = self.few.shape[0], np.zeros((len(which), self.few.shape[1]))
+        found[which < n] = self.few[which[which < n]].toarray()
+        found[which >= n] = self.known[which[which >= n] - n]
+        return found
+
     def beside(self, rows: Floats) -> FewEach:
         """Return the design with further ``rows`` (k, p) at its end."""
         return FewEach(self.few, np.concatenate([self.known, rows]))
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Columns (n + m, q + c): F (I - V diag(d) V') and others, and below them whole rows.
+
+    ``few`` (n, q): F, ``ways`` (q, m): V, orthonormal; ``lost`` (m,): d; ``others`` (n, c);
+    ``below`` (m, q + c).
+    """
+
+    few: csr_array
+    ways: Floats
+    lost: Floats
+    others: Floats
+    below: Floats
+
+    def times(self, x: Floats) -> Floats:
+        """Return the columns times ``x`` (q + c,) or (q + c, k)."""
+        own = x[: len(self.ways)]
+        own = own - (self.ways * self.lost) @ (self.ways.T @ own)
+        return np.concatenate([self.few @ own + self.others @ x[len(own) :], self.below @ x])
+
+    def adjoint(self, y: Floats | csr_array) -> Floats:
+        """Return the transposed columns times ``y`` (n + m,) or (n + m, k)."""
+        n = self.few.shape[0]
+        first, last = (dense(part) for part in (y[:n], y[n:]))
+        own = self.few.T @ first
+        own -= (self.ways * self.lost) @ (self.ways.T @ own)
+        return np.asarray(np.concatenate([own, self.others.T @ first]) + self.below.T @ last)
+
+    def rows(self, which: Ints) -> Floats:
+        """Return some rows (k, q + c)."""
+        n, found = self.few.shape[0], np.zeros((len(which), self.below.shape[1]))
+        first = which[which < n]
+        few = self.few[first]
+        own = few.toarray() - (few @ self.ways * self.lost) @ self.ways.T
+        found[which < n] = np.hstack([own, self.others[first]])
+        found[which >= n] = self.below[which[which >= n] - n]
+        return found
+
+    def among(self, which: Ints) -> Floats:
+        """Return the scalar products (k, k) of some rows."""
+        if (which >= self.few.shape[0]).any():
+            rows = self.rows(which)
+            return np.asarray(rows @ rows.T)
+        few, others = self.few[which], self.others[which]
+        along = few @ self.ways
+        taken = along * (self.lost * (2.0 - self.lost))
+        return np.asarray((few @ few.T).toarray() - taken @ along.T + others @ others.T)
+
+    @property
+    def squares(self) -> Floats:
+        """The squared length (n + m,) of each row."""
+        along, whole = self.few @ self.ways, np.asarray((self.few * self.few).sum(axis=1))
+        own = whole - along**2 @ (self.lost * (2.0 - self.lost))
+        return np.append(own + (self.others**2).sum(axis=1), (self.below**2).sum(axis=1))
 
 
 Design: TypeAlias = "Floats | csr_array | FewEach"
@@ -87,14 +152,14 @@ def weighted(design: Design, weight: Floats) -> Floats | FewEach:
     return few.weighted(weight)
 
 
-def times(design: Design, x: Floats) -> Floats:
+def times(design: Design | Turned, x: Floats) -> Floats:
     """Return a design (n, p) times ``x`` (p,) or (p, k)."""
-    return design.times(x) if isinstance(design, FewEach) else np.asarray(design @ x)
+    return design.times(x) if isinstance(design, FewEach | Turned) else np.asarray(design @ x)
 
 
-def adjoint(design: Floats | FewEach, y: Floats) -> Floats:
+def adjoint(design: Floats | FewEach | Turned, y: Floats) -> Floats:
     """Return a transposed design (p, n) times ``y`` (n,) or (n, k)."""
-    return design.adjoint(y) if isinstance(design, FewEach) else np.asarray(design.T @ y)
+    return design.adjoint(y) if isinstance(design, FewEach | Turned) else np.asarray(design.T @ y)
 
 
 def normal(design: Floats | FewEach) -> Floats:
@@ -122,13 +187,18 @@ class Arrow:
     missing: Ints
 
     @classmethod
-    def of(cls, few: csr_array) -> Arrow | None:
-        """Return those of rows (n, p); None where these do not fall into groups."""
+    def of(cls, few: csr_array, joined: Ints | None = None) -> Arrow | None:
+        """Return those of rows (n, p); None where these do not fall into groups.
+
+        Unknowns that are ``joined`` (k,) count as shared, whoever feels them.
+        """
         n, p = few.shape
         row, column = np.repeat(np.arange(n), np.diff(few.indptr)), few.indices
         count = np.bincount(column, minlength=p)
         # what many feel joins everything: many is between one group's rows and all of them
         alone = (count > 0) & (count <= np.sqrt(n * np.median(count[count > 0])))
+        if joined is not None:
+            alone[joined] = False
         inside = alone[column]
         ones = np.ones(int(inside.sum()))
         graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
@@ -198,6 +268,71 @@ class Arrow:
         own = felt @ along + np.linalg.solve(triangle, left.reshape(groups, size, 1))[:, :, 0]
         x[self.own] = own
         return x[:-1]
+
+    def factored(self, design: FewEach) -> tuple[Turned, Turned, Floats] | None:
+        """Return orthonormal columns that span a whitened ``design`` (n + m, p), and a root.
+
+        That (p, rank) times its transposed is the inverse of the normal matrix. And what is open:
+        orthonormal directions (k, p). None where most blocks are not firm. As in :meth:`solved`,
+        with u for what own unknowns and their share of the shared ones make of own rows: these
+        have I + H'H = (I - V diag(d) V')^-2, by the SVD of H.
+        """
+        (groups, size), n, shared = self.own.shape, design.few.shape[0], len(self.shared)
+        width = size + shared + 1
+        stack = np.zeros(groups * self.depth * width)
+        stack[self.entries], stack[self.missing] = design.few.data, 1.0
+        stack = stack.reshape(groups, self.depth, width)
+        blocks, border = stack[:, :, :size], stack[:, :, size:-1]
+        basis, triangle = np.linalg.qr(blocks)
+        if triangle.shape[1] < size:
+            return None
+        diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
+        weak = (diagonal <= FIRM * np.linalg.norm(triangle, axis=1)).any(axis=1)
+        if weak.any():
+            own = self.own[weak]
+            rest = Arrow.of(design.few, own[own >= 0]) if 2 * weak.sum() < groups else None
+            return None if rest is None else rest.factored(design)
+        inverse, felt = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
+        known = design.known[:, self.shared]
+        of_own = np.where(self.own >= 0, design.known[:, self.own], 0.0)  # (m, g, s)
+        of_own = np.einsum("mgs,gst->mgt", of_own, inverse)  # H
+        left, stretch, ways = np.linalg.svd(
+            of_own.reshape(len(known), groups * size), full_matrices=False
+        )
+        ways, grown = ways.T, np.sqrt(1.0 + stretch**2)
+        open_ = known - np.einsum("mgs,gsc->mc", of_own, felt)
+        along = left.T @ open_
+        beside_own = (border - basis @ felt).reshape(-1, shared)
+        rows = np.concatenate([beside_own, open_ - left @ along, along / grown[:, None]])
+        moved = -(ways * (stretch / grown**2)) @ along
+        moved = (inverse @ (moved.reshape(groups, size, shared) - felt)).reshape(-1, shared)
+        real = self.own.ravel() >= 0
+        every = np.zeros((design.few.shape[1], shared))
+        every[self.own.ravel()[real]], every[self.shared] = moved[real], np.eye(shared)
+        length = np.linalg.norm(np.concatenate([border.reshape(-1, shared), known]), axis=0)
+        length = np.where(length > 0.0, length, 1.0)
+        _, share, turn = np.linalg.svd(_triangle(rows / length))
+        determined = np.arange(shared) < (share > OPEN * share.max(initial=0.0)).sum()
+        every = every @ (turn.T / length[:, None])
+        nothing = every[:, ~determined]
+        every = every[:, determined] / share[: int(determined.sum())]
+        ways, lost = ways[real], 1.0 - 1.0 / grown
+        below = np.hstack([(left * (stretch / grown)) @ ways.T, design.known @ every])
+        none = np.zeros((0, below.shape[1]))
+        at, to = np.full(groups * self.depth, -1), np.where(real, np.cumsum(real) - 1, -1)
+        at[self.read // width] = np.arange(n)
+        to = to.reshape(groups, 1, size)
+        spanning = _blocks(basis, at.reshape(groups, -1, 1), to, (n, len(ways)))
+        root = _blocks(inverse, self.own[:, :, None], to, (len(every), len(ways)))
+        spanned = Turned(spanning, ways, lost, design.few @ every, below)
+        return spanned, Turned(root, ways, lost, every, none), nothing.T
+
+
+def _blocks(blocks: Floats, row: Ints, column: Ints, shape: tuple[int, int]) -> csr_array:
+    """Return the matrix of the entries of ``blocks`` where ``row`` and ``column`` are not -1."""
+    row, column = np.broadcast_arrays(row, column)
+    real = (row >= 0) & (column >= 0)
+    return csr_array(coo_array((blocks[real], (row[real], column[real])), shape=shape))
 
 
 def _triangle(matrix: Floats) -> Floats:

@@ -623,7 +623,7 @@ def seen_by(fit: Fit, columns: Floats | Steps, *, family: bool = False) -> Seen:
 
 def _family_seen_by(fit: Fit, cofactors: Whole, white: Floats | csr_array) -> Seen:
     """Return what a solution makes of whitened columns (n, k), sparse if most of them is zeros."""
-    taken = np.asarray(white.T @ cofactors.basis)  # (k, rank): what the unknowns take up of them
+    taken = cofactors.along(white).T  # (k, rank): what the unknowns take up of them
     whole = np.asarray((white * white).sum(axis=0))
     beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
     beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
@@ -631,7 +631,7 @@ def _family_seen_by(fit: Fit, cofactors: Whole, white: Floats | csr_array) -> Se
     weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
     own[weak] = (fit.left_of(dense(white[:, weak])) ** 2).sum(axis=0)
     information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
-    moved = taken @ (fit.outputs @ cofactors.root).T
+    moved = taken @ cofactors.felt_by(fit.outputs).T
     return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
 
 

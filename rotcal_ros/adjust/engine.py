@@ -533,8 +533,9 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     limit = detected(found.diagnosis.limits.outlier(model), POWER)
     size = limit / np.sqrt(np.maximum(redundancy, (limit / LARGEST) ** 2))
     counts = std > 0.0
-    felt = fit.response_of(rows)[: len(std)][counts] * size / std[counts, None]
-    error = float(np.sqrt((felt**2).mean(axis=1)).max(initial=0.0))
+    felt = fit.response_of(rows)[: len(std)]
+    squares = np.einsum("ok,k,ok->o", felt, size**2 / len(rows), felt)[counts]
+    error = float(np.sqrt((squares / std[counts] ** 2).max(initial=0.0)))
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)
         return

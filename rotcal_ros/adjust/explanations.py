@@ -44,6 +44,8 @@ OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
 LARGE: Final = 200
 """Elements of a group from which on runs are leading sums: products cost their square."""
+AT_ONCE: Final = 64
+"""Outputs of which it is worked out at a time what runs do to them."""
 MOST_STEPS: Final = 60
 """Exchanges after which a search ends anyway."""
 
@@ -72,11 +74,14 @@ class Hypotheses:
         """
         counts = (std > 0.0) & np.isfinite(std)
         if self.times is not None:
-            felt = self.times(self.sensitivity.dense()[counts] / std[counts, None])
-        else:
-            mix = self.mixing()
-            felt = self.sensitivity.of(mix.reshape(len(mix), -1))[counts] / std[counts, None]
-            felt = felt.reshape(-1, *mix.shape[1:])
+            rows, most = self.sensitivity.dense(), np.zeros(self.values.shape)
+            for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
+                felt = self.times(rows[some] / std[some, None])
+                np.maximum(most, np.abs(felt, out=felt).max(axis=0, initial=0.0), out=most)
+            return most
+        mix = self.mixing()
+        felt = self.sensitivity.of(mix.reshape(len(mix), -1))[counts] / std[counts, None]
+        felt = felt.reshape(-1, *mix.shape[1:])
         return np.asarray(np.abs(felt, out=felt).max(axis=0, initial=0.0))
 
     def take(self, which: slice) -> Hypotheses:

@@ -12,11 +12,14 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.arrow import (
+    OPEN,
     Arrow,
     Design,
     FewEach,
+    Turned,
     adjoint,
     dense,
     normal,
@@ -36,8 +39,6 @@ from rotcal_ros.adjust.model import FIRM, Model
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
-OPEN: Final = 1e-9
-"""Singular values below this share of the largest are directions that nothing determines."""
 FREE: Final = 1e-7
 """Share of its length that an output may feel of a direction that nothing determines."""
 NAMED: Final = 0.3
@@ -58,38 +59,63 @@ class Whole(NamedTuple):
     """The cofactors N^-1 of a whitened design J (n, p), by the whole of it: the reference.
 
     ``basis``: orthonormal columns (n, rank) that span J; ``root`` (p, rank) times its transposed
-    is N^-1.
+    is N^-1. Both are blocks and little else where J is an arrow.
     """
 
-    basis: Floats
-    root: Floats
+    basis: Floats | Turned
+    root: Floats | Turned
 
     @property
     def rank(self) -> int:
         """How many unknowns are determined."""
+        if isinstance(self.basis, Turned):
+            return int(self.basis.below.shape[1])
         return int(self.basis.shape[1])
+
+    def _rows(self, which: Ints) -> Floats:
+        return self.basis.rows(which) if isinstance(self.basis, Turned) else self.basis[which]
 
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+        if isinstance(self.basis, Turned):
+            return self.basis.among(rows)
         return np.asarray(self.basis[rows] @ self.basis[rows].T)
+
+    def along(self, white: Floats | csr_array) -> Floats:
+        """Return the parts (rank, k) of whitened errors (n, k) along the basis."""
+        return adjoint(self.basis, white)
+
+    def felt_by(self, rows: Floats) -> Floats:
+        """Return what ``rows`` (k, p) make of a unit along the basis, (k, rank)."""
+        return np.asarray(adjoint(self.root, rows.T).T)
 
     @property
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""
+        if isinstance(self.basis, Turned):
+            return self.basis.squares
         return np.asarray((self.basis**2).sum(axis=1))
 
     def taken(self, white: Floats) -> Floats:
         """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
-        return np.asarray(self.basis @ (self.basis.T @ white))
+        return times(self.basis, self.along(white))
 
     def shared(self, part: Bools) -> Floats:
-        """Return the sums of squares (c, c) of J N^-1 J' between parts (c, n) of the rows."""
-        squares = np.array([self.basis[rows].T @ self.basis[rows] for rows in part])
+        """Return the sums of squares (c, c) of J N^-1 J' between parts (c, n) of all rows.
+
+        What the largest has of the unit matrix B'B is what the others leave of it.
+        """
+        largest = int(part.sum(axis=1).argmax())
+        squares = np.zeros((len(part), self.rank, self.rank))
+        for k in np.delete(np.arange(len(part)), largest).tolist():
+            mine = self._rows(np.flatnonzero(part[k]))
+            squares[k] = mine.T @ mine
+        squares[largest] = np.eye(self.rank) - squares.sum(axis=0)
         return np.asarray(np.einsum("kab,lab->kl", squares, squares))
 
     def squares(self, rows: Floats) -> Floats:
         """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
-        return np.asarray(((rows @ self.root) ** 2).sum(axis=1))
+        return np.asarray((self.felt_by(rows) ** 2).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +151,14 @@ class Fit:
         """Those of x (p + q, p + q), from the whitened design of what is used."""
         if self.by_order is not None:
             return self.by_order
-        return _factored(self.model, self.design * (self.used / self.std)[:, None])
+        return _whole(self.model, weighted(self.jacobian, self.used / self.std))
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
         found = self.cofactors
         if isinstance(found, Whole):
-            return np.asarray((found.root @ found.basis.T)[unknowns])
+            each = np.eye(len(self.x))[unknowns]
+            return np.asarray(times(found.basis, found.felt_by(each).T).T)
         count = unknowns.stop - unknowns.start
         each = np.eye(len(self.x), count, -unknowns.start)
         return np.asarray(found.design.times(found.times(each)).T)
@@ -139,6 +166,8 @@ class Fit:
     def _rows(self, which: Bools) -> Floats:
         """Return the derivatives (k, p + q) of some observations."""
         if isinstance(self.jacobian, Circular):
+            return self.jacobian.rows(np.flatnonzero(which))
+        if isinstance(self.jacobian, FewEach):
             return self.jacobian.rows(np.flatnonzero(which))
         return self.design[which]
 
@@ -197,7 +226,7 @@ class Fit:
         """B (o + a, n): what whitened errors do to the outputs; correlated ones as independent."""
         found = self.cofactors
         if isinstance(found, Whole):
-            plain = np.asarray((self.outputs @ found.root) @ found.basis.T)
+            plain = np.asarray(times(found.basis, found.felt_by(self.outputs).T).T)
             for each in self.model.correlated:
                 plain[:, each.rows] = each.spread(plain[:, each.rows])
             return plain
@@ -277,7 +306,7 @@ class Fit:
                 return self.counting(np.sqrt(squares))
         found = self.cofactors
         assert isinstance(found, Whole)
-        return self.counting(np.linalg.norm(self.outputs @ found.root, axis=1))
+        return self.counting(np.linalg.norm(found.felt_by(self.outputs), axis=1))
 
     def far_worse_than(self, other: Fit, factor: float) -> bool:
         """Whether an output is less sure than by ``factor`` times of another fit.
@@ -338,13 +367,12 @@ def require_determined(model: Model) -> None:
     Raises ObservabilityError with the unknowns.
     """
     computed, design = model.equations(model.first)
-    whole = design.few.data if isinstance(design, Circular) else dense(design)
-    if not (np.isfinite(computed).all() and np.isfinite(whole).all()):
+    if not _finite(computed, design):
         raise DataError(
             "the equations give no finite numbers at the start values: give others in Model.first"
         )
     if not isinstance(design, Circular):
-        _factored(model, whole / model.std[:, None])
+        _whole(model, weighted(design, 1.0 / model.std))
     elif not _by_order(model, design.weighted(1.0 / model.std)):
         _factored(model, design.dense() / model.std[:, None])
 
@@ -469,9 +497,9 @@ def _step(
     root, failed = lapack.dpotrf(squares)
     firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
     if not firm or not _told_by_others(model, design, root, scale):
-        whole = _factored(model, dense(design))
-        along = whole.basis.T @ white
-        return whole.root @ along, float(along @ along)
+        whole = _whole(model, design)
+        along = whole.along(white)
+        return times(whole.root, along), float(along @ along)
     along = lapack.dtrtrs(root, (adjoint(design, white) / scale)[moving], trans=1)[0]
     step = np.zeros(len(scale))
     step[moving] = lapack.dtrtrs(root, along)[0]
@@ -521,6 +549,28 @@ def _told_by_others(model: Model, design: Floats | FewEach, root: Floats, scale:
         part[moving] = lapack.dpotrs(root, (adjoint(design, left) / scale[:, None])[moving])[0]
         left = left - times(design, part / scale[:, None])
     return bool((np.linalg.norm(left, axis=0) <= OPEN).all())
+
+
+def _whole(model: Model, design: Floats | FewEach) -> Whole:
+    """Return the cofactors of a whitened design, block by block where it is a firm arrow."""
+    if isinstance(design, FewEach) and not len(model.held):
+        arrow = Arrow.of(design.few)
+        found = None if arrow is None else arrow.factored(design)
+        if found is not None:
+            _require_unmoved(model, design, found[2])
+            return Whole(*found[:2])
+    return _factored(model, dense(design))
+
+
+def _require_unmoved(model: Model, design: FewEach, open_: Floats) -> None:
+    """Raise ObservabilityError where outputs feel directions ``open_`` (k, p) of a design."""
+    if not len(open_):
+        return
+    white = design.dense()
+    scale = np.linalg.norm(white, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    directions = np.linalg.qr((open_ * scale).T)[0]
+    _require_unfelt(model, scale, directions.T, white != 0.0)
 
 
 def _factored(model: Model, white: Floats) -> Whole:

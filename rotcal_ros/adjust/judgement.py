@@ -272,9 +272,10 @@ def _drawn(
     for k, (subsets, prior) in enumerate(families):
         form = shifts(group, subsets)
         score = drawn.reshape(*group.residual.shape, DRAWS) * group.relative[:, :, None]
-        along = np.einsum("qe,ecr->rqc", subsets.astype(np.float64), score)
+        along = subsets.astype(np.float64) @ np.moveaxis(score, 0, 1)  # (c, q, r)
+        along = np.moveaxis(along, 2, 0).swapaxes(1, 2)
         if form.axes is not None:
-            along = np.einsum("rqa,qab->rqb", along, form.axes)
+            along = (along[:, :, None] @ form.axes)[:, :, 0]
         along *= form.values > 0.0  # no residual shows the others, see UNSEEN
         mean = _mean_bayes(form.values, along)
         found.append((mean, float(np.log(prior.sum())), k > 0))

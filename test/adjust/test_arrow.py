@@ -112,3 +112,43 @@ def test_what_nothing_tells_is_refused_in_both_forms():
         used = np.arange(49) >= 48  # nothing but what is known
         with pytest.raises(ObservabilityError, match="shared"):
             fitted(model, used, model.std, model.first)
+
+
+@pytest.mark.parametrize("known", [0, 5])
+@pytest.mark.parametrize("lost", [(), range(3, 6), range(60, 66), range(1, 6)])
+def test_cofactors_by_blocks_are_those_of_the_whole_matrix(known, lost):
+    """By LAPACK's least squares; a station that keeps one reading or none joins what all share."""
+    random, few = np.random.default_rng(4), levels()
+    rows = random.standard_normal((known, few.shape[1]))
+    weight = np.ones(few.shape[0] + known)
+    weight[list(lost)] = 0.0
+    design = FewEach(few, rows).weighted(weight)
+    spanned, root, nothing = Arrow.of(few).factored(design)
+    whole, unit = dense(design), np.eye(spanned.below.shape[1])
+    inverse, rank = np.linalg.pinv(whole.T @ whole, rcond=1e-11), np.linalg.matrix_rank(whole)
+    basis = spanned.times(unit)
+    assert len(unit) == rank
+    assert len(nothing) == whole.shape[1] - rank
+    assert np.abs(whole @ nothing.T).max(initial=0.0) < 1e-12
+    assert basis.T @ basis == pytest.approx(unit, abs=1e-11)
+    assert whole @ root.times(unit) == pytest.approx(basis, abs=1e-11)
+    assert basis @ basis.T == pytest.approx(whole @ inverse @ whole.T, abs=1e-9)
+    some = np.arange(2, len(whole), 3)
+    assert spanned.rows(some) == pytest.approx(basis[some], abs=1e-12)
+    assert spanned.among(some) == pytest.approx(basis[some] @ basis[some].T, abs=1e-12)
+    assert spanned.squares == pytest.approx((basis**2).sum(axis=1), abs=1e-12)
+    right = random.standard_normal((len(whole), 2))
+    assert spanned.adjoint(right) == pytest.approx(basis.T @ right, abs=1e-12)
+    assert spanned.adjoint(right[:, 0]) == pytest.approx(basis.T @ right[:, 0], abs=1e-12)
+    assert spanned.times(unit[0]) == pytest.approx(basis[:, 0], abs=1e-12)
+
+
+def test_cofactors_by_blocks_are_kept_in_few_numbers():
+    """Ten times as many stations take ten times as many numbers, not a hundred times."""
+
+    def kept(groups):
+        few = levels(groups)
+        parts = Arrow.of(few).factored(FewEach(few, np.zeros((0, few.shape[1]))))[:2]
+        return sum(part.few.nnz + part.ways.size + part.others.size for part in parts)
+
+    assert kept(300) <= 10 * kept(30)
