@@ -25,15 +25,15 @@ from rotcal_ros.foundation.protection import Effect, Protection
 
 EXCLUDED: Final = np.log(20.0)
 """ln of how many times as probable readings are as they were taken, where they exclude others."""
-SURELY: Final = np.log(1000.0)
+SURELY: Final = np.log(1e5)
 """ln of how many times as probable another meaning makes them, where it is held to be true.
 
-By chance sound readings look so less than once in a thousand times.
+More than chance asks for: what is stated of motions is never known well.
 """
 
 MOST: Final = np.log(1e9)
 """ln of odds that are named; what is more says no more."""
-LEAST: Final = 0.01
+LEAST: Final = 0.5
 """Factor on what is stated beforehand, at least."""
 ROUNDS: Final = 4
 """Steps to the solution of a model that is nearly linear, and to its noise."""
