@@ -48,8 +48,8 @@ def exceeded(
         felt, row = share(every), every.stop
         sizes = found_from(fit, balls.stated, moves, balls.first["EXC"])
         for kind, roots, size in zip(MOTION_KINDS, together.parts, sizes, strict=True):
-            does = [np.linalg.norm(felt @ root, axis=1).max(initial=0.0) for root in roots]
-            worst[kind] = Unseen.worst(size, np.array(does), EXCEEDED)
+            moved = [np.linalg.norm(felt @ root, axis=1).max(initial=0.0) for root in roots]
+            worst[kind] = Unseen.worst(size, np.array(moved), EXCEEDED)
     needed = noncentrality(LIMITS.significance, POWER, max(fit.dof, 1))
     for name in (name for name, std in balls.known.items() if isfinite(std)):
         block = slice(row, row + balls.blocks[name])
