@@ -49,8 +49,8 @@ Some errors have no size here, because no size changes the verdict:
   `numbering` until `plan.tracer_m` states where the tracer stands.
 * **A z axis that points down** in a table of ball centres, or of a tracer at several places. The
   verdict line names `sign of z`.
-* **Readings of balls that are meant otherwise**: of the other sign, of a table that turns the other
-  way, of an instrument that shows too little. They make a result `suspect` where [balls show
+* **Readings of balls that are meant otherwise**: of the other sign, of a table that turns the
+  other way, of an instrument that shows too little. They make a result `suspect` where [balls show
   it](table_balls.md#mistakes-of-the-set-up); else the verdict line names `sign of readings`,
   `sense`, `numbering`, `gain`.
 * **Two circles**: settings that are numbered or exchanged, single readings and certificates that

@@ -51,7 +51,7 @@ class Alternative(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Compared:
+class WeighedAlternative:
     """An alternative, and ln of how many times as probable it makes the readings.
 
     Minus infinity: they cannot be meant so.
@@ -63,7 +63,7 @@ class Compared:
 
 def compared(
     as_taken: Model, gone: Collection[int], others: Iterable[Alternative]
-) -> list[Compared]:
+) -> list[WeighedAlternative]:
     """Return what speaks for the ``others``, those first for which there is most.
 
     All models have the same observations, in one order, and the same unknowns. What is ``gone``,
@@ -77,8 +77,8 @@ def compared(
         except RotcalError:
             return -np.inf
 
-    each = [Compared(other, gain(other)) for other in others]
-    return sorted(each, key=lambda one: -one.gain)
+    each = [WeighedAlternative(other, gain(other)) for other in others]
+    return sorted(each, key=lambda other: -other.gain)
 
 
 def _improbability(model: Model, gone: Collection[int]) -> float:
@@ -107,10 +107,10 @@ def _restricted(model: Model, used: Floats) -> float:
         length = np.linalg.norm(columns, axis=0)
         length = np.where(length > 0.0, length, 1.0)
         basis, size, ways = np.linalg.svd(columns / length, full_matrices=False)
-        told = size > OPEN * size[0]
-        basis = basis[:, told]
+        determined = size > OPEN * size[0]
+        basis = basis[:, determined]
         taken = basis.T @ ((model.observed - computed) * weight)
-        x = x + (ways[told].T @ (taken / size[told])) / length
+        x = x + (ways[determined].T @ (taken / size[determined])) / length
         left = (model.observed - computed) * weight - basis @ taken
         redundancy = part @ ((used > 0.0) - (basis**2).sum(axis=1))
         squares = part @ left**2
@@ -120,12 +120,12 @@ def _restricted(model: Model, used: Floats) -> float:
     return found
 
 
-def doubts(every: Sequence[Compared]) -> Iterator[str]:
+def doubts(every: Sequence[WeighedAlternative]) -> Iterator[str]:
     """Return in words that readings were surely meant otherwise."""
     best = next(iter(every), None)
     if best is None or best.gain < SURELY:
         return
-    alike = [one.alternative.what for one in every if best.gain - one.gain < EXCLUDED]
+    alike = [other.alternative.what for other in every if best.gain - other.gain < EXCLUDED]
     what = ", or ".join(alike)
     yield f"it looks as if {what} ({_odds(best.gain)} : 1): put it right, and solve again"
 
@@ -134,15 +134,15 @@ def _odds(gain: float) -> str:
     return f"{np.exp(min(gain, MOST)):.1g}"
 
 
-def protections(every: Sequence[Compared]) -> Iterator[Protection]:
+def protections(every: Sequence[WeighedAlternative]) -> Iterator[Protection]:
     """Return by effect whether readings that were meant otherwise would show it."""
-    for effect in dict.fromkeys(one.alternative.effect for one in every):
-        mine = [one for one in every if one.alternative.effect == effect]
+    for effect in dict.fromkeys(other.alternative.effect for other in every):
+        mine = [other for other in every if other.alternative.effect == effect]
         what, gain = mine[0].alternative.what, mine[0].gain
         if gain > SURELY:
             yield Protection(effect, "tested", f"it was found that {what}")
             continue
-        if unseen := [one.alternative.what for one in mine if one.gain > -EXCLUDED]:
+        if unseen := [other.alternative.what for other in mine if other.gain > -EXCLUDED]:
             why = f"what was read does not exclude that {', or '.join(unseen)}"
             yield Protection(effect, "not protected", why)
             continue

@@ -32,7 +32,7 @@ from rotcal_ros.planning.plan import Step
 
 FAR: Final = 3.0
 """A table that is so many times as fast as ordered, or as slow, has not begun its turn."""
-_STILL: Final = 0.01 * DEGREE
+_AT_REST: Final = 0.01 * DEGREE
 """A table that turns by less than this for some seconds stands still."""
 _ALIKE: Final = 0.1
 """Speeds that differ by less than this share are the same, in whatever unit."""
@@ -158,7 +158,7 @@ def why_not_turning(table: Stream, attempt: Attempt, patience_ns: int) -> str | 
     stamps, angles = table.stamps[rows], table.values[rows, ANGLE]
     if newest_ns - attempt.search_ns < patience_ns or len(stamps) < 3:
         return None
-    if np.ptp(angles) < _STILL:
+    if np.ptp(angles) < _AT_REST:
         return (
             f"the table stands still at {angles[-1] / DEGREE:.4f} deg, it was ordered to turn "
             f"from {turn.begin / DEGREE:g} to {turn.end / DEGREE:g} deg at "

@@ -224,7 +224,7 @@ def test_iso230_gives_the_figures_that_the_hand_gives(tmp_path):
     assert ElementTree.parse(figure).getroot().tag.endswith("svg")
     words = run("iso230", path).stderr
     assert "Accuracy A" in words
-    assert "12.897" in words
+    assert "Accuracy A: 12.9 arcsec" in words
 
 
 GERMAN = "Lauf;Richtung;Winkel [°];Abweichung [Winkelsekunden];Prüfer"

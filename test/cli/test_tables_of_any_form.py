@@ -102,7 +102,7 @@ def test_any_word_with_a_number_is_a_matrix(tmp_path, word: str) -> None:
     with (CASES / "polygon_settings.truth.csv").open() as file:
         truth = [float(row["deviation_arcsec"]) for row in csv.DictReader(file)]
     expanded = 2.0 * np.array(found["std"]["ECC"])[:12] / ARCSEC
-    assert np.all(np.abs(deviation[:12] - truth) <= 1.3 * expanded + 1e-9)
+    assert np.all(np.abs(deviation[:12] - truth) <= expanded + 1e-9)
 
 
 @pytest.mark.parametrize("unit", [" [mm]", " / mm", " (mm)"])
@@ -300,7 +300,8 @@ def test_a_table_alone_says_that_nothing_checked_it() -> None:
     said = CliRunner().invoke(
         rotcal, ["combine", str(CASES / "target_actual_error.csv"), "--reference-u", "5"]
     )
-    assert "anything (nothing checked the values)" in said.stderr
+    assert "nothing checked its values" in said.stderr
+    assert "Not tested for: drift, knock," in said.stderr
 
 
 # Workbooks beyond all bounds.

@@ -182,7 +182,7 @@ class SimulationSettings:
     hold_s: float = expert(
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
-    person: bool = setting(
+    person: bool = expert(
         True,
         doc="a simulated person does at once what the plan asks for; false: a real one says when "
         "it is done, to rehearse",

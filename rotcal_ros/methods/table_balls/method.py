@@ -467,6 +467,10 @@ def _protections(
     for effect, what in LIKE_MOTIONS.items():
         why = f"{what} is the same in every run, and read as motions of the balls"
         yield Protection(effect, "not protected", why)
+    if configuration.plan.measure in (DISPLACEMENT, BAR):
+        # no effect for the engine: one of 100 % would explain all that is stated to be zero
+        why = "an instrument that shows 2 % too little makes all that it finds 2 % too small"
+        yield Protection("gain", "not protected", why)
     if "lag" in balls.known:
         yield _lag(configuration, found)
     if configuration.plan.runs == 1:

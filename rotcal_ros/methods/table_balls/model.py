@@ -56,7 +56,6 @@ from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotati
 from rotcal_ros.methods.table_balls.motions import correlated, drawn, spectra
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
-    DISPLACEMENT,
     BallsPlanSettings,
     BallsSolverSettings,
     sense_of,
@@ -594,7 +593,6 @@ def model_of(
             Disturbing("drift", "machine or table drift", drifts(zero, when), largest, UM),
             Disturbing("recurring drift", AGAIN, _returning(balls, read, zero), largest, UM),
             Disturbing("knock", "machine or table moved", shifts, largest, UM, family=True),
-            *_gain(balls, plan.measure),
         ),
         row_names=list(_names(balls, read)),
     )
@@ -623,20 +621,6 @@ def _returning(balls: BallsOnTable, read: Readings, zero: Ints) -> Floats:
         along = arm / np.linalg.norm(arm, axis=1)[:, None]
         felt = np.insert(along, 3, 1.0, axis=1)[:, None]
     return _from_mean(np.einsum("nca,ns->ncas", felt, shapes).reshape(len(zero), -1), zero)
-
-
-def _gain(balls: BallsOnTable, measure: str) -> Iterator[Disturbing]:
-    """Yield what is wrong where an instrument shows too much or too little of what is off."""
-    if measure == BAR:
-        wanted = np.linalg.norm(balls.arms, axis=1)[balls.target]
-        what = "the ball bar shows too much or too little"
-    elif measure == DISPLACEMENT:
-        wanted = balls.sent[balls.tilt, balls.position, balls.target].ravel()
-        what = "the nest shows too much or too little"
-    else:
-        return
-    percent = Unit("%", 0.01)
-    yield Disturbing("gain", what, lambda computed: (computed - wanted)[:, None], 0.1, percent)
 
 
 def moves(balls: BallsOnTable, solver: BallsSolverSettings) -> dict[str, tuple[Floats, ...]]:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import alternatives
-from rotcal_ros.adjust.alternatives import Alternative, Compared
+from rotcal_ros.adjust.alternatives import Alternative, WeighedAlternative
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.protection import Effect
@@ -81,8 +81,8 @@ def _exchanged(configuration: Configuration, read: Readings) -> Iterator[tuple[s
         other, number = read.target // every * every, read.target % every
     for k in range(every if every > 2 else every - 1):
         pair = k, (k + 1) % every
-        one, two = number == pair[0], number == pair[1]
-        found = np.where(one, pair[1], np.where(two, pair[0], number))
+        first, second = number == pair[0], number == pair[1]
+        found = np.where(first, pair[1], np.where(second, pair[0], number))
         yield f"{what} {min(pair)} and {max(pair)} are taken for each other", other + found
 
 
@@ -123,7 +123,7 @@ def compared(
     read: Readings,
     gone: Collection[int],
     model: Callable[[Configuration, Readings], Model],
-) -> list[Compared]:
+) -> list[WeighedAlternative]:
     """Return what speaks for readings that were meant otherwise, without rows that are ``gone``.
 
     ``model`` makes that of a set-up and readings; all motions must be stated in it.

@@ -86,15 +86,15 @@ class ToldMissing:
     ) -> None:
         self._links, self._missing, self._patience_s = links, missing, patience_s
         self._clock, self._since_s = AwakeClock(time.monotonic), dict[str, float]()
-        self._told: list[str] = []
+        self._reported: list[str] = []
 
     def nothing(self) -> bool:
         """Return whether nothing is missing; tell what has been missing for long."""
         now_s, texts = self._clock.now_s(), self._missing()
         self._since_s = {text: self._since_s.get(text, now_s) for text in texts}
         lasting = [text for text, since_s in self._since_s.items() if now_s - since_s >= TOLD_S]
-        if set(lasting) - set(self._told):
-            self._told = lasting
+        if set(lasting) - set(self._reported):
+            self._reported = lasting
             limit = f"the preflight waits up to {patient(self._patience_s):.0f} s"
             self._links.warn(PREFLIGHT_WAITS, [f"{limit}: {'; '.join(lasting)}"])
         return not texts
@@ -295,9 +295,9 @@ class GoalWatch:
         It does so at once when ``in_vain`` says why waiting would be in vain. What is missing is
         told long before.
         """
-        with ToldMissing(self.links, missing, self.patience_s) as told:
+        with ToldMissing(self.links, missing, self.patience_s) as lacking:
             came = await self.wait(
-                _rarely(lambda: told.nothing() or bool(in_vain())), self.patience_s
+                _rarely(lambda: lacking.nothing() or bool(in_vain())), self.patience_s
             )
         if why := in_vain() or ([] if came else missing() or ["preflight timed out"]):
             raise GoalError(code, "; ".join(why))
@@ -321,8 +321,8 @@ class GoalWatch:
 
         Sometimes the middleware never connects two ends that it knows, but does connect new ones.
         """
-        with ToldMissing(self.links, missing, self.patience_s) as told:
-            if await self.wait(_rarely(told.nothing), min(FOUND_S, self.patience_s)):
+        with ToldMissing(self.links, missing, self.patience_s) as lacking:
+            if await self.wait(_rarely(lacking.nothing), min(FOUND_S, self.patience_s)):
                 return True
         self.links.publish_anew()
         return False

@@ -75,7 +75,7 @@ def test_effort_that_no_layout_reaches_is_told_in_the_unit_of_the_question():
         (["plate", "--grid", "12", "--balls", "5", "--min-gap", "3"], "do not fit"),
         (["plate", "--grid", "12", "--balls", "5", "--subset-of", "0.5"], "whole numbers"),
         (["effort", "--grid", "12", "--need", "ECC"], "COMPONENT=LIMIT"),
-        (["effort", "--grid", "12", "--need", "EQC=1"], "unknown component"),
+        (["effort", "--grid", "12", "--need", "EQC=1"], "'EQC' is no deviation of a rotary axis"),
         (["effort", "--grid", "12", "--need", "ECC=1e-6", "--most-balls", "6"], "reaches"),
     ],
 )

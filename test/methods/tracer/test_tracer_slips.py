@@ -95,7 +95,7 @@ def test_the_result_says_how_many_slips_would_be_found():
     )
     others = (
         "growth", "uneven drift", "sign of z", "sign of readings", "sense", "gain", "probe tip",
-        "lag", "straightness", "play",
+        "lag", "straightness", "play", "single readings", "polygon tilt",
     )  # fmt: skip
     assert tuple(by_target) == (*EFFECTS, *(e for e in PARTICULAR if e not in others))
     assert by_target["slip"].treatment == "bounded"
