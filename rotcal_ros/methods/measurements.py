@@ -226,7 +226,7 @@ def _targets(
 
 
 def _targets_inside(book: Path, header: Header, settings: SheetSettings) -> Reading | None:
-    """Return the targets that a workbook has; None without any, a question where it has several."""
+    """Return the targets that a workbook has, None without any; ask where it has several."""
     try:
         return read_targets(book, header, settings)
     except UndecidedError as error:

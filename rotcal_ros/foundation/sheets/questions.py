@@ -1,4 +1,4 @@
-"""What is asked where the head of a table cannot be understood: its columns, by their own names."""
+"""What is asked where the head of a table is not understood: its columns, by their own names."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def require_as_wide_as_its_head(path: Path, layout: Layout) -> None:
         number, cells = wider[0]
         raise BagError(
             f"{path}, row {number}: {len(cells)} cells below a head of {width}, "
-            f"{', '.join(map(text_of, cells[:_OFFERED]))}: where numbers have decimal commas, part the "
-            "columns by semicolons or tabs, or put the numbers in quotes"
+            f"{', '.join(map(text_of, cells[:_OFFERED]))}: where numbers have decimal commas, part "
+            "the columns by semicolons or tabs, or put the numbers in quotes"
         )
 
 
@@ -103,9 +103,8 @@ def not_understood(
     same = {u.text for u in layout.others if angle and u.units == angle.units}
     means = {text: ACTUAL if name == "deviation" and text in same else name for text in likely}
     ways = [(means[text], text) for text in likely[:_OFFERED]] or [(name, "ITS NAME")]
-    if (
-        len(same) == 1 and name == "deviation" and TABLE_ANGLE not in named
-    ):  # the other may be the commanded one
+    if len(same) == 1 and name == "deviation" and TABLE_ANGLE not in named:
+        # the other may be the commanded one
         ways.append((TABLE_ANGLE, next(iter(same))))
     advice = [answer(ours, text) for ours, text in ways]
     return BagError(
@@ -124,7 +123,7 @@ def _no_names(
 ) -> BagError:
     """Return what to do where no heading is known: the columns, and what they would be in turn."""
     found = f"{path}: no row names the columns: expected {expected}, in any form and language: "
-    texts = _likely_head(grids)
+    texts = likely_head(grids)
     plainest = min(headers, key=len)
     names = [TableColumn.of(name).name for name in plainest]
     names = [TABLE_ANGLE if n == "position" and len(names) == 2 else n for n in names]
@@ -162,7 +161,7 @@ def _which_column(means: Mapping[str, str]) -> Question | None:
     return Question("sheet.columns", answers) if answers else None
 
 
-def _likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
+def likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
     """Return the longest row of words that stands over a row of numbers."""
     rows = [
         [cell for cell in cells if isinstance(cell, str) and cell]

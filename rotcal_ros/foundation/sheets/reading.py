@@ -37,6 +37,7 @@ from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si,
 from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, is_repeated, passes
 from rotcal_ros.foundation.sheets.questions import (
     is_number,
+    likely_head,
     not_understood,
     require_as_wide_as_its_head,
     require_named,
@@ -203,7 +204,7 @@ def read_any(
         )
     named = settings.named()
     layout = best_layout(found, headers, named, str(path))
-    require_named(path, headers, named, layout.head if layout else _likely_head(found))
+    require_named(path, headers, named, layout.head if layout else likely_head(found))
     if layout is None or layout.missing:
         raise not_understood(path, headers, layout, found, named)
     require_as_wide_as_its_head(path, layout)

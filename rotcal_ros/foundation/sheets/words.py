@@ -188,7 +188,7 @@ def answer(column: str, text: str) -> str:
 
 
 def option(setting: str, value: str, *more: str) -> str:
-    """Return the option that gives a setting a value; sheet.columns is a list, of ``more`` as well.
+    """Return the option that gives a setting a value; sheet.columns is a list, with ``more``.
 
     >>> print(option("sheet.decimal", ","))
     --set sheet.decimal=,
