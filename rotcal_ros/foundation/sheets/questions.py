@@ -67,10 +67,11 @@ def require_as_wide_as_its_head(path: Path, layout: Layout) -> None:
     wider = [row for row in below if any(map(is_number, row[1][width:]))]
     if wider and not layout.sheet.name and 2 * len(wider) >= len(below):
         number, cells = wider[0]
+        found = ", ".join(map(text_of, cells[:_OFFERED]))
         raise BagError(
-            f"{path}, row {number}: {len(cells)} cells below a head of {width}, "
-            f"{', '.join(map(text_of, cells[:_OFFERED]))}: where numbers have decimal commas, part "
-            "the columns by semicolons or tabs, or put the numbers in quotes"
+            f"{path}, row {number}: {len(cells)} cells below a head of {width}, {found}: where "
+            "numbers have decimal commas, part the columns by semicolons or tabs, or put the "
+            "numbers in quotes"
         )
 
 
@@ -151,7 +152,10 @@ def _sheet_of(grids: Sequence[Sheet], texts: Sequence[str]) -> Sheet:
     return next(
         grid
         for grid in grids
-        if any([*texts] == [*filter(None, cells)] for _, cells in grid.rows[:_LOOKED_AT])
+        if any(
+            [*texts] == [cell for cell in cells if isinstance(cell, str) and cell]
+            for _, cells in grid.rows[:_LOOKED_AT]
+        )
     )
 
 
