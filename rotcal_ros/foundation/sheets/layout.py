@@ -86,7 +86,8 @@ class Layout:
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
     the cells of a matrix, empty for a list. ``aside``: headings that are not needed; ``missing``:
     columns without any; ``doubled``: a column and the headings that mean it. ``first``: index of
-    the first row of values, ``form`` the row of its head. ``others`` are the columns
+    the first row of values, ``form`` the row of its head; ``head`` are the headings at their
+    ``places``. ``others`` are the columns
     aside that measure angles. ``length_unit``: stated above the table.
     """
 
@@ -99,6 +100,7 @@ class Layout:
     doubled: tuple[str, tuple[Use, ...]] | None = None
     first: int = 0
     head: tuple[str, ...] = ()
+    places: tuple[int, ...] = ()
     length_unit: str = ""
     others: tuple[Use, ...] = ()
     form: tuple[str, ...] = ()
@@ -286,6 +288,7 @@ def _of_heads(
         ),
         doubled=next(((name, tuple(found)) for name, found in rivals.items()), None),
         head=tuple(head.text for head in heads.values()),
+        places=tuple(heads),
     )
 
 

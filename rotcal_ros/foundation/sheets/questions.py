@@ -97,7 +97,7 @@ def not_understood(
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
     angles = layout.missing[0] == "position" and len(layout.header) == 2
     name = TABLE_ANGLE if angles else TableColumn.of(layout.missing[0]).name
-    uses = [Use(place, text) for place, text in enumerate(layout.head)]
+    uses = [Use(place, text) for place, text in zip(layout.places, layout.head, strict=True)]
     numbers = [use for use in uses if side_by_side(layout, [use])]
     likely = [use.text for use in numbers if use.text in layout.aside] or [u.text for u in numbers]
     angle = layout.uses.get(TABLE_ANGLE)
@@ -124,38 +124,27 @@ def _no_names(
 ) -> BagError:
     """Return what to do where no heading is known: the columns, and what they would be in turn."""
     found = f"{path}: no row names the columns: expected {expected}, in any form and language: "
-    texts = likely_head(grids)
+    sheet, row = _likely_row(grids)
+    texts = list(row.values())
     plainest = min(headers, key=len)
     names = [TableColumn.of(name).name for name in plainest]
     names = [TABLE_ANGLE if n == "position" and len(names) == 2 else n for n in names]
     question = _which_column(dict.fromkeys(texts, names[0]))
-    if len(texts) < len(names):
+    if sheet is None or len(texts) < len(names):
         return BagError(f"{found}add a line of names above the numbers", question=question)
-    heads = {place: Heading.of(text) for place, text in enumerate(texts)}
+    heads = {place: Heading.of(text) for place, text in row.items()}
     units = [head.units for head in heads.values()]
     if names[1:] == ["deviation"] and units[0] == units[1]:
         names[1] = ACTUAL
     if len(texts) > len(names):  # one after the other
         names = names[:1]
     columns = [f"{name}={text}" for name, text in zip(names, texts, strict=False)]
-    layout = Layout(_sheet_of(grids, texts), plainest, {}, head=tuple(texts))
+    layout = Layout(sheet, plainest, {}, head=tuple(texts))
     uses = [Use(place, head.text, head.units) for place, head in heads.items()]
     return BagError(
         f"{found}say what they are, for instance by {option('sheet.columns', *columns)}",
         "\n".join(side_by_side(layout, uses)),
         question,
-    )
-
-
-def _sheet_of(grids: Sequence[Sheet], texts: Sequence[str]) -> Sheet:
-    """Return the grid that has a row of these texts."""
-    return next(
-        grid
-        for grid in grids
-        if any(
-            [*texts] == [cell for cell in cells if isinstance(cell, str) and cell]
-            for _, cells in grid.rows[:_LOOKED_AT]
-        )
     )
 
 
@@ -167,13 +156,18 @@ def _which_column(means: Mapping[str, str]) -> Question | None:
 
 def likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
     """Return the longest row of words that stands over a row of numbers."""
+    return list(_likely_row(grids)[1].values())
+
+
+def _likely_row(grids: Sequence[Sheet]) -> tuple[Sheet | None, dict[int, str]]:
+    """Return its sheet and its words by their places; None and nothing where there is no such."""
     rows = [
-        [cell for cell in cells if isinstance(cell, str) and cell]
+        (sheet, {at: cell for at, cell in enumerate(cells) if isinstance(cell, str) and cell})
         for sheet in grids
         for (_, cells), (_, below) in pairwise(sheet.rows[:_LOOKED_AT])
         if not any(map(is_number, cells)) and sum(map(is_number, below)) > 1
     ]
-    return max(rows, key=len, default=())
+    return max(rows, key=lambda row: len(row[1]), default=(None, {}))
 
 
 def text_of(cell: Cell) -> str:

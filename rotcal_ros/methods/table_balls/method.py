@@ -486,8 +486,8 @@ def _stated_only(effect: Effect, why: str, every: Sequence[Unseen]) -> Protectio
     if worst.error <= TOLERABLE:
         return Protection(effect, "bounded", why, worst.error)
     why += (
-        f"; {EXCEEDED:g} times as large, or less, it moves the result by {worst.error:.2g} "
-        "standard uncertainties, and the verdict stays"
+        f"; up to {EXCEEDED:g} times as large, it moves the result by {worst.error:.2g} standard "
+        "uncertainties before the verdict changes"
     )
     return Protection(effect, worst.treatment, why, worst.error)
 

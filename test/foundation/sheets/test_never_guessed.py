@@ -315,3 +315,12 @@ def test_unknown_headings_are_no_matrix(tmp_path, rows) -> None:
     (path := tmp_path / "t.csv").write_text("\n".join(map(",".join, rows)), "utf-8")
     with pytest.raises((BagError, DataError)):
         read_any_runs(path)
+
+
+def test_columns_are_shown_with_their_own_numbers_where_a_heading_is_empty(tmp_path) -> None:
+    rows = ["Foo,,", ",Bar,Baz", *(f"{k},{100 + k},{200 + k}" for k in range(4))]
+    (path := tmp_path / "t.csv").write_text("\n".join(rows), "utf-8")
+    with pytest.raises(BagError) as asked:
+        read_any_runs(path)
+    assert "column 2 'Bar': first 100, largest 103" in asked.value.log
+    assert "column 3 'Baz': first 200, largest 203" in asked.value.log

@@ -80,8 +80,9 @@ def test_a_statement_that_is_exceeded_and_shows_nowhere_is_named(balls, what):
     assert effect in found.unprotected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["radial", "axial", "tilt", "scale", "squareness"])
-@pytest.mark.parametrize("balls", ["ONE", "THREE"])
+@pytest.mark.parametrize("balls", BALLS)
 def test_what_is_exceeded_unnoticed_and_unnamed_does_little(balls, what):
     calibration, change = prepared(balls), []
     effect = {"radial": "error motion", "axial": "error motion", "squareness": "gauge"}
