@@ -224,13 +224,21 @@ class Fit:
     @cached_property
     def response(self) -> Floats:
         """B (o + a, n): what whitened errors do to the outputs; correlated ones as independent."""
-        found = self.cofactors
-        if isinstance(found, Whole):
-            plain = np.asarray(times(found.basis, found.felt_by(self.outputs).T).T)
+        if isinstance(self.cofactors, Whole):
+            plain = self.alone(slice(None))
             for each in self.model.correlated:
                 plain[:, each.rows] = each.spread(plain[:, each.rows])
             return plain
         return self.response_of(np.arange(len(self.std)))
+
+    def alone(self, rows: slice) -> Floats:
+        """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).
+
+        Each as it is, whatever they have in common; of a design that is no circles.
+        """
+        found = self.cofactors
+        assert isinstance(found, Whole)
+        return np.asarray(times(found.basis, found.felt_by(self.outputs).T)[rows].T)
 
     def response_of(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs, (o + a, k)."""

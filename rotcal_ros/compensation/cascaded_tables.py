@@ -124,7 +124,7 @@ def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
         o + held.correction(rows + o, approach)
         for o, approach in zip(own, DIRECTIONS, strict=True)
     ]
-    zero = held.correction(np.array([held.reference_angle]), DIRECTIONS[0])[0] - held.zero
+    moved = held.correction(np.array([held.reference_angle]), DIRECTIONS[0])[0] - held.zero
     std = [
         further.std(rows, approach) * (1.0 + held.slope(rows + o, approach))
         for o, approach in zip(own, DIRECTIONS, strict=True)
@@ -136,8 +136,9 @@ def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
     total = replace(
         new,
         angles=rows,
-        correction_forward=both[0] - zero,
-        correction_reverse=both[1] - zero,
+        correction_forward=both[0] - moved,
+        correction_reverse=both[1] - moved,
+        zero=held.zero,
         std=std[0],
         std_reverse=std[1],
         measured_on=held.in_force,

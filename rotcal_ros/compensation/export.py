@@ -168,6 +168,7 @@ def _completed(table: CompensationTable, controller: Controller) -> Compensation
         table,
         correction_forward=table.correction_forward + up,
         correction_reverse=table.correction_reverse + down,
+        zero=table.zero + up,
     )
 
 

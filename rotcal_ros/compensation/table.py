@@ -66,8 +66,9 @@ class CompensationTable:
     ``measured_from_ns`` and ``measured_until_ns`` are when (ns since 1970) the first and the last
     measurement that counts was made; 0: not known. ``open_zeros`` names the offsets within the
     table that were not measured, so that no uncertainty holds between its parts; empty: none. Such
-    a table is fed to no controller, see :func:`check_verdict`. Raises DataError when the arrays do
-    not fit together.
+    a table is fed to no controller, see :func:`check_verdict`. ``zero`` (rad) is the forward
+    correction at the reference angle: what the control did there without a table, else 0. Raises
+    DataError when the arrays do not fit together.
 
     >>> import rotcal_ros as rc
     >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
@@ -97,6 +98,7 @@ class CompensationTable:
     measured_from_ns: int = 0
     measured_until_ns: int = 0
     open_zeros: str = ""
+    zero: float = 0.0
 
     def __post_init__(self) -> None:
         check_axis(self.axis)
@@ -418,7 +420,7 @@ def _check_angles(angles: Floats, period: float) -> None:
 def resample(
     table: CompensationTable, spacing: float | None = None, *, reference_angle: float | None = None
 ) -> CompensationTable:
-    """Return ``table`` with rows every ``spacing`` rad, zero at ``reference_angle`` (rad).
+    """Return ``table`` with rows every ``spacing`` rad, its zero at ``reference_angle`` (rad).
 
     A full circle gets rows from 0; without ``spacing`` the rows stay. The new values lie on
     a curve through all old rows. A table carries no correlations, so the uncertainty returned is
@@ -432,7 +434,7 @@ def resample(
     at = np.append(rows, wrapped(reference) if table.closed else reference)
     weights = interpolation_matrix(table.angles, at, table.period)
     up, down = weights @ table.correction_forward, weights @ table.correction_reverse
-    zero = 0.0 if reference_angle is None else up[-1]
+    zero = 0.0 if reference_angle is None else up[-1] - table.zero
     shift = weights[:-1] if reference_angle is None else weights[:-1] - weights[-1]
     return replace(
         table,

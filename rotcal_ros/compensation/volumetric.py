@@ -17,6 +17,7 @@ from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import check_stem
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
+from rotcal_ros.foundation.curves.directional import refuse_lost_reversal
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.in_force import in_words, known_hash
 from rotcal_ros.foundation.results import Result
@@ -28,11 +29,13 @@ KIND: Final = "rotcal_volumetric"
 def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, str]:
     """Return ``stem``.csv and ``stem``.json after both were read back and compared.
 
-    Raises DataError unless the verdict is ok and every component has its uncertainty.
+    Raises DataError unless the verdict is ok and every component has its uncertainty, and for runs
+    from both sides of which only the mean is known.
     """
     check_stem(stem)
     check_axis(axis)
     check_verdict(result)
+    refuse_lost_reversal(result)
     names = [name for name in COMPONENTS if name in result.deviations]
     if missing := [name for name in names if name not in result.std]:
         raise DataError(f"the {result.method} result has no uncertainty of {', '.join(missing)}")

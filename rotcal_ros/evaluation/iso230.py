@@ -32,6 +32,7 @@ from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.sheets.reading import Reading, read_any
+from rotcal_ros.foundation.sheets.words import ACTUAL, REVERSED
 from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -367,9 +368,15 @@ def read_any_runs(
     reading = read_any(path, (("position", "deviation_rad"),), sheet)
     announce(reading)
     if not reading.both_directions:
+        listed = not reading.uses.keys().isdisjoint(("deviation", ACTUAL, REVERSED))
+        advice = (
+            "a column 'direction' states them, and so does the order of the rows"
+            if listed or not reading.form
+            else "write up or down behind the number of the run at the head of each column"
+        )
         raise DataError(
             f"{path}: all angles were approached in one direction, or once: ISO 230-2 needs runs "
-            "up and down; a column 'direction' states them, and so does the order of the rows"
+            f"up and down; {advice}"
         )
     rows = []
     for row, (run, down) in zip(reading.table.rows(), reading.passes, strict=True):

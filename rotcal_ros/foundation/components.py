@@ -34,7 +34,7 @@ def unit_of(component: str) -> tuple[float, str]:
     >>> f"{2 * rc.ARCSEC / factor:g} {label}"
     '2 arcsec'
     """
-    if not re.fullmatch(r"E[XYZABC][ABC]|[XYZABC]O[ABC]", component):
+    if not re.fullmatch(r"E[XYZABC][ABC]|[XYZABC]O[ABC]", str(component)):
         raise ConfigurationError(
             f"{component!r} is no deviation of a rotary axis: expected one of "
             f"{', '.join(COMPONENTS)}"

@@ -176,7 +176,10 @@ def of_changes(
         first, dot, name = place.partition(".")
         if first != group or not dot or not equals:
             raise ConfigurationError(f"--set {change}: expected {group}.NAME=VALUE")
-        values[name] = value if name in texts else parsed(value, f"--set {change}")
+        found: Any = value if name in texts else parsed(value, f"--set {change}")
+        if isinstance(found, list):
+            found = [*(values.get(name) or ()), *found]  # columns of several options add up
+        values[name] = found
     return load(cls, values, f"--set: {group}")
 
 

@@ -20,15 +20,23 @@ _PASSWORD: Final = re.compile(r"([^/?#:@]*:)(.+)@", re.DOTALL)
 _PORT_AND_QUERY: Final = re.compile(r"[^/?#:@]*:\d+(/[^?#@]*)?[?#]")
 """Host and port, with an @ in the query at most."""
 _IN_QUERY: Final = re.compile(r"([?&;#])([^=&;#?\s]+)=([^&;#\s]+)")
+_KEY_FILE: Final = "sslkey"
+"""What PostgreSQL calls the file of a key; other spellings are none of its options."""
+_PAIR: Final = re.compile(
+    r"\b(\w*(?:password|passwd|passphrase|secret|token|pwd)\s*=\s*)"
+    rf"(?!{re.escape(MASK)})('[^']*'|[^\s;&]+)",
+    re.IGNORECASE,
+)
+"""A pair of a connection string, ``host=HOST password=WORD``, as PostgreSQL and ODBC have them."""
 _SECRET: Final = re.compile(
-    r"(?!.*file$|sslkey$)"
+    r"(?!.*file$)"
     r"(.*(password|passwd|passphrase|secret|token|signature|credential).*|.*key|pass|pwd?|sig|auth)"
 )
 """Names in a query that stand for secrets, in lower case without hyphens and underscores."""
 
 
 def has_secret(text: str) -> bool:
-    """Return whether a URL in ``text`` carries a password, a token or a key.
+    """Return whether a URL or connection string in ``text`` has a password, a token or a key.
 
     >>> has_secret("postgresql://me@host/db"), has_secret("postgresql://me:pw@host/db")
     (False, True)
@@ -40,13 +48,16 @@ def has_secret(text: str) -> bool:
 
 
 def masked(text: str) -> str:
-    """Return ``text`` with *** for what is secret in its URLs; all else stays as it is.
+    """Return ``text`` with *** for what is secret in URLs and connection strings, else as it is.
 
     >>> masked("no answer: s3://key:pw@host/bag?x-amz-signature=1f&part=2")
     'no answer: s3://key:***@host/bag?x-amz-signature=***&part=2'
     """
     if ":/" in text:
-        return _URL.sub(lambda url: url[1] + _rest_masked(url[2]), text)
+        text = _URL.sub(lambda url: url[1] + _rest_masked(url[2]), text)
+    text = _PAIR.sub(rf"\1{MASK}", text)
+    if ":/" in text:
+        return text
     if "%" in text and ":/" in (decoded := unquote(text)) and masked(decoded) != decoded:
         return MASK  # a URL that is encoded as a whole
     return text
@@ -88,5 +99,6 @@ def _rest_masked(rest: str) -> str:
 def _pair_masked(pair: re.Match[str]) -> str:
     """Return a pair of a query, masked if its name stands for a secret, or it holds such a URL."""
     name, value = (unquote(unquote(text)) for text in pair.groups()[1:])
-    secret = _SECRET.fullmatch(re.sub(r"[\W_]", "", name.lower()))
+    plain = re.sub(r"[\W_]", "", name.lower())
+    secret = name.lower() != _KEY_FILE and _SECRET.fullmatch(plain)
     return f"{pair[1]}{pair[2]}={MASK}" if secret or has_secret(value) else pair[0]

@@ -253,9 +253,12 @@ def changed(
         return configuration
     name, given = raw_groups(configuration.text, configuration.source)
     parameters: dict[str, Any] = {"method": name, **given}
+    columns: list[Any] = []
     for change in changes:
         setting, value = parsed_change(str(parameters["method"]), change)
         place, last = _place(parameters, setting, f"--set {change}")
+        if setting == "sheet.columns" and isinstance(value, list):
+            value = columns = [*columns, *value]  # several options add up
         place[last] = value
     text = dump_configuration(str(parameters.pop("method")), parameters)
     source = f"{configuration.source} with --set"

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.errors import (
+    BagError,
+    ConfigurationError,
+    DataError,
+    UndecidedError,
+)
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
@@ -207,9 +211,8 @@ def _targets(
         path: read_targets(path, header, own)
         for path in sorted(filter(is_table, source.parent.glob(f"{TARGETS_FILE}.*")))
     }
-    with suppress(BagError, DataError):
-        if is_workbook(source):
-            found[source] = read_targets(source, header, own)
+    if is_workbook(source) and (inside := _targets_inside(source, header, own)):
+        found[source] = inside
     if not found:
         return None, ()
     (first, aim), *others = found.items()
@@ -220,6 +223,23 @@ def _targets(
                 f"differ: say which count: --targets {first} or --targets {path}"
             )
     return aim, (phrase("targets of {0}", _place_of(aim, first)),)
+
+
+def _targets_inside(book: Path, header: Header, settings: SheetSettings) -> Reading | None:
+    """Return the targets that a workbook has, None without any; ask where it has several."""
+    try:
+        return read_targets(book, header, settings)
+    except UndecidedError as error:
+        if error.question is None or error.question.setting == "sheet.columns":
+            return None
+        if error.question.setting != "sheet.name":
+            raise
+        raise DataError(
+            f"{error.found}: which targets count? Keep one sheet of them, or save it as CSV and "
+            "name that file by --targets"
+        ) from error
+    except (BagError, DataError):
+        return None
 
 
 def _places(reading: Reading) -> set[tuple[str, ...]]:

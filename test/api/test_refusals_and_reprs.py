@@ -30,9 +30,9 @@ def test_a_misspelt_controller_is_said_before_all_else(tmp_path, how):
         rc.write_controller_files(table, "linuxcncc", tmp_path, **how)
 
 
-@pytest.mark.parametrize("name", ["XXX", "EXX", "ecc", "EDC", ""])
+@pytest.mark.parametrize("name", ["XXX", "EXX", "ecc", "EDC", "", 3, None])
 def test_a_deviation_that_is_none_has_no_unit(name):
-    with pytest.raises(ConfigurationError, match=f"'{name}' is no deviation of a rotary axis"):
+    with pytest.raises(ConfigurationError, match=f"{name!r} is no deviation of a rotary axis"):
         rc.unit_of(name)
 
 

@@ -279,7 +279,7 @@ def test_iso230_explains_a_table_and_stops(tmp_path):
         ("Winkel [°];Abweichung\n0;1\n90;2\n", (), 2, "name, as 'Abweichung [arcsec]'"),
         ("Position;Deviation [arcsec]\n0;1\n90;2\n", (), 2, '["angle=Position"]'),
         ("Position;Deviation [arcsec]\n0;1\n90;2\n", ("--set", "sheet.columns=[angle=Position]"),
-         2, "--set sheet.angle_unit=UNIT"),
+         2, "--set sheet.angle_unit=deg or --set"),
         ("Angle [deg];Deviation [arcsec]\n0;1\n90;2\n0;1\n90;2\n", (), 3, "one direction"),
     ],
 )  # fmt: skip

@@ -186,6 +186,46 @@ def test_the_noise_of_a_read_out_is_no_other_angle(tmp_path, noise: float, asked
     assert "table angles of the plan in setup.yaml" in said[0].line()
 
 
+@pytest.mark.parametrize(("answer", "left"), [("table", 18), ("plan", 9)])
+def test_angles_that_scatter_beyond_a_read_out_are_asked_about(tmp_path, answer, left) -> None:
+    rows = [f"{a + 0.02 * (s == 1)},{s},{0.1 * s}" for a in UNEVEN for s in range(3)]
+    (table := tmp_path / "t.csv").write_text(
+        "\n".join(["Angle [deg],setting,reading [arcsec]", *rows])
+    )
+    with pytest.raises(UndecidedError, match=r"0 and 0\.02 degrees differ by more than the noise"):
+        read_measurements(table, planned())
+    setup = changed(planned(), [f"sheet.angles={answer}"])
+    if answer == "plan":  # else some settings are missing at some angles
+        measured = read_measurements(table, setup)
+        assert measured.configuration.plan.table_angles_deg == tuple(UNEVEN)
+
+
+def test_close_angles_of_a_fine_curve_are_not_asked_about(tmp_path) -> None:
+    fine = [round(0.05 * k, 2) for k in range(40)]
+    measured = read_measurements(readings(tmp_path / "t.csv", fine), planned())
+    assert measured.configuration.plan.table_angles_deg == tuple(fine)
+
+
+@pytest.mark.parametrize("second", ["Foo [arcsec]", "Foo [deg]", "Foo"])
+def test_unknown_headings_are_asked_in_turn_and_each_option_adds_up(tmp_path, second) -> None:
+    rows = [f"{a},{a * (second == 'Foo [deg]') + (a % 7) / 4000:.5f}" for a in range(0, 360, 30)]
+    (table := tmp_path / "t.csv").write_text("\n".join([f"Bar [deg],{second}", *rows]))
+    given: list[str] = []
+    for _ in range(4):
+        done = CliRunner().invoke(
+            rotcal, ["combine", str(table), "--reference-u", "1", "--json", *given]
+        )
+        if done.exit_code < 2:
+            break
+        assert done.exit_code == 2
+        assert f"column 2 {second!r}: first" in done.stderr
+        given += shlex.split(re.search(r"--set ('[^']+'|\S+)", done.stderr)[0])
+    found = np.array(json.loads(done.stdout)["deviations"]["ECC"])
+    assert len(found) == 12
+    unit = {"Foo [arcsec]": ARCSEC}.get(second, np.deg2rad(1) if "deg" in second else ARCSEC)
+    assert found[1] - found[0] == pytest.approx(2 / 4000 * unit, rel=1e-4)
+
+
 # Targets, of one source.
 
 
@@ -207,6 +247,20 @@ def test_targets_of_two_sources(tmp_path, moved: float) -> None:
     said = run(*arguments, code=3)
     assert f"targets stand in {beside} and in {table}, sheet targets, and they differ" in said
     assert f"targets of {beside}" in run(*arguments, "--targets", beside)
+
+
+def test_two_sheets_of_targets_that_no_one_chose_are_refused(tmp_path) -> None:
+    book = openpyxl.Workbook()
+    for name, source in (("lengths", "lengths"), ("targets", "targets"), ("old", "targets")):
+        sheet = book.create_sheet(name)
+        for row in csv.reader((EXAMPLES / f"{source}.csv").open()):
+            sheet.append([float(c) if re.fullmatch(r"[-\d.e]+", c) else c for c in row])
+    book.remove(book.worksheets[0])
+    book.save(table := tmp_path / "measured.xlsx")
+    said = run("solve", table, "--setup", EXAMPLES / "tracer.yaml", code=3)
+    assert "the sheets targets and old have the same columns: which targets count?" in said
+    run("solve", table, "--setup", EXAMPLES / "tracer.yaml", "--explain",
+        "--targets", EXAMPLES / "targets.csv")  # fmt: skip
 
 
 # What a person says is kept, and belongs to the tables that it is of.

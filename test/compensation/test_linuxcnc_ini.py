@@ -17,6 +17,7 @@ from rotcal_ros.compensation.linuxcnc import UNKNOWN_BACKLASH, hook_up
 from rotcal_ros.compensation.linuxcnc_machine import Ini, Joint, agent_command
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import DEGREE
 
 NOW = datetime(2026, 1, 2, tzinfo=timezone.utc)
 TEXT = """# a machine
@@ -283,6 +284,14 @@ def test_backlash_is_added_once_and_only_where_it_acted(machine, tmp_path):
     assert up - down == pytest.approx(PLAY, abs=1e-6)
     assert (up[0], down[0]) == pytest.approx((PLAY / 2, -PLAY / 2), abs=1e-6)  # the same zero
     assert any("nothing of it is added" in text for text in made.warnings)
+    at = 120.0 * DEGREE  # row 12, where the person wants the zero
+    moved = prepare_export(
+        total, "linuxcnc", now=NOW, spacing=TAU / 36, reference_angle=at, settings=settings
+    )
+    moved_up, moved_down = columns(moved)
+    assert (moved_up[12], moved_down[12]) == pytest.approx((PLAY / 2, -PLAY / 2), abs=1e-6)
+    assert np.ptp(moved_up - up) == pytest.approx(0.0, abs=3e-9)
+    assert np.ptp(moved_down - down) == pytest.approx(0.0, abs=3e-9)
     other = exported(machine, backlash_deg=0.0)  # as a person states of the measurement
     assert np.ptp(np.subtract(*columns(other))) == pytest.approx(0.0, abs=1e-9)
 

@@ -324,7 +324,11 @@ def test_runs_from_both_sides_without_a_curve_of_each_are_refused(play):
         table_from_result(measured)
     with pytest.raises(DataError, match="runs from both sides"):
         table_from_result(result_of(even(12), curve), reverse=measured)
+    with pytest.raises(DataError, match=f"runs from both sides, up to {play:g} arcsec apart"):
+        volumetric_files(measured, "vol")
     down[1:] = np.nan  # one angle that was reached from above, too, is no reversal
     assert not table_from_result(measured).directional
+    assert volumetric_files(measured, "vol")
     one_side = replace(measured, runs=RepeatedRuns(even(12), up, None))
     assert not table_from_result(one_side).directional
+    assert volumetric_files(one_side, "vol")

@@ -28,6 +28,10 @@ CARRYING = [
     f"opc.tcp://me:{SECRET}@host:4840/path",
     f"s3://AKIA:{SECRET}@bucket/key",
     f"see http://host:8080/?key={SECRET} for more",
+    f"postgresql://host/db?ssl_key={SECRET}",
+    f"host=127.0.0.1 port=5432 password={SECRET}",
+    f"host=db PASSWORD = 'a {SECRET}' user=me",
+    f"Server=db;Uid=me;Pwd={SECRET};",
 ]
 FREE_OF_IT = [
     "history.db",
@@ -42,6 +46,9 @@ FREE_OF_IT = [
     "s3://bucket/folder@2/bag.mcap",
     "https://host/a%3Ab%40c",
     "http://[::1]:8080/",
+    "host=127.0.0.1 user=me passfile=/home/me/.pgpass",
+    "opcua.password_from=/run/secrets/opcua",
+    "host=db password=***",
 ]
 
 

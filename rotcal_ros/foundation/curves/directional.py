@@ -61,8 +61,8 @@ def directional_curve(result: Result, reverse: Result | None = None) -> Directio
     ``reverse`` is given too.
     """
     for each in (result, reverse):
-        if each is not None and COMPONENT not in each.directions:
-            _refuse_lost_reversal(each)
+        if each is not None:
+            refuse_lost_reversal(each)
     both = result.directions.get(COMPONENT)
     if reverse is None:
         return _single(result) if both is None else _merged(result, both)
@@ -74,10 +74,12 @@ def directional_curve(result: Result, reverse: Result | None = None) -> Directio
     return _independent(measured_curve(result), measured_curve(reverse))
 
 
-def _refuse_lost_reversal(result: Result) -> None:
+def refuse_lost_reversal(result: Result) -> None:
     """Raise DataError for runs from both sides, whose mean would pass as the curve of either."""
     runs = result.runs
-    if runs is None or runs.forward is None or runs.reverse is None:
+    if COMPONENT in result.directions or runs is None:
+        return
+    if runs.forward is None or runs.reverse is None:
         return
     seen = [np.isfinite(side) for side in (runs.forward, runs.reverse)]
     both = seen[0].any(axis=1) & seen[1].any(axis=1)

@@ -159,6 +159,8 @@ class StatedDeviations:
         same = [abs(a - b) for a, b in zip(beside.values, found, strict=True)]
         opposite = max(abs(a + b) for a, b in zip(beside.values, found, strict=True)) <= noise
         checked = phrase("{0} is checked: actual - commanded", repr(beside.text))
+        if max(same) <= noise and opposite and max(map(abs, beside.values)) > beside.rounding:
+            return beside.values, phrase("{0} is finer than its angles", repr(beside.text))
         if max(same) <= noise:
             return beside.values, checked
         if opposite and REVERSED in self.columns:

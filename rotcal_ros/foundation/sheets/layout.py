@@ -86,7 +86,8 @@ class Layout:
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
     the cells of a matrix, empty for a list. ``aside``: headings that are not needed; ``missing``:
     columns without any; ``doubled``: a column and the headings that mean it. ``first``: index of
-    the first row of values, ``form`` the row of its head. ``others`` are the columns
+    the first row of values, ``form`` the row of its head; ``head`` are the headings at their
+    ``places``. ``others`` are the columns
     aside that measure angles. ``length_unit``: stated above the table.
     """
 
@@ -99,6 +100,7 @@ class Layout:
     doubled: tuple[str, tuple[Use, ...]] | None = None
     first: int = 0
     head: tuple[str, ...] = ()
+    places: tuple[int, ...] = ()
     length_unit: str = ""
     others: tuple[Use, ...] = ()
     form: tuple[str, ...] = ()
@@ -216,9 +218,12 @@ def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
                 heads[place] = replace(heads[place], units=found)
         yield heads, 2
         return
-    yield heads, 1
     second = [_text(cell) for cell in below]
-    if heads and second and not any(number_of(cell) is not None for cell in below):
+    ways = [text for text in second if text]
+    if not ways or not all(is_down(text) is not None and number_of(text) is None for text in ways):
+        yield heads, 1
+    numbered = heads and len(below) > min(heads) and below[min(heads)] == ""  # runs below ways
+    if heads and second and (numbered or not any(number_of(cell) is not None for cell in below)):
         above, joined = Heading(""), dict[int, Heading]()
         for place, text in enumerate(second):
             above, own = heads.get(place, above), Heading.of(text)
@@ -257,7 +262,8 @@ def _of_heads(
         place: h for place, h in heads.items() if place not in {u.place for u in uses.values()}
     }
     missing = [c for c in columns if c.name not in uses and not _otherwise(c, uses)]
-    units = heads[min(heads)].units if min(heads) in left else ()
+    alike = {heads[min(heads)].units, *(head.units for head in others.values())} - {()}
+    units = heads[min(heads)].units if min(heads) in left and len(alike) < 2 else ()
     matrix = _matrix(missing, left, columns, uses, corner.units if corner else units)
     if matrix:
         missing = []
@@ -282,6 +288,7 @@ def _of_heads(
         ),
         doubled=next(((name, tuple(found)) for name, found in rivals.items()), None),
         head=tuple(head.text for head in heads.values()),
+        places=tuple(heads),
     )
 
 
@@ -402,7 +409,7 @@ def _matrix(
     words = dict[str, dict[tuple[object, int], tuple[dict[str, Cell], dict[str, Use]]]]()
     for place, head in left.items():
         name, text = _value_of(head, values)
-        word, labels = _labels(text, keys[0], label_units or head.units, values)
+        word, labels = _labels(text, keys[0], label_units or head.units, values, head.units)
         if not (name and labels):
             continue
         own = () if " " in str(labels.get(TABLE_ANGLE, "")) else head.units
@@ -444,7 +451,11 @@ def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
 
 
 def _labels(
-    text: str, key: str, units: Sequence[str], values: Sequence[TableColumn]
+    text: str,
+    key: str,
+    units: Sequence[str],
+    values: Sequence[TableColumn],
+    head_units: Sequence[str] = (),
 ) -> tuple[str, dict[str, Cell]]:
     """Return the word of a label, and what it says by column; nothing where it says nothing.
 
@@ -459,13 +470,18 @@ def _labels(
         angles = [unit for unit in units if quantity_of(unit) == ANGLE]
         theirs = angles and (values[0].quantity != ANGLE or angles[0] in _COARSE)
         unit = "°" if bare != rest else f" {angles[0]}" if theirs else ""
-        if unit or way or values[0].name == "deviation":
+        small = head_units and head_units[0] not in _COARSE and values[0].quantity == ANGLE
+        if unit or ((way or values[0].name == "deviation") and not small):
             return "", {TABLE_ANGLE: f"{bare}{unit}", **way}
     nothing_else = not rest or "deviation" in columns_of(Heading(rest, rest))
     if way and nothing_else and key in (DIRECTION, RUN):
         return rest, way
     found = label_of(rest)
-    return (found[0], {key: float(found[1]), **way}) if found else ("", {})
+    if not found or (key == "position" and values[0].name == "deviation"):
+        return "", {}  # positions without angles have no deviations
+    if not way and is_down(found[0]) is not None:  # up1
+        return "", {key: float(found[1]), DIRECTION: found[0]}
+    return found[0], {key: float(found[1]), **way}
 
 
 def _stated_unit(sheet: Sheet, before: int) -> str:

@@ -16,30 +16,33 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from rotcal_ros.foundation.errors import (
-    BagError,
     ConfigurationError,
     DataError,
     Question,
     UndecidedError,
 )
 from rotcal_ros.foundation.language import phrase
-from rotcal_ros.foundation.plugins import nearest
 from rotcal_ros.foundation.sheets.deviations import NEAR, Angles, StatedDeviations
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, TimeCell, sheets
 from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, FILE, SheetSettings, remembered
 from rotcal_ros.foundation.sheets.layout import (
-    BESIDE,
-    CORNER,
     TEXTS,
     Layout,
     Use,
     best_layout,
     number_of,
     side_by_side,
-    strange_unit,
 )
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, is_repeated, passes
+from rotcal_ros.foundation.sheets.questions import (
+    is_number,
+    likely_head,
+    not_understood,
+    require_as_wide_as_its_head,
+    require_named,
+    text_of,
+)
 from rotcal_ros.foundation.sheets.words import (
     ACTUAL,
     ANGLE,
@@ -53,14 +56,12 @@ from rotcal_ros.foundation.sheets.words import (
     UNITS,
     Heading,
     TableColumn,
-    answer,
     columns_of,
     folded,
     is_down,
     is_nothing,
     is_summary,
     kind_of,
-    known_columns,
     label_of,
     option,
     undecided,
@@ -74,18 +75,16 @@ _SMALL: Final = ("arcsec", "urad", "deg")
 _USUAL: Final = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
 """Likely units of deviations and readings, and of other columns."""
 _UNIT_SETTINGS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
-_LOOKED_AT: Final = 100
-"""Rows among which the head of a table that cannot be understood is guessed."""
 _SHOWN: Final = 6
 """Columns that are shown side by side."""
-_OFFERED: Final = 4
-"""Columns of which a message names the option; a page has a button for all."""
 _Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
 """Its number, and its cells by column."""
 _NO_KEYS: Final = frozenset({"position", "segment"})
 """Columns of numbers that do not identify what was measured."""
 READ_OUT: Final = 0.01 * DEGREE
 """Noise of a read-out of table angles, rad; angles that differ by more are different ones."""
+_CLOSE: Final = 10
+"""Times READ_OUT: angles of a table that are nearer than this may be one."""
 _SAME_ANGLE: Final = 1e-9
 """Radians by which two readings of the same angle may differ."""
 
@@ -205,89 +204,14 @@ def read_any(
         )
     named = settings.named()
     layout = best_layout(found, headers, named, str(path))
-    _require_named(path, headers, named, layout.head if layout else _likely_head(found))
+    require_named(path, headers, named, layout.head if layout else likely_head(found))
     if layout is None or layout.missing:
-        raise _not_understood(path, headers, layout, found)
+        raise not_understood(path, headers, layout, found, named)
+    require_as_wide_as_its_head(path, layout)
     reading = _Rows(path, layout, settings, known()).read()
     in_memory = isinstance(source, Table) and source.in_memory
     table = replace(reading.table, in_memory=in_memory)
     return replace(reading, table=table, stated=settings, form_head=layout.form, sources=sources)
-
-
-def _require_named(
-    path: Path, headers: Sequence[Header], named: Mapping[str, str], head: Sequence[str]
-) -> None:
-    """Raise ConfigurationError for a column that is not known, BagError for a heading too few."""
-    ours = {TableColumn.of(name).name for header in headers for name in header}
-    ours |= BESIDE if "position" in ours else set()
-    ours |= {ACTUAL, REVERSED} if "deviation" in ours else set()
-    there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
-    for name, text in named.items():
-        if name not in ours.union(known_columns()):
-            raise ConfigurationError(f"sheet.columns: no column {name!r}{nearest(name, ours)}")
-        numbered = text[:1] == "#" and text[1:].isdigit()
-        if name in ours and folded(text) not in there and not numbered:
-            raise BagError(
-                f"{path}: sheet.columns: no column is called {text!r}{nearest(text, head)}"
-            )
-
-
-def _not_understood(
-    path: Path, headers: Sequence[Header], layout: Layout | None, grids: Sequence[Sheet]
-) -> BagError:
-    expected = " or ".join(f"'{','.join(header)}'" for header in headers)
-    if layout is None:
-        return BagError(
-            f"{path}: no row names the columns: expected {expected}, in any form and language: "
-            "add a line of names above the numbers",
-            question=_which_column(
-                dict.fromkeys(_likely_head(grids), TableColumn.of(headers[0][0]).name)
-            ),
-        )
-    if strange := strange_unit(layout):
-        text, unit, quantity = strange
-        return BagError(
-            f"{path}: {unit!r} in the heading {text!r} is an unknown unit: known for "
-            f"{quantity} are {', '.join(UNITS[quantity])}: write one of these there, and convert "
-            "the numbers if need be"
-        )
-    found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
-    others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
-    angles = layout.missing[0] == "position" and len(layout.header) == 2
-    name = TABLE_ANGLE if angles else TableColumn.of(layout.missing[0]).name
-    uses = [Use(place, text) for place, text in enumerate(layout.head)]
-    numbers = [use for use in uses if side_by_side(layout, [use])]
-    likely = [use.text for use in numbers if use.text in layout.aside] or [u.text for u in numbers]
-    angle = layout.uses.get(TABLE_ANGLE)
-    same = {u.text for u in layout.others if angle and u.units == angle.units}
-    means = {text: ACTUAL if name == "deviation" and text in same else name for text in likely}
-    advice = [answer(means[text], text) for text in likely[:_OFFERED]] or [
-        answer(name, "ITS NAME")
-    ]
-    return BagError(
-        f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
-        f"'{','.join(layout.header)}', in any unit and order. State a column with another name by "
-        f"{' or '.join(advice)}",
-        "\n".join(side_by_side(layout, uses)),
-        _which_column(means),
-    )
-
-
-def _which_column(means: Mapping[str, str]) -> Question | None:
-    """Return the question which of these texts stands at the head of a column of ours."""
-    answers = tuple((f"{name}={text}", text) for text, name in means.items())
-    return Question("sheet.columns", answers) if answers else None
-
-
-def _likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
-    """Return the longest row of words that stands over a row of numbers."""
-    rows = [
-        [cell for cell in cells if isinstance(cell, str) and cell]
-        for sheet in grids
-        for (_, cells), (_, below) in pairwise(sheet.rows[:_LOOKED_AT])
-        if not any(map(_is_number, cells)) and sum(map(_is_number, below)) > 1
-    ]
-    return max(rows, key=len, default=())
 
 
 def unit_setting(name: str, quantity: str) -> str:
@@ -378,12 +302,12 @@ class _Rows:
         first = next((cell for cell in texts if isinstance(cell, str)), "")
         if first and first is texts[0] and is_summary(first):
             return phrase("a line about others ({0})", first)
-        if len(texts) == 1 and not _is_number(texts[0]):
+        if len(texts) == 1 and not is_number(texts[0]):
             if str(texts[0])[:1].isdigit():
                 return phrase("one cell alone ({0})", str(texts[0])[:40])
             return phrase("a line of text ({0})", str(texts[0])[:40])
-        if self._of_runs() and label_of(_text(cells[self._layout.uses[RUN].place])) is None:
-            return phrase("no run ({0})", _text(cells[self._layout.uses[RUN].place])[:40])
+        if self._of_runs() and label_of(text_of(cells[self._layout.uses[RUN].place])) is None:
+            return phrase("no run ({0})", text_of(cells[self._layout.uses[RUN].place])[:40])
         values = {c.name for c in self._columns if c.quantity not in ("", TIME)} | {ACTUAL}
         uses = self._layout.uses.items()
         measured = [cells[use.place] for name, use in uses if name in values]
@@ -461,9 +385,9 @@ class _Rows:
         if column.quantity:
             return [self._in_si(place, name, column.quantity, mark) for place in cells]
         if name in TEXTS:
-            return [kind_of(_text(c)) if name == "kind" else _text(c)
+            return [kind_of(text_of(c)) if name == "kind" else text_of(c)
                     for _, c, _ in cells]  # fmt: skip
-        numbers = self._numbers(name, [(number, _text(cell)) for number, cell, _ in cells])
+        numbers = self._numbers(name, [(number, text_of(cell)) for number, cell, _ in cells])
         if name == "position":
             numbers = self._in_passes(rows, numbers)
         if name == "position" and TABLE_ANGLE in rows[0][1]:
@@ -548,7 +472,7 @@ class _Rows:
     def _angles(self, name: str, rows: Sequence[_Row], mark: str) -> Angles:
         """Return a column of angles in rad."""
         use = rows[0][1][name][1]
-        cells = [_text(row[name][0]) for _, row in rows]
+        cells = [text_of(row[name][0]) for _, row in rows]
         values = [Decimal(self._in_si((n, *row[name]), name, ANGLE, mark)) for n, row in rows]
         unit = use.units[0] if len(use.units) == 1 else self._unit_elsewhere(use, ANGLE, name)
         return Angles(use.text, cells, values, unit or "deg")
@@ -559,7 +483,7 @@ class _Rows:
         if measure is None:
             raise DataError(
                 f"{self._path}, row {number}: {_OURS.get(name, name)} must be a number, found "
-                f"{_text(value)!r}: correct it, or empty the cell where nothing was measured"
+                f"{text_of(value)!r}: correct it, or empty the cell where nothing was measured"
             )
         if "dms" in (measure.unit, *use.units):
             self._require_sixtieths(number, value, measure, use, name)
@@ -578,14 +502,14 @@ class _Rows:
             if "dms" in (*use.units, stated) or (sure and not stated):
                 return
             meant = "a time of day, or degrees, minutes and seconds"
-            answers = [("dms", f"{_text(value)} = {float(measure.value) * 3600:.6g} arcsec")]
+            answers = [("dms", f"{text_of(value)} = {float(measure.value) * 3600:.6g} arcsec")]
         elif measure.unit or stated or measure.value == int(measure.value):
             return
         else:
             meant = "no degrees, minutes and seconds"
-            answers = [(unit, f"{_text(value)} {unit}") for unit in _SMALL]
+            answers = [(unit, f"{text_of(value)} {unit}") for unit in _SMALL]
         raise undecided(
-            f"{self._path}, row {row}: {use.text!r} is {_text(value)}, {meant}",
+            f"{self._path}, row {row}: {use.text!r} is {text_of(value)}, {meant}",
             unit_setting(name, ANGLE),
             answers,
         )
@@ -607,12 +531,13 @@ class _Rows:
             for u in use.units or usual
         )
         setting = unit_setting(name, quantity)
+        ways = " or ".join(option(setting, unit) for unit, _ in read)
         raise UndecidedError(
             f"{self._path}: the column {use.text!r} ({_OURS.get(name, name)}) states no unit: its "
             f"largest value can be {', '.join(words for _, words in read)}",
-            f"say which: {option(setting, 'UNIT')}, or write it behind the name, as '{use.text} "
-            f"[{usual[0]}]'",
-            question=Question(setting, read),
+            f"say which: {ways} (or write it behind the name, as '{use.text} [{usual[0]}]')",
+            "\n".join(side_by_side(self._layout, [use])),
+            Question(setting, read),
         )
 
     def _positions(self, rows: Sequence[_Row], mark: str) -> list[str]:
@@ -623,11 +548,11 @@ class _Rows:
         known = self._known.get("position", Known())
         at = [k for k, (_, row) in enumerate(rows) if not _is_nest(row)]
         halts = closed([self._halt(*rows[k], self._angle(rows[k], mark)) for k in at])
-        read = [halt.angle for halt in halts]
-        angles = _distinct(known.angles) if known.angles else _distinct(read, READ_OUT)
+        angles = _distinct(known.angles) if known.angles else self._own_angles(halts)
         if not known.angles:
             self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in angles)
-        near = self._near(angles) if known.angles else READ_OUT
+        planned = known.angles or self._settings.angles == "plan"
+        near = self._near(angles) if planned else READ_OUT
         halts = [replace(halt, number=self._nearest(halt, angles, near)) for halt in halts]
         off = max((abs(remainder(h.angle - angles[h.number], 2 * pi)) for h in halts), default=0.0)
         if off > _SAME_ANGLE:
@@ -638,6 +563,32 @@ class _Rows:
         self._remarks.append(phrase("positions by their angles"))
         numbers = dict(zip(at, found, strict=True))
         return [str(numbers.get(k, "")) for k in range(len(rows))]
+
+    def _own_angles(self, halts: Sequence[Halt]) -> tuple[float, ...]:
+        """Return the different angles of a table that no plan knows, ascending (rad).
+
+        Some that are apart by more than the noise of a read-out, and far from all others, may be
+        one: it is asked, unless ``sheet.angles`` says table, or plan for one.
+        """
+        read = [halt.angle for halt in halts]
+        angles, fewer = _distinct(read, READ_OUT), _distinct(read, _CLOSE * READ_OUT)
+        alone = _smallest_step(fewer) > _CLOSE**2 * READ_OUT
+        if len(fewer) == len(angles) or not alone or self._settings.angles == "table":
+            return angles
+        if self._settings.angles == "plan":
+            return fewer
+        first, second = next((a, b) for a, b in pairwise(angles) if b - a <= _CLOSE * READ_OUT)
+        row = next(halt.row for halt in halts if halt.angle == second)
+        off = f"{first / DEGREE:.6g} and {second / DEGREE:.6g} degrees"
+        raise undecided(
+            f"{self._path}, row {row}: the table angles {off} differ by more than the noise of a "
+            f"read-out, {READ_OUT / DEGREE:g} degrees",
+            "sheet.angles",
+            [
+                ("table", f"{len(angles)} angles, as the table says"),
+                ("plan", f"{len(fewer)} angles: those that are close are one"),
+            ],
+        )
 
     def _in_passes(self, rows: Sequence[_Row], numbers: list[str]) -> list[str]:
         """Return numbers of positions, where those given are of angles that are visited again.
@@ -661,7 +612,7 @@ class _Rows:
     def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> Halt:
         """Return that the table stood at ``angle`` (rad) for a row; its number is open yet."""
         keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
-        texts = {name: _text(cell) for name, (cell, _) in row.items()}
+        texts = {name: text_of(cell) for name, (cell, _) in row.items()}
         down = is_down(texts.get(DIRECTION, ""))
         if down is None and texts.get(DIRECTION):
             self._strange.append((number, texts[DIRECTION]))
@@ -842,17 +793,6 @@ def _listed(texts: Sequence[str]) -> list[int]:
     return [numbers[folded(text)] for text in texts]
 
 
-def _text(cell: Cell) -> str:
-    """Return a cell as text; a whole number of a workbook without its point."""
-    if isinstance(cell, str):
-        return cell
-    return str(int(cell)) if cell.is_integer() else repr(cell)
-
-
-def _is_number(cell: Cell) -> bool:
-    return any(parse(cell, mark) for mark in (".", ","))
-
-
 def _named_by(cells: Sequence[Cell]) -> set[str]:
     """Return the columns that cells name, if they are two or more names and nothing else."""
     texts = [cell for cell in cells if cell != ""]
@@ -861,7 +801,7 @@ def _named_by(cells: Sequence[Cell]) -> set[str]:
 
 
 def _is_nest(row: Mapping[str, tuple[Cell, Use]]) -> bool:
-    return "kind" in row and kind_of(_text(row["kind"][0])) == "nest"
+    return "kind" in row and kind_of(text_of(row["kind"][0])) == "nest"
 
 
 def _is_nothing(cell: Cell) -> bool:

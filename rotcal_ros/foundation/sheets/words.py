@@ -40,7 +40,7 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     },
     ANGLE: {
         "rad": Decimal(1), "mrad": Decimal("1e-3"), "urad": Decimal("1e-6"), "deg": _PI / 180,
-        "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200,
+        "mdeg": _PI / 180_000, "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200,
         "mgon": _PI / 200_000, "dms": _PI / 180,
     },
     TIME: {
@@ -57,6 +57,8 @@ _QUANTITIES: Final = {
 """TableColumn -> what it measures; all others are numbers from 0, or words."""
 _SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 _LABEL: Final = re.compile(r"(?:(\D*[^\W\d_])[\W_]*|#\s*)?([0-9]{1,9})(?:\.0*)?")
+_AXES: Final = frozenset("abc")
+"""Letters of rotary axes, where a word for what was commanded or measured stands beside them."""
 _APART: Final = re.compile(r"[\W_]+")
 IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
 """A name with a unit, or something else, behind it."""
@@ -116,11 +118,11 @@ def columns_of(head: Heading) -> tuple[str, ...]:
     found = _named(parts)
     if role in ("deviation", REVERSED):
         found = (role,)
-    elif role and not set(parts) - _roles().keys() - _fillers():  # nothing else is said
-        found = (*found, TABLE_ANGLE if role == "commanded" else role)
     elif role and {TABLE_ANGLE, "position"}.intersection(found):
         rest = tuple(name for name in found if name != TABLE_ANGLE)
         found = (TABLE_ANGLE if role == "commanded" else role, *rest)
+    elif role and not set(parts) - _roles().keys() - _fillers() - _AXES:  # nothing else is said
+        found = (*found, TABLE_ANGLE if role == "commanded" else role)
     elif role == "commanded":
         found = tuple(name for name in found if _QUANTITIES.get(name) in (None, ANGLE))
     quantities = {quantity_of(unit) for unit in head.units}
@@ -139,7 +141,13 @@ def is_commanded(text: str) -> bool:
 def _named(parts: Sequence[str]) -> tuple[str, ...]:
     """Return the columns that the parts of a heading name, with and without words of no use."""
     bare = [part for part in parts if part not in _fillers()]
-    names = ("".join(parts), "".join(bare), "".join(p for p in bare if p not in _roles()))
+    rest = [part for part in bare if part not in _roles()]
+    names = (
+        "".join(parts),
+        "".join(bare),
+        "".join(rest),
+        "".join(p for p in rest if p not in _AXES),
+    )
     return next((_columns()[name] for each in names for name in (each, _without_fillers(each))
                  if name in _columns()), ())  # fmt: skip
 
@@ -179,15 +187,15 @@ def answer(column: str, text: str) -> str:
     return option("sheet.columns", f"{column}={text}")
 
 
-def option(setting: str, value: str) -> str:
-    """Return the option that gives a setting a value; sheet.columns is a list.
+def option(setting: str, value: str, *more: str) -> str:
+    """Return the option that gives a setting a value; sheet.columns is a list, with ``more``.
 
     >>> print(option("sheet.decimal", ","))
     --set sheet.decimal=,
     """
     if setting == "sheet.columns":
         value = yaml.safe_dump(
-            [value], default_flow_style=True, default_style='"', allow_unicode=True,
+            [value, *more], default_flow_style=True, default_style='"', allow_unicode=True,
             width=float("inf"),
         ).strip()  # fmt: skip
     return f"--set {shlex.quote(f'{setting}={value}')}"

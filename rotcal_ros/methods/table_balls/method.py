@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import alternatives
+from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import Attempt, AttemptStreams, CaptureRules, Wait
@@ -26,7 +27,7 @@ from rotcal_ros.foundation.errors import (
     PlanError,
 )
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
-from rotcal_ros.foundation.protection import Effect, Protection
+from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.tables import Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, TURN
@@ -72,6 +73,7 @@ from rotcal_ros.methods.table_balls.settings import (
     sense_of,
 )
 from rotcal_ros.methods.table_balls.simulation import TouchedBalls
+from rotcal_ros.methods.table_balls.statements import EXCEEDED, exceeded
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 from rotcal_ros.planning.readings import Readings
@@ -428,36 +430,30 @@ def restated(configuration: Configuration, read: Readings, found: Adjusted) -> R
 def _protections(
     configuration: Configuration, balls: BallsOnTable, found: Adjusted
 ) -> Iterator[Protection]:
-    of_effects: tuple[tuple[Effect, tuple[str, ...]], ...] = (
-        ("error motion", COMPONENTS[:3]), ("tilt", COMPONENTS[3:5])
+    worst = exceeded(balls, found, moves(balls, configuration.solver))
+    of_effects: tuple[tuple[Effect, tuple[str, ...], tuple[str, ...]], ...] = (
+        ("error motion", COMPONENTS[:3], ("radial", "axial")), ("tilt", COMPONENTS[3:5], ("tilt",))
     )  # fmt: skip
-    for effect, every in of_effects:
+    for effect, every, kinds in of_effects:
         if untold := [name for name in every if name not in balls.shown]:
             names = ", ".join(untold)
-            yield Protection(
-                effect,
-                "bounded",
-                f"the balls do not determine {names}: the uncertainty holds what is stated of "
-                "them",
-            )
+            why = f"the balls do not determine {names}: the uncertainty holds what is stated"
+            yield _stated_only(effect, why, [worst[kind] for kind in kinds])
         else:
             yield Protection(effect, "estimated", "the balls determine it at every angle")
     yield Protection("refraction", "harmless", "no light measures")
     for name, effect in OF_AXES.items():
         stated, left = LINEAR[name](configuration), found.also[name][1].max()
-        yield Protection(
-            effect,
-            "bounded",
+        why = (
             f"the uncertainty holds the {name} of the linear axes: stated are "
             f"{stated / MICROMETRE:.3g} um/m, the balls leave {left / MICROMETRE:.3g} um/m of the "
-            "worst",
+            "worst"
         )
+        beside = [worst["bar"]] if effect == "gauge" and "bar" in worst else []
+        yield _stated_only(effect, why, [worst[name], *beside])
     if tip := configuration.solver.tip_std_m:
-        yield Protection(
-            "probe tip",
-            "bounded",
-            f"the uncertainty of the axis holds {tip / MICROMETRE:.3g} um of the probe's tip",
-        )
+        why = f"the uncertainty of the axis holds {tip / MICROMETRE:.3g} um of the probe's tip"
+        yield _stated_only("probe tip", why, [worst["tip"]])
     else:
         yield Protection(
             "probe tip",
@@ -479,6 +475,21 @@ def _protections(
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
     yield Protection("repeatability", "tested", "every run comes to every angle", error)
+
+
+def _stated_only(effect: Effect, why: str, every: Sequence[Unseen]) -> Protection:
+    """Return what is done about an effect that is stated: not enough where that may be exceeded.
+
+    ``every``: what may stay unseen of all that is stated of it.
+    """
+    worst = max(every, key=lambda each: each.error)
+    if worst.error <= TOLERABLE:
+        return Protection(effect, "bounded", why, worst.error)
+    why += (
+        f"; up to {EXCEEDED:g} times as large, it moves the result by {worst.error:.2g} standard "
+        "uncertainties before the verdict changes"
+    )
+    return Protection(effect, worst.treatment, why, worst.error)
 
 
 def _lag(configuration: Configuration, found: Adjusted) -> Protection:

@@ -14,10 +14,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
+from rotcal_ros.adjust.engine import LIMITS
 from rotcal_ros.adjust.error_motion import WHITE, Correlated, Spectrum
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.table_balls.settings import (
     FALLING,
     STATED,
@@ -128,6 +130,28 @@ def contradictions(
     way to move is weighed by how well it fits at the size that suits it best; the rest of its
     directions, which noise rules, say nothing.
     """
+    for kind, white, value, ways in _shown(fit, stated, moves, first):
+        yield _contradiction(kind, white @ value, [white @ way for way in ways])
+
+
+def found_from(
+    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int
+) -> Iterator[Floats]:
+    """Yield of each kind of motion how many times (w,) as large as stated each way is found.
+
+    With a probability of POWER by :func:`contradictions`, whose arguments these are; infinite
+    where no reading shows it.
+    """
+    each = LIMITS.significance / len(MOTION_KINDS)
+    for _, white, _, ways in _shown(fit, stated, moves, first):
+        rules = [int((np.linalg.svd(white @ way, compute_uv=False) > 1.0).sum()) for way in ways]
+        yield np.array([np.sqrt(noise_growth(each, POWER, n)) if n else np.inf for n in rules])
+
+
+def _shown(
+    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int
+) -> Iterator[tuple[str, Floats, Floats, list[Floats]]]:
+    """Yield each kind, what makes the noise in its motions white (k, m), these (m,), its ways."""
     (together,) = fit.model.correlated
     count = next(iter(moves.values()))[0].shape[0] // 6
     scale = np.repeat(stated, count)
@@ -144,21 +168,18 @@ def contradictions(
     ]  # fmt: skip
     for kind, numbers in MOTION_KINDS.items():
         own = np.isin(np.repeat(np.arange(6), count), numbers)
-        yield _contradiction(kind, value[own], noise[own], [way[own] for way in per_way])
+        size, axes = np.linalg.eigh(noise[own] @ noise[own].T)
+        kept = size > SILENT * max(size[-1], np.finfo(np.float64).tiny)
+        white = (axes[:, kept] / np.sqrt(size[kept])).T
+        yield kind, white, value[own], [way[own] for way in per_way]
 
 
-def _contradiction(
-    kind: str, value: Floats, noise: Floats, ways: Sequence[Floats]
-) -> Contradiction:
-    """Return how a ``value`` (m,) fits each of the ways (m, r) beside the ``noise`` (m, n)."""
-    whole = noise @ noise.T
-    size, axes = np.linalg.eigh(whole)
-    kept = size > SILENT * max(size[-1], np.finfo(np.float64).tiny)
-    white = (axes[:, kept] / np.sqrt(size[kept])).T
+def _contradiction(kind: str, value: Floats, ways: Sequence[Floats]) -> Contradiction:
+    """Return how a ``value`` (m,) fits each of the ways (m, r), both with white noise of 1."""
     merit, chance, factor = np.zeros((3, len(ways)))
     for k, way in enumerate(ways):
-        along, single, _ = np.linalg.svd(white @ way, full_matrices=False)
-        squares, grown = (along.T @ (white @ value)) ** 2, single**2
+        along, single, _ = np.linalg.svd(way, full_matrices=False)
+        squares, grown = (along.T @ value) ** 2, single**2
         ruled = 1.0 + np.multiply.outer(FACTORS**2, grown)
         fits = -0.5 * (np.log(ruled) + squares / ruled - squares).sum(axis=1)
         merit[k], factor[k] = fits.max(), FACTORS[fits.argmax()]

@@ -54,10 +54,12 @@ def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwis
             turned = replace(configuration, plan=replace(plan, chain=_toggled(plan.chain, letter)))
             yield Otherwise("sense", f"{letter} turns the other way", turned, read)
     step = float(np.median(np.diff(table_angles(plan)))) / DEGREE
-    for on, where in ((step, "behind"), (-step, "before")):
+    for on, what in (
+        (step, "the table stood one position behind the one that is stated"),
+        (-step, "the table stood one position before the one that is stated"),
+    ):
         angles = tuple(angle / DEGREE + on for angle in table_angles(plan))
         turned = replace(configuration, plan=replace(plan, table_angles_deg=angles))
-        what = f"the table stood one position {where} the one that is stated"
         yield Otherwise("numbering", what, turned, read)
     for what, target in _exchanged(configuration, read):
         yield Otherwise("numbering", what, configuration, replace(read, target=target))
@@ -73,17 +75,19 @@ def _toggled(chain: str, letter: str) -> str:
 
 def _exchanged(configuration: Configuration, read: Readings) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the targets (n,) were two neighbours, set-ups or balls, taken for each other."""
-    plan, what = configuration.plan, "balls"
+    plan = configuration.plan
     every, other = len(plan.balls_m) // 3, np.zeros(len(read.target), np.int64)
     number = read.target
     if plan.measure == BAR:
-        every, what = len(plan.bars_m) // 3, "set-ups"
+        every = len(plan.bars_m) // 3
         other, number = read.target // every * every, read.target % every
     for k in range(every if every > 2 else every - 1):
         pair = k, (k + 1) % every
         first, second = number == pair[0], number == pair[1]
         found = np.where(first, pair[1], np.where(second, pair[0], number))
-        yield f"{what} {min(pair)} and {max(pair)} are taken for each other", other + found
+        a, b = sorted(pair)
+        both = f"set-ups {a} and {b}" if plan.measure == BAR else f"balls {a} and {b}"
+        yield f"{both} are taken for each other", other + found
 
 
 def _signs(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:

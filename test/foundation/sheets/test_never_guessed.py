@@ -25,7 +25,7 @@ PAIRS = [
     ("Soll", "Ist"), ("commanded", "actual"), ("Sollwert", "Istwert"), ("Cmd", "Act"),
     ("Sollposition", "Istposition"), ("Target position", "Actual position"),
     ("Programmed", "Observed"), ("Angle", "Actual"), ("consigne", "mesuré"),
-    ("指令角度", "実測角度"),
+    ("指令角度", "実測角度"), ("A tgt", "A act"), ("Requested", "Achieved"), ("C cmd", "C fbk"),
 ]  # fmt: skip
 NO_PAIRS = [("Angle", "Reference"), ("Angle", "Encoder"), ("Set", "Foo")]
 """What the second column is, its name does not say."""
@@ -100,8 +100,11 @@ def test_a_second_column_of_angles_is_asked_for_and_the_advice_works(
     path = table(tmp_path, head, [degrees(ANGLES, 1), degrees(ANGLES + OFF)])
     with pytest.raises(BagError, match=rf'"actual={actual} \[deg\]"') as asked:
         read_deviations(path, 1.0)
-    ((answer, _),) = asked.value.question.answers
+    (answer, _), (other, _) = asked.value.question.answers
     require_truth(path, columns=(answer,))
+    assert other == f"angle={actual} [deg]"
+    with pytest.raises(BagError, match=rf'"actual={commanded} \[deg\]"'):
+        read_deviations(path, 1.0, SheetSettings(columns=(other,)))
 
 
 NUMBER, DEG, SEC = degrees(ANGLES, 1), degrees(ANGLES + OFF), seconds(OFF)
@@ -159,6 +162,13 @@ ASKED = {
     ),
     "no commanded": (["Actual [deg]", "Error [arcsec]"], [DEG, SEC], {}),
     "no angle": (["Angle [deg]", "Deviation [um]"], [NUMBER, SEC], {}),
+    "commas within commas": (
+        ["Angle [deg]", "Deviation [arcsec]"], [NUMBER, [s.replace(".", ",") for s in SEC]], {}
+    ),
+    "two angles, one of them requested": (
+        ["Requested [deg]", "Position [deg]", "Deviation [arcsec]"], [NUMBER, DEG, SEC],
+        {"columns": ("angle=Requested [deg]",)},
+    ),
 }  # fmt: skip
 
 
@@ -239,6 +249,15 @@ RUNS = {
     "positions, told": (
         matrix(columns_of_runs("Run", "up", "down", "deg"), places=PLACES),
         {"values": "positions"}),
+    "two rows, words repeated": (
+        matrix(["Target [deg]", *(x for j in "123" for x in [f"Lauf {j} [arcsec]"] * 2)],
+               ["", *["auf", "ab"] * 3]), {}),
+    "two rows, runs below": (
+        [["Target [deg]", "up [arcsec]", "", "", "down [arcsec]", "", ""], ["", *"123", *"123"],
+         *([f"{p:g}", *map(str, UP[k]), *map(str, DOWN[k])] for k, p in enumerate(PLACES))], {}),
+    "up1": (matrix(["Target [deg]", *(f"{way}{j} [arcsec]" for j in "123"
+                                      for way in ("up", "dn"))]), {}),
+    "x i1": (matrix(["Pi [deg]", *(f"x i{j} {way} [arcsec]" for j in "123" for way in "↑↓")]), {}),
     "as printed": (as_printed(("up", "down"), ""), {"reading_unit": "arcsec"}),
     "as printed, arrows": (as_printed(("↑", "↓"), "j = "), {"reading_unit": "arcsec"}),
     "list": (listed(), {}), "list, down first": (listed(down_first=True), {}),
@@ -260,6 +279,17 @@ def require_runs(path: Path, **settings: object) -> None:
 def test_targets_times_runs(tmp_path, form) -> None:
     (path := tmp_path / "t.csv").write_text("\n".join(map(",".join, RUNS[form][0])), "utf-8")
     require_runs(path, **RUNS[form][1])
+
+
+@pytest.mark.parametrize("way", [("", ""), (" cw", " ccw")])
+def test_runs_without_known_directions_are_refused(tmp_path, way) -> None:
+    head = ["P [deg]", *(f"x{j}{way[j % 2]} [arcsec]" for j in range(1, 7))]
+    (path := tmp_path / "t.csv").write_text("\n".join(map(",".join, matrix(head))), "utf-8")
+    with pytest.raises(BagError, match=r'"angle=P \[deg\]"') as asked:
+        read_any_runs(path)
+    assert "column 2 'x1" in asked.value.log
+    with pytest.raises((BagError, DataError), match=r"up or down behind|x1 c?cw"):
+        read_any_runs(path, SheetSettings(columns=("angle=P [deg]",)))
 
 
 @pytest.mark.parametrize("form", [name for name, (_, answer) in RUNS.items() if answer])
@@ -285,3 +315,12 @@ def test_unknown_headings_are_no_matrix(tmp_path, rows) -> None:
     (path := tmp_path / "t.csv").write_text("\n".join(map(",".join, rows)), "utf-8")
     with pytest.raises((BagError, DataError)):
         read_any_runs(path)
+
+
+def test_columns_are_shown_with_their_own_numbers_where_a_heading_is_empty(tmp_path) -> None:
+    rows = ["Foo,,", ",Bar,Baz", *(f"{k},{100 + k},{200 + k}" for k in range(4))]
+    (path := tmp_path / "t.csv").write_text("\n".join(rows), "utf-8")
+    with pytest.raises(BagError) as asked:
+        read_any_runs(path)
+    assert "column 2 'Bar': first 100, largest 103" in asked.value.log
+    assert "column 3 'Baz': first 200, largest 203" in asked.value.log

@@ -310,13 +310,15 @@ def test_lobes_of_the_probe_move_the_axis_and_nothing_else_tells_of_them(name):
     assert wider[:count] == pytest.approx(np.hypot(std[:count], more), rel=1e-3)
 
 
-@pytest.mark.parametrize(("tip", "treatment"), [(0.0, "not protected"), (2e-6, "bounded")])
-def test_an_offset_of_the_tip_is_named_until_it_is_stated(tip, treatment):
+@pytest.mark.parametrize(
+    ("tip", "treatment"), [(0.0, "not protected"), (1e-7, "bounded"), (2e-6, "not protected")]
+)
+def test_an_offset_of_the_tip_is_named_until_it_is_stated_to_be_small(tip, treatment):
     demo = read_configuration(CONFIG / "table_balls.yaml")
     calibration = prepare_to_measure(changed(demo, (f"solver.tip_std_m={tip}",)))
     result = calibration.solve(calibration.nominal_observations())
     assert [p.treatment for p in result.protections if p.effect == "probe tip"] == [treatment]
-    assert ("probe tip" in result.unprotected) == (tip == 0.0)
+    assert ("probe tip" in result.unprotected) == (treatment == "not protected")
 
 
 @pytest.mark.slow

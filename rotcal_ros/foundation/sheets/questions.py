@@ -1,0 +1,182 @@
+"""What is asked where the head of a table is not understood: its columns, by their own names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, Question
+from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.sheets.files import Cell, Sheet
+from rotcal_ros.foundation.sheets.layout import (
+    BESIDE,
+    CORNER,
+    Layout,
+    Use,
+    side_by_side,
+    strange_unit,
+)
+from rotcal_ros.foundation.sheets.numerals import parse
+from rotcal_ros.foundation.sheets.words import (
+    ACTUAL,
+    REVERSED,
+    TABLE_ANGLE,
+    UNITS,
+    Heading,
+    TableColumn,
+    answer,
+    folded,
+    known_columns,
+    option,
+)
+from rotcal_ros.foundation.tables import Header
+
+_LOOKED_AT: Final = 100
+"""Rows among which the head of a table that cannot be understood is guessed."""
+_OFFERED: Final = 4
+"""Columns of which a message names the option; a page has a button for all."""
+
+
+def require_named(
+    path: Path, headers: Sequence[Header], named: Mapping[str, str], head: Sequence[str]
+) -> None:
+    """Raise ConfigurationError for a column that is not known, BagError for a heading too few."""
+    ours = {TableColumn.of(name).name for header in headers for name in header}
+    ours |= BESIDE if "position" in ours else set()
+    ours |= {ACTUAL, REVERSED} if "deviation" in ours else set()
+    there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
+    for name, text in named.items():
+        if name not in ours.union(known_columns()):
+            raise ConfigurationError(f"sheet.columns: no column {name!r}{nearest(name, ours)}")
+        numbered = text[:1] == "#" and text[1:].isdigit()
+        if name in ours and folded(text) not in there and not numbered:
+            raise BagError(
+                f"{path}: sheet.columns: no column is called {text!r}{nearest(text, head)}"
+            )
+
+
+def require_as_wide_as_its_head(path: Path, layout: Layout) -> None:
+    """Raise BagError for a text whose rows have more numbers than its head has columns.
+
+    So it is where commas part both the columns and the digits.
+    """
+    rows = layout.sheet.rows
+    width, below = max(len(cells) for _, cells in rows[: layout.first]), rows[layout.first :]
+    wider = [row for row in below if any(map(is_number, row[1][width:]))]
+    if wider and not layout.sheet.name and 2 * len(wider) >= len(below):
+        number, cells = wider[0]
+        found = ", ".join(map(text_of, cells[:_OFFERED]))
+        raise BagError(
+            f"{path}, row {number}: {len(cells)} cells below a head of {width}, {found}: where "
+            "numbers have decimal commas, part the columns by semicolons or tabs, or put the "
+            "numbers in quotes"
+        )
+
+
+def not_understood(
+    path: Path,
+    headers: Sequence[Header],
+    layout: Layout | None,
+    grids: Sequence[Sheet],
+    named: Mapping[str, str],
+) -> BagError:
+    """Return what is missing, the columns that may be it, and the options that say so."""
+    expected = " or ".join(f"'{','.join(header)}'" for header in headers)
+    if layout is None:
+        return _no_names(path, headers, expected, grids)
+    if strange := strange_unit(layout):
+        text, unit, quantity = strange
+        return BagError(
+            f"{path}: {unit!r} in the heading {text!r} is an unknown unit: known for "
+            f"{quantity} are {', '.join(UNITS[quantity])}: write one of these there, and convert "
+            "the numbers if need be"
+        )
+    found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
+    others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
+    angles = layout.missing[0] == "position" and len(layout.header) == 2
+    name = TABLE_ANGLE if angles else TableColumn.of(layout.missing[0]).name
+    uses = [Use(place, text) for place, text in zip(layout.places, layout.head, strict=True)]
+    numbers = [use for use in uses if side_by_side(layout, [use])]
+    likely = [use.text for use in numbers if use.text in layout.aside] or [u.text for u in numbers]
+    angle = layout.uses.get(TABLE_ANGLE)
+    same = {u.text for u in layout.others if angle and u.units == angle.units}
+    means = {text: ACTUAL if name == "deviation" and text in same else name for text in likely}
+    ways = [(means[text], text) for text in likely[:_OFFERED]] or [(name, "ITS NAME")]
+    if len(same) == 1 and name == "deviation" and TABLE_ANGLE not in named:
+        # the other may be the commanded one
+        ways.append((TABLE_ANGLE, next(iter(same))))
+    advice = [answer(ours, text) for ours, text in ways]
+    return BagError(
+        f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
+        f"'{','.join(layout.header)}', in any unit and order. State a column with another name by "
+        f"{' or '.join(advice)}",
+        "\n".join(side_by_side(layout, uses)),
+        Question("sheet.columns", tuple((f"{n}={text}", text) for n, text in ways))
+        if len(ways) > len(likely)
+        else _which_column(means),
+    )
+
+
+def _no_names(
+    path: Path, headers: Sequence[Header], expected: str, grids: Sequence[Sheet]
+) -> BagError:
+    """Return what to do where no heading is known: the columns, and what they would be in turn."""
+    found = f"{path}: no row names the columns: expected {expected}, in any form and language: "
+    sheet, row = _likely_row(grids)
+    texts = list(row.values())
+    plainest = min(headers, key=len)
+    names = [TableColumn.of(name).name for name in plainest]
+    names = [TABLE_ANGLE if n == "position" and len(names) == 2 else n for n in names]
+    question = _which_column(dict.fromkeys(texts, names[0]))
+    if sheet is None or len(texts) < len(names):
+        return BagError(f"{found}add a line of names above the numbers", question=question)
+    heads = {place: Heading.of(text) for place, text in row.items()}
+    units = [head.units for head in heads.values()]
+    if names[1:] == ["deviation"] and units[0] == units[1]:
+        names[1] = ACTUAL
+    if len(texts) > len(names):  # one after the other
+        names = names[:1]
+    columns = [f"{name}={text}" for name, text in zip(names, texts, strict=False)]
+    layout = Layout(sheet, plainest, {}, head=tuple(texts))
+    uses = [Use(place, head.text, head.units) for place, head in heads.items()]
+    return BagError(
+        f"{found}say what they are, for instance by {option('sheet.columns', *columns)}",
+        "\n".join(side_by_side(layout, uses)),
+        question,
+    )
+
+
+def _which_column(means: Mapping[str, str]) -> Question | None:
+    """Return the question which of these texts stands at the head of a column of ours."""
+    answers = tuple((f"{name}={text}", text) for text, name in means.items())
+    return Question("sheet.columns", answers) if answers else None
+
+
+def likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
+    """Return the longest row of words that stands over a row of numbers."""
+    return list(_likely_row(grids)[1].values())
+
+
+def _likely_row(grids: Sequence[Sheet]) -> tuple[Sheet | None, dict[int, str]]:
+    """Return its sheet and its words by their places; None and nothing where there is no such."""
+    rows = [
+        (sheet, {at: cell for at, cell in enumerate(cells) if isinstance(cell, str) and cell})
+        for sheet in grids
+        for (_, cells), (_, below) in pairwise(sheet.rows[:_LOOKED_AT])
+        if not any(map(is_number, cells)) and sum(map(is_number, below)) > 1
+    ]
+    return max(rows, key=lambda row: len(row[1]), default=(None, {}))
+
+
+def text_of(cell: Cell) -> str:
+    """Return a cell as text; a whole number of a workbook without its point."""
+    if isinstance(cell, str):
+        return cell
+    return str(int(cell)) if cell.is_integer() else repr(cell)
+
+
+def is_number(cell: Cell) -> bool:
+    """Return whether a number stands in a cell, with a decimal point or comma."""
+    return any(parse(cell, mark) for mark in (".", ","))
