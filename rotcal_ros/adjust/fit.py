@@ -227,7 +227,7 @@ class Fit:
         if isinstance(self.cofactors, Whole):
             plain = self.alone(slice(None))
             for each in self.model.correlated:
-                plain[:, each.rows] = each.spread(plain[:, each.rows])
+                plain[:, each.rows] = each.spread(plain[:, each.rows], each.possible(self))
             return plain
         return self.response_of(np.arange(len(self.std)))
 
