@@ -44,6 +44,8 @@ SINGLE: Final = 6
 """Order up to which a motion may be in one alone; above, one passes for no other axis."""
 HIDDEN: Final = 0.6
 """Share of a motion that may be in its lowest order, which passes for another axis."""
+ORDERS: Final = 36
+"""Highest order in which motions are compared."""
 SHOWN: Final = 1e-3
 """Square of motions, per that of noise, below which nothing shows them."""
 SMALLER: Final = (0.2, 0.5, 1.0)
@@ -152,7 +154,7 @@ def likely(
     moved, gain, noise = _moved(fit, stated, moves, first)
     (together,) = fit.model.correlated
     scale, merit = np.repeat(stated, len(angles))[:, None], np.zeros(())
-    for order in range(min(HIGHEST + 1, len(angles) // 2) + 1):  # balls see those beside
+    for order in range(min(ORDERS, len(angles) // 2) + 1):  # balls see those beside
         waves = np.kron(np.eye(6)[:5], _waves(order, angles))  # nothing is stated of ECC
         rows = _white(waves @ noise) @ waves
         felt = rows @ gain[:, together.rows]

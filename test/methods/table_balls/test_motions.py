@@ -131,6 +131,21 @@ def test_more_angles_are_no_more_witnesses_of_one_order(count, orders):
     assert line_std(count, orders) == pytest.approx(expected(0.5, 1.0, 0.5), rel=1e-2)
 
 
+@pytest.mark.parametrize(("orders", "square"), [("white", 1.0 / 72), ("2 to 4", 1.0 / 6.0)])
+def test_many_angles_show_how_motions_are_spread(orders, square):
+    world = World(planned(72), stated())
+    rng, found = np.random.default_rng(5), []
+    for _ in range(3):
+        world.move(rng, **WORLDS[orders])
+        found.append(adjust(model_of(world.plan, world.solver, world.readings(NOISE, rng))).std)
+    unlike = predicted(model_of(world.plan, world.solver, world.readings())).std[-4:-2]
+    true, plan = expected(square, 1.0, 1.0)[:2], expected(0.5, 1.0, 1.0)[:2]
+    assert unlike == pytest.approx(plan, rel=0.02)
+    std = np.median(found, axis=0)[-4:-2]
+    assert (true < 1.02 * std).all()
+    assert (std < 0.6 * true + 0.4 * plan).all()
+
+
 def test_sizes_fall_with_the_order():
     second = (1.0 / 4.0) / (1.0 / np.arange(2, 11) ** 2).sum()
     first = 1.0 / (1.0 / np.arange(1, 11) ** 2).sum()
