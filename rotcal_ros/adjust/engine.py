@@ -24,15 +24,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import gathering
-from rotcal_ros.adjust.causes import LARGEST_GROUP, Diagnosis, Limits, found_causes, seen_by
+from rotcal_ros.adjust.causes import found_causes
+from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
 from rotcal_ros.adjust.distributions import chi2_sf, detected, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
+from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.reliability import hidden
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import Influence, RawData

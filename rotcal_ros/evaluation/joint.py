@@ -24,12 +24,12 @@ from scipy.linalg import block_diag, null_space
 from threadpoolctl import threadpool_limits
 
 from rotcal_ros.adjust.arrow import dense
-from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Model, Unit, linear
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
 from rotcal_ros.evaluation.combination import (
     Combination,

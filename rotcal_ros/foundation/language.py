@@ -137,9 +137,14 @@ class Language:
         return self(text.template, *text.parts) if isinstance(text, Phrase) else text
 
     def understood(self, text: str, depth: int = DEPTH) -> str | None:
-        """Return a finished text of ours in this language; None if no entry made it."""
+        """Return a finished text of ours in this language; None if no entry made it.
+
+        A text that only begins with a capital is the entry without it.
+        """
         if self.texts is None or text in self.texts or not depth or len(text) > LONGEST:
             return None if self.texts is None else self.texts.get(text)
+        if lower := self.texts.get(text[:1].lower() + text[1:]):
+            return lower[:1].upper() + lower[1:]
         whole, short = self.templates
         return (
             self._filled(whole, text, depth)

@@ -408,7 +408,7 @@ def test_large_groups_are_judged_as_a_whole_alike(name, monkeypatch):
     """T, its degrees of freedom and redundancy from the solution without the group."""
     model = CASES[name]()
     small = adjust(model)
-    for module in ("causes", "engine"):
+    for module in ("look", "engine"):
         monkeypatch.setattr(f"rotcal_ros.adjust.{module}.LARGEST_GROUP", 8)
     found = adjust(model)
     assert found.value == pytest.approx(small.value, abs=1e-12 * SIGMA)

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.causes import Limits, seen_by
+from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
@@ -24,6 +24,7 @@ from rotcal_ros.adjust.model import (
     linear,
     steps,
 )
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
 SIGMA = 1e-6

@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from six_scene import on_circle, scene
 from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 
-from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.effects import effect_test
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.model import Disturbing, Model, linear
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.evaluation.combination import combine
 from rotcal_ros.evaluation.joint import JointInput, solve_together
 from rotcal_ros.foundation.components import COMPONENTS

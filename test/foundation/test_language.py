@@ -44,6 +44,7 @@ def test_a_list_of_phrases_is_said_part_by_part():
         ("no light is used", "es wird kein Licht verwendet"),
         ("3 of 40 centres were rejected", "3 von 40 Kugelmittelpunkten wurden verworfen"),
         ("10 beam broken", "10 Strahl unterbrochen"),
+        ("Error motion", "Bewegungsabweichung der Achse (Rundlauf)"),  # begins a caption
         ("ok (SIMULATED). Not tested for: drift, tilt",
          "in Ordnung (SIMULIERT). Nicht geprüft auf: Drift, Verkippung"),
         # a text in a place of another, and a place that ends at a mere blank

@@ -22,8 +22,8 @@ from plate_disturbed import (
 )
 from plate_in_engine import in_the_engine
 
-from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.effects import effect_test
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import EFFECTS

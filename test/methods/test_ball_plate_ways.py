@@ -12,7 +12,7 @@ from plate_data import PAPER_PLATE, RADIUS, simulated, solved
 from plate_in_engine import in_the_engine
 from scipy.optimize import lsq_linear
 
-from rotcal_ros.adjust.causes import seen_by
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve

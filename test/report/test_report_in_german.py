@@ -67,6 +67,13 @@ def test_nothing_is_english_in_the_report_of_a_sample(path):
     assert len(Texts(page).texts) > 150
 
 
+def test_captions_made_of_names_are_known_to_the_catalogue():
+    for path in RESULTS:
+        result = read_source(path).result
+        for name in result.details.get("also", ()):
+            assert name[:3].isupper() or language("de").understood(name.capitalize()), name
+
+
 def test_there_is_a_sample_of_every_method():
     methods = {json.loads(path.read_text())["method"] for path in RESULTS}
     assert methods == set(method_names())

@@ -20,6 +20,7 @@ from rotcal_ros.foundation.sheets.words import (
     REVERSED,
     TABLE_ANGLE,
     UNITS,
+    meaning,
     undecided,
 )
 from rotcal_ros.foundation.units import DEGREE
@@ -105,8 +106,8 @@ class StatedDeviations:
         raise self._asked(
             f"{either.text!r} may be actual - commanded, or commanded - actual",
             {
-                f"deviation={either.text}": "actual - commanded: taken as it stands",
-                f"{REVERSED}={either.text}": "commanded - actual: its sign is turned",
+                meaning("deviation", either.text): "actual - commanded: taken as it stands",
+                meaning(REVERSED, either.text): "commanded - actual: its sign is turned",
             },
         )
 
@@ -130,7 +131,7 @@ class StatedDeviations:
             raise self._asked(
                 f"{measured.text!r} is {cell} in row {self.rows[k]}, where {angle} was commanded: "
                 "too far off for an actual position",
-                {f"deviation={measured.text}": f"the deviation at {angle} is {cell}"},
+                {meaning("deviation", measured.text): f"the deviation at {angle} is {cell}"},
             )
 
     def _require_small(self, stated: Angles, commanded: Angles) -> None:
@@ -172,8 +173,8 @@ class StatedDeviations:
             f"{beside.cells[k]} in row {self.rows[k]}, with actual {measured.cells[k]} and "
             f"commanded {commanded.cells[k]}",
             {
-                f"{ACTUAL}={measured.text}": f"{measured.text} - {commanded.text}",
-                f"deviation={beside.text}": f"{beside.text} as it stands",
+                meaning(ACTUAL, measured.text): f"{measured.text} - {commanded.text}",
+                meaning("deviation", beside.text): f"{beside.text} as it stands",
             },
         )
 

@@ -288,8 +288,10 @@ def test_runs_without_known_directions_are_refused(tmp_path, way) -> None:
     with pytest.raises(BagError, match=r'"angle=P \[deg\]"') as asked:
         read_any_runs(path)
     assert "column 2 'x1" in asked.value.log
-    with pytest.raises((BagError, DataError), match=r"up or down behind|x1 c?cw"):
+    with pytest.raises(DataError, match=r"up or down behind|'ccw' and 'cw' do not say"):
         read_any_runs(path, SheetSettings(columns=("angle=P [deg]",)))
+    if way[0]:
+        require_runs(path, columns=("angle=P [deg]",), up="ccw")
 
 
 @pytest.mark.parametrize("form", [name for name, (_, answer) in RUNS.items() if answer])

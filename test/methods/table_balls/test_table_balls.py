@@ -12,9 +12,9 @@ from scipy.optimize import brentq
 from scipy.stats import binom, chi2, ncx2
 
 from rotcal_ros.adjust.arrow import Arrow, weighted
-from rotcal_ros.adjust.causes import LARGEST_GROUP, _parts
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.look import LARGEST_GROUP, parts_of
 from rotcal_ros.adjust.model import members_of
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
@@ -677,6 +677,6 @@ def test_what_is_enumerated_of_many_angles_stays_bounded():
         assert knock.at(model.observed).shape[1] < 2000
         for grouping in model.groupings:
             for members in members_of(grouping, model.may_go).values():
-                parts = _parts(grouping, members)
+                parts = parts_of(grouping, members)
                 assert max(len(part) for part in parts) <= LARGEST_GROUP
                 np.testing.assert_array_equal(np.sort(np.concatenate(parts)), members)

@@ -19,11 +19,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.causes import seen_by
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Model, linear
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.units import ARCSEC

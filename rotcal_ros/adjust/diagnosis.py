@@ -1,0 +1,159 @@
+"""What is believed: which observations are wrong, how large the noise is, which effects exist."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from rotcal_ros.adjust.distributions import normal_isf, sidak
+from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.gathering import Gathering
+from rotcal_ros.adjust.judgement import Blame
+from rotcal_ros.adjust.model import Disturbing, Model
+from rotcal_ros.adjust.noise import EstimatedFactors
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How rarely sound data alarm.
+
+    ``rejection``: probability that they lose any observation. ``significance``: of the test of
+    the noise, of all groups and of all effects together. ``rejected_share``: of outliers that is
+    nothing unusual.
+    """
+
+    rejection: float = 0.01
+    significance: float = 0.01
+    rejected_share: float = 0.05
+
+    def outlier(self, model: Model) -> float:
+        """Return the test value that no sound observation exceeds, but for ``rejection``."""
+        return normal_isf(0.5 * self.of_each_observation(model))
+
+    def of_each_observation(self, model: Model) -> float:
+        """Return the significance of the test of each single observation."""
+        return sidak(self.rejection, int(model.may_go.sum()))
+
+    def of_each_effect(self, model: Model) -> float:
+        """Return the significance of the test of each declared effect."""
+        return sidak(self.significance, len(model.effects))
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Factors (c,) on the stated noise; ``estimated`` is None where the statements hold."""
+
+    factors: Floats
+    estimated: EstimatedFactors | None = None
+
+
+class Explanation(NamedTuple):
+    """What may be wrong, in words and how probably; ``reason``: why rows are left out for it.
+
+    ``columns`` (n, r) of errors in the unit of the observations; ``rows`` are left out for it, or
+    it is ``effect`` and its columns become unknowns, which ``mixing`` (k, r) takes to sizes of the
+    effect. ``support``: ln of its probability, by BIC, at a ``price`` of unknowns and of
+    alternatives of its kind. ``change`` (o + a,): what it does to all outputs.
+    """
+
+    what: str
+    reason: str
+    columns: Floats
+    rows: Ints
+    support: float
+    price: float
+    change: Floats
+    effect: Disturbing | None = None
+    mixing: Floats | None = None
+    probability: float = 0.0
+    blamed: Blame | None = None
+
+
+class Contest(NamedTuple):
+    """An explanation that was taken for true, and others that are nearly as probable."""
+
+    best: Explanation
+    rivals: tuple[Explanation, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What is believed so far: observations in use, noise, what was found and what rivals it.
+
+    ``why`` says by row why an observation was left out, ``taken`` which effects became unknowns.
+    ``price`` is that of all that was found, see :class:`Explanation`.
+    """
+
+    model: Model
+    limits: Limits
+    noise: Noise
+    start: Floats
+    gathering: Gathering = field(default_factory=Gathering)
+    why: dict[int, str] = field(default_factory=dict)
+    taken: tuple[Explanation, ...] = ()
+    contests: tuple[Contest, ...] = ()
+    price: float = 0.0
+
+    @cached_property
+    def used(self) -> Bools:
+        """The observations (n,) in use: those that nothing was said against."""
+        return np.isin(np.arange(len(self.model.observed)), list(self.why), invert=True)
+
+    def fitted(self, factors: Floats, start: Floats) -> Fit:
+        """Return the solution with ``factors`` (c,) on the stated noise."""
+        extra = np.column_stack([np.zeros((len(self.used), 0)), *(e.columns for e in self.taken)])
+        std = self.model.std * factors[self.model.of_component]
+        return fitted(self.model, self.used, std, start, extra)
+
+    @cached_property
+    def fit(self) -> Fit:
+        """The solution with the noise that is believed."""
+        return self.fitted(self.noise.factors, self.start)
+
+    def in_words(self) -> str:
+        """Return what is wrong with the observations."""
+        name = self.model.names
+        gone = ", ".join(name[row] for row in sorted(self.why)[:8])
+        if len(self.why) > 8:
+            gone = f"{gone} and {len(self.why) - 8} others"
+        parts = [f"{gone} are wrong"] if gone else []
+        return " and ".join([*parts, *(e.what for e in self.taken)]) or "nothing is wrong"
+
+    def holding(self, found: Explanation, rivals: Sequence[Explanation] = ()) -> Diagnosis:
+        """Return the diagnosis that ``found`` is true, and that its ``rivals`` are possible."""
+        contests = (*self.contests, Contest(found, tuple(rivals))) if rivals else self.contests
+        here = replace(self, contests=contests, price=self.price + found.price)
+        if found.effect is not None:
+            return replace(here, taken=(*here.taken, found))
+        name, gathering = self.model.names, self.gathering
+        if found.blamed is not None:
+            gathering = gathering.without(found.blamed)
+        reasons = {row: f"{name[row]}: {found.reason}" for row in found.rows.tolist()}
+        return replace(here, why=self.why | reasons, gathering=gathering)
+
+    @property
+    def open_contests(self) -> tuple[Contest, ...]:
+        """The contests without rivals that were taken for true as well, later on."""
+        taken = [e.what for e in self.taken]
+        remaining = (
+            Contest(c.best, tuple(e for e in c.rivals if not self._holds(e, taken)))
+            for c in self.contests
+        )
+        return tuple(contest for contest in remaining if contest.rivals)
+
+    def _holds(self, rival: Explanation, taken: Sequence[str]) -> bool:
+        if rival.effect is not None:
+            return rival.what in taken
+        return bool(len(rival.rows)) and all(row in self.why for row in rival.rows.tolist())
+
+    def contested(self) -> Iterator[tuple[float, Floats]]:
+        """Yield the probability of each rival, and by how much (o,) it moves the outputs."""
+        for best, rivals in self.open_contests:
+            weight = np.exp([min(e.support - best.support, 0.0) for e in rivals])
+            for share, e in zip(weight / (1.0 + weight.sum()), rivals, strict=True):
+                yield float(share), e.change - best.change

@@ -1,0 +1,287 @@
+"""One look at a solution: its groups are judged, and explanations of its residuals asked for.
+
+Whether some of a group are off together (:mod:`.judgement`), whether a declared effect is there
+(:mod:`.effects`), and whether a single observation stands out (Baarda's test, Sidak's limit for
+their number).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.special import gammaln
+
+from rotcal_ros.adjust.circles import Circular
+from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
+from rotcal_ros.adjust.distributions import t_isf
+from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
+from rotcal_ros.adjust.fit import Fit
+from rotcal_ros.adjust.gathering import judged
+from rotcal_ros.adjust.groups import Group, JudgedWhole, Undivided
+from rotcal_ros.adjust.judgement import ALIKE, blame
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.model import Disturbing, Grouping, gathered_of, members_of
+from rotcal_ros.adjust.seen import columns_of, seen_by
+from rotcal_ros.adjust.sensitivity import Sensitivity
+from rotcal_ros.foundation.arrays import Floats, Ints
+
+RARER: Final = 3.0
+"""How much rarer an effect or a gathering is held to be than a single wrong observation."""
+ALL_BUT_NOTHING: Final = 1.0 - 1e-12
+"""Share of chi-squared, at most, that is said to be explained."""
+NOTHING: Final = 1e-300
+"""Chi-squared of exact observations, by which may be divided."""
+MOST_RIVALS: Final = 12
+"""Other causes that are compared with the best of a kind."""
+LARGEST_GROUP: Final = 720
+"""Observations of a group up to which it is asked which of them are off together."""
+SUSPECTS: Final = 4
+"""Groups of which it is asked who is to blame, the most probable ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a solution says: its groups are judged, and explanations can be asked for."""
+
+    before: Diagnosis
+    fit: Fit
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis:
+        """The diagnosis with what its groups say."""
+        gathering = judged(self.before.gathering, self._groups(), self.rest)
+        return replace(self.before, gathering=gathering)
+
+    @property
+    def rest(self) -> tuple[float, float] | None:
+        """Chi-squared and degrees of freedom where the noise was estimated; None: it is known."""
+        return (self.fit.chi2, float(self.fit.dof)) if self.before.noise.estimated else None
+
+    def significant(self) -> Iterator[Explanation]:
+        """Yield the best explanation of each kind that is beyond chance."""
+        model, limits = self.before.model, self.before.limits
+        if self.singles and self._stands_out(self.singles[0]):
+            yield self.singles[0]
+        for members in self.effects:
+            if members[0].probability < limits.of_each_effect(model):
+                yield members[0]
+        judgement = self.diagnosis.gathering.judgement
+        # proof takes the noise for known; of few residuals its chance is drawn
+        if (
+            judgement is not None
+            and judgement.proved(limits.significance)
+            and judgement.chance < limits.significance
+        ):
+            yield from self.groups[:1]
+
+    def rivals(self, best: Explanation) -> list[Explanation]:
+        """Return what explains the residuals nearly as well as ``best``, to another result."""
+        tried = [*self.singles, *(e for members in self.effects for e in members)]
+        if best.blamed is not None:
+            tried += self.groups
+        near = [
+            e
+            for e in tried
+            if e.what != best.what
+            and best.support - e.support < np.log(ALIKE)
+            and self.fit.felt(e.change - best.change)
+        ]
+        return sorted(near, key=lambda e: -e.support)[:MOST_RIVALS]
+
+    @cached_property
+    def test_value(self) -> Floats:
+        """Test values (n,) of what may go; of estimated noise, over the scatter of the others."""
+        fit = self.fit
+        test = np.where(fit.used & fit.model.may_go, fit.test_value, 0.0)
+        if self.rest is None or fit.dof < 2:
+            return test
+        others = np.maximum(self.rest[0] - test**2, NOTHING) / (fit.dof - 1)
+        return np.asarray(test / np.sqrt(others))
+
+    @property
+    def outlier(self) -> float:
+        """Limit of a test value; of estimated noise, that of Student's t."""
+        model, limits = self.before.model, self.before.limits
+        if self.rest is None:
+            return limits.outlier(model)
+        if self.fit.dof < 3:
+            return np.inf  # one more or less, and nothing is left to compare it with
+        return t_isf(0.5 * limits.of_each_observation(model), self.fit.dof - 1.0)
+
+    def _stands_out(self, single: Explanation) -> bool:
+        return abs(float(self.test_value[single.rows[0]])) > self.outlier
+
+    def _support(self, squares: float, rank: int, alternatives: float) -> tuple[float, float]:
+        """Return ln of how probable an explanation is, by BIC, among so many of its kind.
+
+        And its price in BIC. Where the noise was estimated it holds what is explained: then the
+        likelihood is that of noise which is not known beforehand.
+        """
+        count, fall = max(int(self.fit.used.sum()), 2), squares
+        if self.rest is not None:
+            share = min(squares / max(self.rest[0], NOTHING), ALL_BUT_NOTHING)
+            fall = -self.rest[1] * float(np.log1p(-share))
+        price = rank * float(np.log(count)) + 2.0 * float(np.log(alternatives))
+        return 0.5 * (fall - price), price
+
+    @cached_property
+    def singles(self) -> list[Explanation]:
+        """That one observation is wrong, those first that stand out most."""
+        test = np.abs(self.test_value)
+        order = np.argsort(-test, kind="stable")[: MOST_RIVALS + 1]
+        return [self._single(row) for row in order.tolist() if test[row] > 0.0]
+
+    def _single(self, row: int) -> Explanation:
+        fit, model = self.fit, self.before.model
+        size = float(fit.residual[row] / fit.redundancy[row])
+        reason = (
+            f"its test value {self.test_value[row]:+.1f} is beyond {self.outlier:.2f} (residual "
+            f"{model.unit.shown(fit.residual[row])})"
+        )
+        support, price = self._support(float(fit.test_value[row] ** 2), 1, model.may_go.sum())
+        return Explanation(
+            f"{model.names[row]} is off by {model.unit.shown(size)}", reason,
+            np.eye(len(fit.white), 1, -row), np.array([row]), support, price,
+            -fit.response_of(np.array([row]))[:, 0] * size / fit.std[row],
+        )  # fmt: skip
+
+    @cached_property
+    def groups(self) -> list[Explanation]:
+        """That some of a group are off together, for the groups that look most like it."""
+        judgement = self.diagnosis.gathering.judgement
+        assert judgement is not None
+        order = np.argsort(-judgement.by_group, kind="stable")[:SUSPECTS]
+        tried = [self._together(judgement.groups[k]) for k in order.tolist()]
+        return sorted((e for e in tried if e is not None), key=lambda e: -e.support)
+
+    def _together(self, group: Group) -> Explanation | None:
+        """Return that some members of a ``group`` are off together, those which probably are."""
+        case, model = blame(group), self.before.model
+        if case is None:
+            return None
+        rows = case.group.members[case.subset]
+        column = np.isin(np.arange(len(self.fit.white)), rows).astype(np.float64)[:, None]
+        test = effect_test(seen_by(self.fit, column))
+        e, k, listed = case.group.size, len(rows), max(len(case.group.gathered), 1)
+        any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
+        subsets = float(np.exp(min(np.log(listed), any_of_them)))
+        groups = len(self.diagnosis.gathering.counts)
+        support, price = self._support(test.squares, test.rank, RARER * groups * subsets)
+        size = model.unit.shown(float(np.linalg.norm(case.size)))
+        return Explanation(
+            f"{k} {model.words.elements} of {case.group.name} are off by {size}",
+            f"one of {k} of {case.group.name} that are off together by {size}", column, rows,
+            support, price + k - 1.0, case.change, blamed=case,
+        )  # fmt: skip
+
+    @cached_property
+    def effects(self) -> list[list[Explanation]]:
+        """That a declared effect is there: each a list, of a family the best members first.
+
+        Of a family another member may be there, too; the one before leaves no residual any more.
+        """
+        taken = [e.effect for e in self.before.taken]
+        asked = (e for e in self.before.model.effects if e.family or e not in taken)
+        tried = [self._effect(effect) for effect in asked]
+        return [members for members in tried if members]
+
+    def _effect(self, effect: Disturbing) -> list[Explanation]:
+        columns = effect.at(self.fit.computed)
+        seen = seen_by(self.fit, columns, family=effect.family)
+        if not effect.family:
+            test = effect_test(seen, self.rest, largest=effect.largest)
+            whole = columns_of(columns, slice(None))
+            return [self._explanation(effect, whole, seen, test)] if test.rank else []
+        squares = member_squares(seen)
+        if not squares.any():
+            return []
+        chance, found = family_test(seen, self.rest).probability, []
+        for k in np.argsort(-squares, kind="stable")[: MOST_RIVALS + 1].tolist():
+            member = slice(k, k + 1)
+            test = effect_test(seen.part(member), self.rest)._replace(probability=chance)
+            if test.rank:
+                found.append(
+                    self._explanation(effect, columns_of(columns, member), seen.part(member), test)
+                )
+        return found
+
+    def _explanation(
+        self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest
+    ) -> Explanation:
+        """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show."""
+        members = effect.at(self.fit.computed).shape[1] if effect.family else 1
+        support, price = self._support(test.squares, test.rank, RARER * members)
+        where = ""
+        if effect.family:
+            touched = np.flatnonzero(columns[:, 0])
+            if len(np.unique(columns[touched, 0])) == 2 and columns[touched, 0].max() > 0.0:
+                touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift counted from its mean
+            first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
+            stays = np.ptp(columns[touched, 0]) == 0.0
+            where = f" from {first} on" if stays else f" from {first} to {last}"
+        return Explanation(
+            f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
+            support, price, -(test.size @ seen.moved[:]), effect, test.axes, test.probability,
+        )  # fmt: skip
+
+    def _groups(self) -> list[Group | JudgedWhole | Undivided]:
+        """Return the groups of what is used, with which of their members lie together."""
+        fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole | Undivided]()
+        for grouping in model.groupings:
+            for number, members in members_of(grouping, model.may_go).items():
+                kept = members[fit.used[members]]
+                if not 1 < len(kept) < len(fit.used):
+                    continue
+                name, lost = f"{grouping.kind} {number}", len(members) - len(kept)
+                if len(kept) > LARGEST_GROUP and isinstance(fit.jacobian, Circular):
+                    found.append(_as_a_whole(fit, grouping.kind, name, kept, lost))
+                    continue
+                parts = parts_of(grouping, members)
+                for k, part in enumerate(parts):
+                    here = part[fit.used[part]]
+                    if len(here) > 1:
+                        of = f"{name}, part {k + 1} of {len(parts)}" if len(parts) > 1 else name
+                        found.append(self._group(grouping, of, here, len(part) - len(here)))
+        return found
+
+    def _group(self, grouping: Grouping, name: str, rows: Ints, lost: int) -> Group:
+        """Return the group of ``rows`` (e,) that are used, of which ``lost`` ones are not."""
+        fit, gathered = self.fit, gathered_of(grouping, rows)
+        # of others it is not asked what gathers, nor what that would do
+        felt = fit.response_of(rows) if len(gathered) else np.zeros((0, len(rows)))
+        return Group.of(
+            grouping.kind, name, rows, fit.white[rows][:, None], 1.0 / fit.std[rows][:, None],
+            fit.cofactors.among(rows), Sensitivity.whole(felt), gathered, lost,
+        )  # fmt: skip
+
+
+def parts_of(grouping: Grouping, members: Ints) -> list[Ints]:
+    """Return the ``members`` (e,) of a group in parts that are not too large, one after the other.
+
+    What is asked of a group costs the cube of its members; those of a part are neighbours.
+    """
+    count = -(-len(members) // LARGEST_GROUP)
+    if count == 1:
+        return [members]
+    along = members if grouping.along is None else grouping.along[members]
+    ordered = members[np.argsort(along, kind="stable")]
+    return [np.sort(part) for part in np.array_split(ordered, count)]
+
+
+def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole | Undivided:
+    """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
+
+    T is what chi-squared is less by in the solution without them, where that is firm.
+    """
+    rest = fit.without(rows)
+    if rest is None:
+        cofactor = LowRank.whole(np.eye(len(rows)) - fit.cofactors.among(rows))
+        return Undivided(kind, name, fit.white[rows], cofactor, lost)
+    rank = len(rows) - (fit.cofactors.rank - rest[1])
+    checked = float(fit.redundancy[rows].sum())
+    together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
+    return JudgedWhole(kind, name, len(rows), together, checks, lost)

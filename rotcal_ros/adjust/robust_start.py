@@ -1,0 +1,94 @@
+"""Where the adjustment starts: a solution that gross errors do not bend."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.model import Model
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import DataError, RotcalError
+
+ROUNDS: Final = 30
+"""Reweighted adjustments of the robust start, and concentration steps after them."""
+KEPT: Final = 0.6
+"""Share of each group that the robust start concentrates on."""
+FAR_WORSE: Final = 5.0
+"""Times the standard uncertainty that all give an output: a part that does worse misses some."""
+GROSS: Final = 5.0
+"""Times the limit of an outlier, in the scatter of the others, that bends a start."""
+NORMAL_QUARTILE: Final = 0.6745
+"""Median of |x| for a standard normal x."""
+
+
+def robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
+    """Return unknowns (p,) that gross errors do not bend, and the observations that are gross.
+
+    From start values that are too poor for that, plain least squares may settle all the same.
+    """
+    try:
+        return _unbent(model, limits)
+    except DataError:
+        every = np.ones(len(model.observed), dtype=np.bool_)
+        return fitted(model, every, model.std, model.first).x, np.zeros(0, dtype=np.int64)
+
+
+def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
+    n, p = model.size
+    every = np.ones(n, dtype=np.bool_)
+    # at first each by what it misses the start values by: a gross error cannot pull them away
+    miss = np.maximum(np.abs(model.observed - model.equations(model.first)[0]) / model.std, 1.0)
+    fit = fitted(model, every, model.std * miss, model.first)
+    for _ in range(ROUNDS):
+        # weights of least absolute deviations, which are those of least squares for small ones
+        miss = np.maximum(np.abs(fit.residual) / model.std, 1.0)
+        after = fitted(model, every, model.std * np.sqrt(miss), fit.x)
+        moved = np.abs((after.residual - fit.residual) / model.std).max()
+        fit = after
+        if moved < 0.01:
+            break
+    fit = _concentrated(model, fit)
+    miss = np.abs(fit.residual) / model.std
+    scatter = max(float(np.median(miss)) / NORMAL_QUARTILE, 1.0)
+    gross = (miss > GROSS * limits.outlier(model) * scatter) & model.may_go
+    try:
+        fitted(model, ~gross, model.std, fit.x)
+    except RotcalError:
+        return fit.x[:p], np.zeros(0, dtype=np.int64)  # too many: they are judged with the rest
+    return fit.x[:p], np.flatnonzero(gross)
+
+
+def _concentrated(model: Model, fit: Fit) -> Fit:
+    """Return the fit to the better part of every group, by concentration steps.
+
+    Least trimmed squares (Rousseeuw and Van Driessen 2006). Where that part determines an output
+    not at all, or far worse than the whole, the fit stays as it is.
+    """
+    used, usual = fit.used, fit
+    for _ in range(ROUNDS):
+        better = _better(model, fit)
+        if (better == used).all():
+            break
+        try:
+            after = fitted(model, better, model.std, fit.x)
+            if after.far_worse_than(usual, FAR_WORSE):
+                break
+        except RotcalError:
+            break
+        fit, used = after, better
+    return fit
+
+
+def _better(model: Model, fit: Fit) -> Bools:
+    """Return the observations (n,) that miss least in every group of the first grouping."""
+    miss = np.abs(fit.residual) / model.std
+    kept = ~model.may_go
+    number = model.groupings[0].number if model.groupings else np.zeros(len(miss), dtype=np.int64)
+    for group in np.unique(number):
+        rows = np.flatnonzero((number == group) & model.may_go)
+        count = int(np.ceil(KEPT * len(rows)))
+        kept[rows[np.argsort(miss[rows], kind="stable")[:count]]] = True
+    return kept

@@ -1,0 +1,121 @@
+"""What a solution makes of columns of errors: what is left of them, what they do to outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.sparse import csr_array, diags_array
+
+from rotcal_ros.adjust.arrow import dense
+from rotcal_ros.adjust.effects import Seen
+from rotcal_ros.adjust.fit import Fit, Whole
+from rotcal_ros.adjust.model import Steps
+from rotcal_ros.foundation.arrays import Floats, Ints
+
+WEAK: Final = 1e-4
+"""Information of a size, per that of its errors without the unknowns, below which digits go."""
+FEW: Final = 0.1
+"""Share of entries that are not zero below which columns are sparse."""
+
+
+def columns_of(columns: Floats | Steps, which: slice) -> Floats:
+    """Return some of the ``columns`` (n, k), written out."""
+    return columns.whole(which) if isinstance(columns, Steps) else columns[:, which]
+
+
+def seen_by(fit: Fit, columns: Floats | Steps, *, family: bool = False) -> Seen:
+    """Return what a solution makes of ``columns`` (n, k) of errors, of a ``family`` or together.
+
+    Of a family, which may have as many columns as there are observations, neighbours alone.
+    """
+    if isinstance(columns, Steps):
+        if not isinstance(fit.cofactors, Whole):
+            return _steps_seen_by(fit, columns)
+        white = columns.few()
+        white.data /= np.repeat(np.where(fit.used, fit.std, np.inf), np.diff(white.indptr))
+        white.eliminate_zeros()
+        return _family_seen_by(fit, fit.cofactors, white)
+    white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
+    if family and isinstance(fit.cofactors, Whole):
+        few = np.count_nonzero(white) < FEW * white.size
+        return _family_seen_by(fit, fit.cofactors, csr_array(white) if few else white)
+    left = fit.left_of(white)
+    return Seen(fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0))
+
+
+def _family_seen_by(fit: Fit, cofactors: Whole, white: Floats | csr_array) -> Seen:
+    """Return what a solution makes of whitened columns (n, k), sparse if most of them is zeros."""
+    taken = cofactors.along(white).T  # (k, rank): what the unknowns take up of them
+    whole = np.asarray((white * white).sum(axis=0))
+    beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
+    beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
+    own = whole - (taken**2).sum(axis=1)
+    weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
+    own[weak] = (fit.left_of(dense(white[:, weak])) ** 2).sum(axis=0)
+    information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
+    moved = taken @ cofactors.felt_by(fit.outputs).T
+    return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
+
+
+def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:
+    """Return what a solution order by order makes of steps, by running sums along each run."""
+    moves = StepMoves(fit, steps)
+    parts = [np.zeros((4, 0)), *(_run_seen_by(fit, moves.root, *run) for run in steps.runs)]
+    own, beside, score, whole = np.concatenate(parts, axis=1)
+    ends = np.cumsum([len(first) for _, first in steps.runs])[:-1]
+    for end in ends[(ends > 0) & (ends < len(own))].tolist():
+        left = fit.left_of(moves.white(slice(end - 1, end + 1)))
+        beside[end - 1] = left[:, 0] @ left[:, 1]
+    for k in np.flatnonzero(own < WEAK * whole).tolist():  # a small difference of large numbers
+        own[k] = (fit.left_of(moves.white(slice(k, k + 1))) ** 2).sum()
+    between = beside[:-1]
+    information = diags_array([between, own, between], offsets=[-1, 0, 1], format="csr")
+    return Seen(moves, information, score, whole)
+
+
+def _run_seen_by(fit: Fit, root: Floats, rows: Ints, first: Ints) -> Floats:
+    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m)."""
+    mine = root[rows]
+    taken = _later(_later(mine[:, None] * fit.cofactors.among(rows) * mine).T)
+    square = _later(mine**2)[first]
+    own = square - taken[first, first]
+    beside = np.append(square[1:] - taken[first[:-1], first[1:]], [0.0] * (len(first) > 0))
+    return np.stack([own, beside, _later(mine * fit.white[rows])[first], square])
+
+
+@dataclass(frozen=True, eq=False)
+class StepMoves:
+    """What ``steps`` do to the outputs: (k, o + a), too many numbers to be kept."""
+
+    fit: Fit
+    steps: Steps
+
+    @cached_property
+    def root(self) -> Floats:
+        """By what an error is whitened (n,)."""
+        return np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
+
+    def white(self, which: slice) -> Floats:
+        """Return some columns (n, m), whitened."""
+        return np.asarray(self.steps.whole(which) * self.root[:, None])
+
+    def __getitem__(self, which: slice) -> Floats:
+        """Return what some columns do, (m, o + a)."""
+        return np.asarray(self.fit.moved(self.white(which)).T)
+
+    def worst(self, std: Floats) -> Floats:
+        """Return the most (k,) that each does to an output, in their ``std`` (o + a,)."""
+        counts = np.isfinite(std) & (std > 0.0)
+        found = [np.zeros(0)]
+        for rows, first in self.steps.runs:
+            felt = self.fit.response_of(rows)[counts] * self.root[rows] / std[counts, None]
+            found.append(np.abs(_later(felt.T)[first]).max(axis=1, initial=0.0))
+        return np.concatenate(found)
+
+
+def _later(rows: Floats) -> Floats:
+    """Return the sums of each of the ``rows`` (e, ...) and all that come later."""
+    return np.cumsum(rows[::-1], axis=0)[::-1]
