@@ -452,7 +452,7 @@ class _Rows:
             _smallest_step([float(angle) for angle in commanded]) if commanded else 2.0 * pi,
             self._others(rows, mark) if "deviation" not in self._settings.named() else (),
             self._settings.values,
-            REVERSED in self._settings.named(),
+            self._settings.named(),
         ).read()
         self._remarks += [remark] if remark else []
         return list(map(str, found))
