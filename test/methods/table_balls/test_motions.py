@@ -69,7 +69,7 @@ def covered(plan, solver, orders, runs=150):
     model = model_of(plan, solver, world.readings())
     fit = fitted(model, np.ones(model.size[0], dtype=bool), model.std, model.first)
     count = len(world.readings().value) * (1 if plan.measure == "bar" else 3)
-    unlike = fit.outputs @ fit.cofactors.root @ fit.cofactors.basis[:count].T / NOISE
+    unlike = fit.alone(np.arange(count)) / NOISE
     read = fit.computed[:count]
     for _ in range(runs):
         world.move(rng, **orders)
