@@ -17,7 +17,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power data-set mutants fuzz soak lint release setup clean help
+.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power yardstick data-set mutants fuzz soak lint release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -52,6 +52,9 @@ bench: setup  ## compare speed with well-known alternatives, side by side
 power: setup  ## what could be wrong, and would the verdict say so? docs/what_could_be_wrong.md
 	@$(BIN)/python scripts/power_table.py $(POWER_ARGS)
 	@$(BIN)/python scripts/gathered_table.py $(GATHERED_ARGS)
+
+yardstick: setup  ## is this commit as true, watchful and quick as main? docs/yardstick.md, hours
+	@$(BIN)/python scripts/yardstick.py --old main --new HEAD --page docs/yardstick.md $(YARDSTICK_ARGS)
 
 data-set: setup  ## make the open data set, and its leaderboard in docs/data_set.md: out/dataset
 	@$(BIN)/python scripts/make_dataset.py --page docs/data_set.md $(DATA_SET_ARGS)

@@ -60,7 +60,10 @@ class Fit:
     @cached_property
     def kernel(self) -> Kernel:
         """That of x (p + q,), from the whitened design of what is used."""
-        return self.by_form or _whole(self.model, self._white_design)
+        if self.by_form is not None:
+            return self.by_form
+        _require_told(self.model, self._white_design)
+        return _whole(self.model, self._white_design)
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
@@ -125,7 +128,8 @@ class Fit:
     @cached_property
     def _spread(self) -> list[Floats]:
         """What independent errors do in the place of those that are correlated (o + a, k)."""
-        return [each.spread(self.alone(each.rows)) for each in self.model.correlated]
+        every = self.model.correlated
+        return [each.spread(self.alone(each.rows), each.possible(self)) for each in every]
 
     def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).

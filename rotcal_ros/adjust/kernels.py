@@ -340,6 +340,9 @@ class Updated(Kernel):
         the ``base``, -1 for what is left out.
         """
         rows, more = changed
+        felt, lengths = np.abs(rows @ base.directions), np.linalg.norm(base.directions, axis=0)
+        if (felt > OPEN * lengths * np.abs(dense(rows)).max(initial=0.0)).any():
+            return None  # they determine what the base leaves open
         columns = base.times(dense(rows).T)
         size = np.sqrt(np.abs(more))
         core = _inverse(np.diag(np.sign(more)) + size[:, None] * (rows @ columns) * size)

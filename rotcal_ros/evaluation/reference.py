@@ -20,7 +20,7 @@ from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.sheets.reading import Reading, read_any
-from rotcal_ros.foundation.sheets.words import TableColumn, undecided
+from rotcal_ros.foundation.sheets.words import TableColumn, meaning, undecided
 from rotcal_ros.foundation.tables import Header, Row, Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
@@ -72,7 +72,7 @@ def _require_known_factor(reading: Reading) -> None:
             f"{reading.table.path}: the column {text!r} may hold standard uncertainties (k = 1) "
             "or expanded ones (k = 2)",
             "sheet.columns",
-            [(f"u={text}", "k = 1"), (f"expanded={text}", "k = 2")],
+            [(meaning("u", text), "k = 1"), (meaning("expanded", text), "k = 2")],
         )
 
 

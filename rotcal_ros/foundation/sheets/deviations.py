@@ -7,9 +7,10 @@ in place of deviations, is asked.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import pairwise
 from typing import Final
 
 from rotcal_ros.foundation.errors import UndecidedError
@@ -20,6 +21,7 @@ from rotcal_ros.foundation.sheets.words import (
     REVERSED,
     TABLE_ANGLE,
     UNITS,
+    meaning,
     undecided,
 )
 from rotcal_ros.foundation.units import DEGREE
@@ -47,20 +49,32 @@ class Angles:
     unit: str
 
     @property
+    def fractions(self) -> list[str]:
+        """Return the digits behind the point of each value."""
+        return [found[1] if (found := _FRACTION.search(cell)) else "" for cell in self.cells]
+
+    @property
     def rounding(self) -> Decimal:
         """By how much (rad) a value may be rounded, and as much again."""
         sixtieths = any(":" in cell or "°" in cell for cell in self.cells)
-        found = [_FRACTION.search(cell) for cell in self.cells]
-        digits = min(max(len(each[1]) if each else 0 for each in found), _DIGITS)
+        digits = min(max(map(len, self.fractions)), _DIGITS)
         return UNITS[ANGLE]["arcsec" if sixtieths else self.unit] * Decimal(10) ** -digits
+
+    def is_rounder(self, other: Angles) -> bool:
+        """Return whether the values need fewer digits than others, which have no even step."""
+        own, theirs = (max(len(f.rstrip("0")) for f in a.fractions) for a in (self, other))
+        values = sorted({*other.values})
+        steps = [b - a for a, b in pairwise(values) if b - a > 2 * other.rounding]
+        off = [abs(s - min(steps) * (s / min(steps)).to_integral_value()) for s in steps]
+        return own < theirs and max(off, default=0) > 4 * other.rounding
 
 
 @dataclass(frozen=True)
 class StatedDeviations:
     """What a table says of its deviations: ``columns`` by what they are, in ``rows`` of a file.
 
-    ``where`` names it; ``values`` is what a person said: deviations or positions; ``turned``: the
-    column REVERSED is commanded - actual for sure. ``others`` are angles of no known name: where
+    ``where`` names it; ``values`` is what a person said: deviations or positions; ``stated``: of
+    what columns that is known. ``others`` are angles of no known name: where
     they follow the commanded ones, within NEAR of the smallest ``step`` (rad), the deviation is
     held against them. ``proposal`` shows the columns side by side.
     """
@@ -72,7 +86,7 @@ class StatedDeviations:
     step: float
     others: Sequence[Angles] = ()
     values: str = ""
-    turned: bool = False
+    stated: Container[str] = ()
 
     def read(self) -> tuple[Sequence[Decimal], str]:
         """Return the deviations (rad) and how they were understood; a question where it is open.
@@ -92,6 +106,13 @@ class StatedDeviations:
             pairs = zip(measured.values, commanded.values, strict=True)
             found = [_wrapped(actual - angle) for actual, angle in pairs]
             self._require_positions(found, measured, commanded)
+            if TABLE_ANGLE not in self.stated and measured.is_rounder(commanded):
+                raise self._asked(
+                    f"{measured.text!r} is rounder than {commanded.text!r}, as commanded angles "
+                    f"are: {measured.cells[-1]} and {commanded.cells[-1]} in row {self.rows[-1]}",
+                    {meaning(TABLE_ANGLE, each.text): f"{each.text} was commanded"
+                     for each in (measured, commanded)},
+                )  # fmt: skip
             if stated is None and REVERSED not in columns:
                 return found, phrase("deviation = actual - commanded")
             return self._agreed(found, measured, commanded, stated or columns[REVERSED])
@@ -100,13 +121,13 @@ class StatedDeviations:
                 self._require_small(stated, commanded)
             return stated.values, ""
         either = columns[REVERSED]
-        if self.turned:
+        if REVERSED in self.stated:
             return [-value for value in either.values], phrase("commanded - actual, turned")
         raise self._asked(
             f"{either.text!r} may be actual - commanded, or commanded - actual",
             {
-                f"deviation={either.text}": "actual - commanded: taken as it stands",
-                f"{REVERSED}={either.text}": "commanded - actual: its sign is turned",
+                meaning("deviation", either.text): "actual - commanded: taken as it stands",
+                meaning(REVERSED, either.text): "commanded - actual: its sign is turned",
             },
         )
 
@@ -130,7 +151,7 @@ class StatedDeviations:
             raise self._asked(
                 f"{measured.text!r} is {cell} in row {self.rows[k]}, where {angle} was commanded: "
                 "too far off for an actual position",
-                {f"deviation={measured.text}": f"the deviation at {angle} is {cell}"},
+                {meaning("deviation", measured.text): f"the deviation at {angle} is {cell}"},
             )
 
     def _require_small(self, stated: Angles, commanded: Angles) -> None:
@@ -172,8 +193,8 @@ class StatedDeviations:
             f"{beside.cells[k]} in row {self.rows[k]}, with actual {measured.cells[k]} and "
             f"commanded {commanded.cells[k]}",
             {
-                f"{ACTUAL}={measured.text}": f"{measured.text} - {commanded.text}",
-                f"deviation={beside.text}": f"{beside.text} as it stands",
+                meaning(ACTUAL, measured.text): f"{measured.text} - {commanded.text}",
+                meaning("deviation", beside.text): f"{beside.text} as it stands",
             },
         )
 

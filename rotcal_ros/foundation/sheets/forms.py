@@ -47,6 +47,7 @@ class SheetSettings:
         "", doc="what stands beside commanded angles: deviations, or positions (actual angles)",
         choices=("", "deviations", "positions"),
     )  # fmt: skip
+    up: str = expert("", doc="direction in which the table angle grows, as the table calls it")
     time_unit: str = expert(
         "", doc="unit of times whose column states none", choices=("", *UNITS[TIME])
     )
@@ -62,6 +63,7 @@ class SheetSettings:
         (), doc="columns by the text at their head where that says nothing, as length=Messwert"
     )
     name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
+    table: str = expert("", doc="which of several tables side by side on a sheet, from 1")
 
     def named(self) -> dict[str, str]:
         """Return column of ours -> text at its head; ConfigurationError for an entry without."""

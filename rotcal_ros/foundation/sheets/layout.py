@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Final
 
-from rotcal_ros.foundation.errors import UndecidedError
+from rotcal_ros.foundation.errors import ConfigurationError, UndecidedError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.sheets.files import Cell, Sheet
 from rotcal_ros.foundation.sheets.forms import texts_of
 from rotcal_ros.foundation.sheets.numerals import parse
@@ -22,13 +25,15 @@ from rotcal_ros.foundation.sheets.words import (
     RUN,
     TABLE_ANGLE,
     TIME,
+    Caption,
     Heading,
     TableColumn,
     columns_of,
     folded,
     is_commanded,
-    is_down,
+    is_direction,
     label_of,
+    meaning,
     plain,
     quantity_of,
     undecided,
@@ -42,13 +47,22 @@ BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 """What may stand for a position, or beside it."""
 DIFFERENCE: Final = frozenset({ACTUAL, REFERENCE, REVERSED})
 """What may stand for a deviation: measured angles, or a difference of another sign."""
-_ARROW: Final = re.compile(r"([↑↓←→])|[_/]")
+_ARROW: Final = re.compile(r"([↑↓←→↻↺⟳⟲])|[_/]")
 _COARSE: Final = ("deg", "gon", "dms")
 """Units of table angles rather than of deviations."""
 CORNER: Final = re.compile(r"[\\|/]")
 """What stands in the corner of a matrix between the names of its rows and columns."""
 _NO_UNIT: Final = ("", "-", "1")
 """What stands for none in a line of units."""
+_SYMBOL: Final = re.compile(
+    r"[Δ∆δ]?(?:[^\W\d_]|theta|phi|alpha|beta|gamma|epsilon|delta)[\W_]*[^\W_]{0,3}[\W_]*",
+    re.IGNORECASE,
+)
+"""A letter of any script, or the name of a Greek one, with an index."""
+_WORDS: Final = 120
+"""Characters by which tables side by side are told apart."""
+_HIGHEST: Final = 4
+"""Most rows of a head: two of names, one of units, one of symbols."""
 _LOOKED_AT: Final = 100
 """Rows in which the head of a table is searched for."""
 _ALL_IN: Final = re.compile(
@@ -88,7 +102,8 @@ class Layout:
     columns without any; ``doubled``: a column and the headings that mean it. ``first``: index of
     the first row of values, ``form`` the row of its head; ``head`` are the headings at their
     ``places``. ``others`` are the columns
-    aside that measure angles. ``length_unit``: stated above the table.
+    aside that measure angles. ``length_unit``: stated above the table. ``beside``: tables side by
+    side that may all be meant, by their numbers.
     """
 
     sheet: Sheet
@@ -104,6 +119,7 @@ class Layout:
     length_unit: str = ""
     others: tuple[Use, ...] = ()
     form: tuple[str, ...] = ()
+    beside: Mapping[str, Layout] = field(default_factory=dict)
 
     @property
     def rank(self) -> tuple[bool, int, int, int, int, int]:
@@ -118,19 +134,40 @@ class Layout:
 
 
 def best_layout(
-    found: Iterable[Sheet], headers: Sequence[Header], named: Mapping[str, str], where: str
+    found: Iterable[Sheet],
+    headers: Sequence[Header],
+    named: Mapping[str, str],
+    where: str,
+    table: str = "",
 ) -> Layout | None:
     """Return how the grids are understood best; None where no column is known in any.
 
-    ``named`` maps columns to the headings that a person has given them. Raises DataError where two
-    sheets are understood as well as each other, or two headings mean the same column.
+    ``named`` maps columns to the headings that a person has given them, ``table`` is the number of
+    one of several side by side. Raises DataError where two sheets, or tables, are understood as
+    well as each other, or two headings mean the same column.
     """
     layouts = [
-        layout for sheet in found for layout in [_of_sheet(sheet, headers, named)] if layout
+        layout for sheet in found for layout in [_of_sheet(sheet, headers, named, table)] if layout
     ]
+    if table and not layouts:
+        raise ConfigurationError(
+            f"{where}: sheet.table: no table {table!r} has such columns: those side by side count "
+            "from 1"
+        )
     if not layouts:
         return None
     best = max(layouts, key=lambda layout: layout.rank)
+    if best.beside:
+        raise undecided(
+            f"{where}: {len(best.beside)} tables stand side by side",
+            "sheet.table",
+            [(number, _first_words(layout)) for number, layout in best.beside.items()],
+            [
+                line
+                for layout in best.beside.values()
+                for line in side_by_side(layout, layout.uses.values())
+            ],
+        )
     if best.doubled:
         raise _rivals(where, best, *best.doubled)
     equal = [layout for layout in layouts if layout.rank == best.rank and layout.sheet.name]
@@ -151,15 +188,9 @@ def _rivals(where: str, layout: Layout, name: str, uses: Sequence[Use]) -> Undec
         f"{where}: {', '.join(most)} and {last} may {'both' if len(uses) == 2 else 'all'} be the "
         f"column {name}",
         "sheet.columns",
-        [(f"{name}={_address(use, layout.head)}", use.text) for use in uses],
+        [(meaning(name, use.text), use.text) for use in uses],
         side_by_side(layout, uses),
     )
-
-
-def _address(use: Use, head: Sequence[str]) -> str:
-    """Return by what a person names a heading: its text, or its place where it has a twin."""
-    twins = sum(folded(text) == folded(use.text) for text in head) > 1
-    return f"#{use.place + 1}" if twins else use.text
 
 
 def side_by_side(layout: Layout, uses: Iterable[Use]) -> list[str]:
@@ -178,6 +209,12 @@ def side_by_side(layout: Layout, uses: Iterable[Use]) -> list[str]:
     return lines
 
 
+def _first_words(layout: Layout) -> str:
+    """Return what stands above the values of a table, its title among it."""
+    rows = layout.sheet.rows[: layout.first]
+    return ", ".join(text for _, cells in rows for text in texts_of(cells))[:_WORDS]
+
+
 def number_of(cell: Cell) -> float | None:
     """Return the size of what stands in a cell, in whatever unit; None for words."""
     for mark in (".", ","):
@@ -186,7 +223,47 @@ def number_of(cell: Cell) -> float | None:
     return None
 
 
-def _of_sheet(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) -> Layout | None:
+def _of_sheet(
+    sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str], table: str
+) -> Layout | None:
+    """Return the layout of a sheet, or of the one of several tables side by side that fits."""
+    whole = None if table else _of_rows(sheet, headers, named)
+    if whole and not whole.missing and not whole.doubled:
+        return whole
+    found = {
+        str(number): layout
+        for number, part in enumerate(_apart(sheet), start=1)
+        if table in ("", str(number)) and (layout := _of_rows(part, headers, named))
+        and (table or not (layout.missing or layout.doubled))
+    }  # fmt: skip
+    first = next(iter(found.values()), None)
+    if first is None:
+        return whole
+    head = next(n for n, cells in first.sheet.rows if texts_of(cells) == first.form)
+    form = texts_of(dict(sheet.rows)[head])
+    return replace(first, form=form, beside=found if len(found) > 1 else {})
+
+
+def _apart(sheet: Sheet) -> list[Sheet]:
+    """Return the tables side by side on a sheet: of columns between those without any cell.
+
+    Rows without numbers, as titles, may go over all of them.
+    """
+    rows = [cells for _, cells in sheet.rows if any(number_of(cell) is not None for cell in cells)]
+    filled = {place for cells in rows for place, cell in enumerate(cells) if cell != ""}
+    starts = [p for p in sorted(filled) if p - 1 not in filled]
+    ends = [p for p in sorted(filled) if p + 1 not in filled]
+    tables = []
+    for a, b in zip(starts, ends, strict=True):
+        inside = [
+            (n, ("",) * a + cells[a : b + 1]) for n, cells in sheet.rows if any(cells[a : b + 1])
+        ]
+        form = phrase("{0}, columns {1} to {2}", sheet.form, a + 1, b + 1)
+        tables.append(replace(sheet, form=form, rows=tuple(inside)))
+    return tables
+
+
+def _of_rows(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) -> Layout | None:
     """Return the layout of the row that has most of the columns, the first of such rows."""
     best: Layout | None = None
     for row in range(min(len(sheet.rows), _LOOKED_AT)):
@@ -205,33 +282,76 @@ def _of_sheet(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str])
 def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
     """Yield the headings of a row by place, with the number of rows that they take.
 
-    Alone, with the units of the row below, and as the second of two rows, as in merged cells.
+    Alone, and as the first of two rows, as in merged cells, where the second says more than units
+    and symbols. Without the first it may be where that leaves no column below it without heading.
     """
-    cells = sheet.rows[row][1]
-    heads = {place: Heading.of(_text(cell)) for place, cell in enumerate(cells) if cell != ""}
-    below = sheet.rows[row + 1][1] if row + 1 < len(sheet.rows) else ()
-    bare = [cell.strip("[]() ") if isinstance(cell, str) else "" for cell in below]
-    units = {place: units_of(text) for place, text in enumerate(bare) if text not in _NO_UNIT}
-    if units and all(units.values()):
-        for place, found in units.items():
-            if place in heads:
-                heads[place] = replace(heads[place], units=found)
-        yield heads, 2
-        return
-    second = [_text(cell) for cell in below]
-    ways = [text for text in second if text]
-    if not ways or not all(is_down(text) is not None and number_of(text) is None for text in ways):
-        yield heads, 1
+    rows = [cells for _, cells in sheet.rows[row : row + _HIGHEST]]
+    texts = {place: (_text(cell),) for place, cell in enumerate(rows[0]) if cell != ""}
+    heads = {place: Heading.of(text) for place, (text,) in texts.items()}
+    below = rows[1] if len(rows) > 1 else ()
+    second = {place: _text(cell) for place, cell in enumerate(below) if cell != ""}
+    more = bool(second) and not (_units_in(below) or _are_symbols(below, texts))
+    numbers = [place for place, cell in enumerate(below) if number_of(cell) is not None]
+    ways = [text for place, text in second.items() if place not in numbers]
     numbered = heads and len(below) > min(heads) and below[min(heads)] == ""  # runs below ways
-    if heads and second and (numbered or not any(number_of(cell) is not None for cell in below)):
-        above, joined = Heading(""), dict[int, Heading]()
-        for place, text in enumerate(second):
-            above, own = heads.get(place, above), Heading.of(text)
-            joined[place] = Heading(
-                f"{above.text} {text}".strip(), f"{above.name} {own.name}".strip(),
-                own.units or above.units,
-            )  # fmt: skip
-        yield {place: head for place, head in joined.items() if head.text}, 2
+    two = heads and more and (numbered or not numbers)
+    wider = not numbers and second.keys() - texts.keys()
+    if not (two and (wider or (ways and all(map(is_direction, ways))))):
+        yield _with_units(heads, texts, rows, 1)
+    if two:
+        above, joined, both = -1, dict[int, Heading](), dict[int, tuple[str, ...]]()
+        for place in range(len(below)):
+            above = place if place in heads else above
+            parts = [
+                head for head in (heads.get(above), Heading.of(second.get(place, ""))) if head
+            ]
+            both[place] = tuple(part.text for part in parts if part.text)
+            name, units = " ".join(p.name for p in parts), [p.units for p in parts if p.units]
+            joined[place] = Heading("", name.strip(), units[-1] if units else ())
+        joined = {place: head for place, head in joined.items() if both[place]}
+        yield _with_units(joined, both, rows, 2)
+
+
+def _with_units(
+    heads: Mapping[int, Heading],
+    texts: Mapping[int, tuple[str, ...]],
+    rows: Sequence[Sequence[Cell]],
+    taken: int,
+) -> tuple[dict[int, Heading], int]:
+    """Return headings with the units of the rows below, and how many rows all of that takes."""
+    units = dict[int, tuple[str, ...]]()
+    for cells in rows[taken:]:
+        found = _units_in(cells)
+        if (found and units) or not (found or _are_symbols(cells, texts)):
+            break
+        units, taken = units or found, taken + 1
+    counts = Counter(folded(" ".join(texts[place])) for place in heads)
+    return {
+        place: replace(
+            head,
+            text=Caption.of(
+                texts[place], place, alone=counts[folded(" ".join(texts[place]))] == 1
+            ),
+            units=units.get(place, head.units),
+        )
+        for place, head in heads.items()
+    }, taken
+
+
+def _units_in(cells: Sequence[Cell]) -> dict[int, tuple[str, ...]]:
+    """Return the units in a row of nothing else by their places; none for any other row."""
+    bare = [cell.strip("[]() ") if isinstance(cell, str) else "" for cell in cells]
+    units = {place: units_of(text) for place, text in enumerate(bare) if text not in _NO_UNIT}
+    return units if all(units.values()) else {}
+
+
+def _are_symbols(cells: Sequence[Cell], above: Mapping[int, tuple[str, ...]]) -> bool:
+    """Return whether a row holds nothing but symbols, as x, P_i, Δα, below different headings."""
+    found = {place: str(cell) for place, cell in enumerate(cells) if cell != ""}
+    own = [above.get(place) for place in found]
+    return bool(found) and len({*own} - {None}) == len(found) and all(
+        _SYMBOL.fullmatch(text) and not is_direction(text) for text in found.values()
+    )  # fmt: skip
 
 
 def _of_heads(
@@ -420,7 +540,8 @@ def _matrix(
             ACTUAL if name == "deviation" and ACTUAL in columns_of(Heading(word, word)) else name
         )
         time = sum(name in found for (other, _), (_, found) in groups.items() if other == key)
-        of_label = groups.setdefault((key, time), (labels, {}))[1]
+        again: dict[str, Cell] = {RUN: float(time)} if keys[0] == RUN and RUN not in labels else {}
+        of_label = groups.setdefault((key, time), (labels | again, {}))[1]
         of_label[name] = Use(place, head.text, own)
     found = {
         word: [Cells(labels, of, Use(-1, next(iter(of.values())).text))
@@ -462,9 +583,16 @@ def _labels(
     That is a number behind any word, or a table angle, and perhaps a direction.
     """
     parts = [part.strip("()[],;") for part in _ARROW.sub(r" \1 ", text).split()]
-    ways = [part for part in parts if is_down(part) is not None and not part[-1:].isdigit()]
-    way: dict[str, Cell] = {DIRECTION: ways[0]} if len(ways) == 1 else {}
-    rest = " ".join(part for part in parts if part not in way.values())
+    way, rest = dict[str, Cell](), " ".join(parts)
+    spans = [
+        slice(i, j)
+        for i, j in combinations(range(len(parts) + 1), 2)
+        if is_direction(" ".join(parts[i:j])) and not parts[j - 1][-1:].isdigit()
+    ]
+    longest = max(spans, key=lambda span: span.stop - span.start, default=slice(0, 0))
+    if spans and all(longest.start <= s.start and s.stop <= longest.stop for s in spans):
+        way = {DIRECTION: " ".join(parts[longest])}
+        rest = " ".join([*parts[: longest.start], *parts[longest.stop :]])
     bare = rest.rstrip("°").strip()
     if key == "position" and number_of(bare) is not None:
         angles = [unit for unit in units if quantity_of(unit) == ANGLE]
@@ -479,7 +607,7 @@ def _labels(
     found = label_of(rest)
     if not found or (key == "position" and values[0].name == "deviation"):
         return "", {}  # positions without angles have no deviations
-    if not way and is_down(found[0]) is not None:  # up1
+    if not way and is_direction(found[0]):  # up1
         return "", {key: float(found[1]), DIRECTION: found[0]}
     return found[0], {key: float(found[1]), **way}
 

@@ -30,6 +30,7 @@ _SEXAGESIMAL: Final = {
     )
     for mark in (".", ",")
 }
+_MINUTES_FIRST: Final = re.compile(r"^([-+]?)(?=\d+['′])")
 _MEASURE: Final = re.compile(r"(.*?\d\.?)\s*([^\d\s.,+-].*)", re.DOTALL)
 
 
@@ -107,7 +108,7 @@ def _decimal(text: str, mark: str) -> Decimal | None:
 
 def _sexagesimal(text: str, mark: str) -> tuple[Decimal, bool] | None:
     """Return a number in 60ths, and whether signs of degrees tell so; None if it is none."""
-    found = _SEXAGESIMAL[mark].fullmatch(text)
+    found = _SEXAGESIMAL[mark].fullmatch(_MINUTES_FIRST.sub(r"\g<1>0°", text))
     if found is None:
         return None
     minutes, seconds = (Decimal((part or "0").replace(mark, ".")) for part in found.group(4, 5))

@@ -10,10 +10,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import isclose, remainder
+from math import copysign, isclose, remainder
 from typing import TypeAlias
 
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.sheets.words import folded, is_direction, undecided
 from rotcal_ros.foundation.units import DEGREE, TURN
 
 Pass: TypeAlias = "tuple[int, bool]"
@@ -25,7 +26,7 @@ class Halt:
     """The table stood at ``angle`` (rad), which has a ``number``, when a ``row`` was measured.
 
     ``what`` was measured, as its target and station. ``run`` and ``down`` are what columns state,
-    empty and None where there are none.
+    empty and None where there are none; ``way`` is a word for a direction that is not known.
     """
 
     row: int
@@ -34,6 +35,41 @@ class Halt:
     what: tuple[str, ...]
     run: str = ""
     down: bool | None = None
+    way: str = ""
+
+
+def directed(halts: Sequence[Halt], up: str, where: str) -> Sequence[Halt]:
+    """Return the halts with the directions of two words of either sign, as clockwise.
+
+    The angle grows with the word ``up``, or as the order of the rows shows; else it is asked.
+    """
+    words = list({folded(halt.way): halt.way for halt in halts if halt.way}.values())
+    if not words or (len(words) == 1 and is_direction(words[0])):
+        return halts
+    if len(words) != 2 or not all(halt.way for halt in halts):
+        row = next(halt.row for halt in halts if halt.way)
+        raise DataError(
+            f"{where}, row {row}: the direction must be up or down, found {words[0]!r}: "
+            "write one of these"
+        )
+    signs = {word: set[float]() for word in words}
+    for group in _groups(halts):
+        for a, b in pairwise(halts[k] for k in group):
+            if a.way == b.way:
+                step = remainder(b.angle - a.angle, TURN)
+                signs.setdefault(a.way, set()).add(copysign(step != 0.0, step))
+    shown = [word for word in words if signs[word] == {1.0}]
+    if len(shown) == 1 and {-1.0} in signs.values() and not up:
+        up = shown[0]
+    if folded(up) not in map(folded, words):
+        first, second = words
+        raise undecided(
+            f"{where}: in which direction the table angle grows, {first!r} and {second!r} do not "
+            "say",
+            "sheet.up",
+            [(word, f"it grows with {word}") for word in words],
+        )
+    return [replace(halt, down=folded(halt.way) != folded(up)) for halt in halts]
 
 
 def closed(halts: Sequence[Halt]) -> list[Halt]:

@@ -29,12 +29,15 @@ from rotcal_ros.foundation.sheets.words import (
     answer,
     folded,
     known_columns,
+    meaning,
     option,
 )
 from rotcal_ros.foundation.tables import Header
 
 _LOOKED_AT: Final = 100
 """Rows among which the head of a table that cannot be understood is guessed."""
+_PAIR: Final = 2
+"""Columns that may be one angle and another, or a reading before and after; more are runs."""
 _OFFERED: Final = 4
 """Columns of which a message names the option; a page has a button for all."""
 
@@ -93,7 +96,7 @@ def not_understood(
             f"{quantity} are {', '.join(UNITS[quantity])}: write one of these there, and convert "
             "the numbers if need be"
         )
-    found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
+    found = ", ".join(f"{name} ({use.text!r})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
     angles = layout.missing[0] == "position" and len(layout.header) == 2
     name = TABLE_ANGLE if angles else TableColumn.of(layout.missing[0]).name
@@ -102,20 +105,19 @@ def not_understood(
     likely = [use.text for use in numbers if use.text in layout.aside] or [u.text for u in numbers]
     angle = layout.uses.get(TABLE_ANGLE)
     same = {u.text for u in layout.others if angle and u.units == angle.units}
-    means = {text: ACTUAL if name == "deviation" and text in same else name for text in likely}
-    ways = [(means[text], text) for text in likely[:_OFFERED]] or [(name, "ITS NAME")]
+    means = [(ACTUAL if name == "deviation" and t in same else name, t) for t in likely]
+    ways = means[:_OFFERED] or [(name, "ITS NAME")]
     if len(same) == 1 and name == "deviation" and TABLE_ANGLE not in named:
         # the other may be the commanded one
         ways.append((TABLE_ANGLE, next(iter(same))))
     advice = [answer(ours, text) for ours, text in ways]
+    runs = "; of runs, write the number and the direction at each head, as Run 1 up"
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
         f"'{','.join(layout.header)}', in any unit and order. State a column with another name by "
-        f"{' or '.join(advice)}",
+        f"{' or '.join(advice)}{runs if name == 'deviation' and len(likely) > _PAIR else ''}",
         "\n".join(side_by_side(layout, uses)),
-        Question("sheet.columns", tuple((f"{n}={text}", text) for n, text in ways))
-        if len(ways) > len(likely)
-        else _which_column(means),
+        _which_column(ways if len(ways) > len(likely) else means),
     )
 
 
@@ -129,7 +131,7 @@ def _no_names(
     plainest = min(headers, key=len)
     names = [TableColumn.of(name).name for name in plainest]
     names = [TABLE_ANGLE if n == "position" and len(names) == 2 else n for n in names]
-    question = _which_column(dict.fromkeys(texts, names[0]))
+    question = _which_column([(names[0], text) for text in texts])
     if sheet is None or len(texts) < len(names):
         return BagError(f"{found}add a line of names above the numbers", question=question)
     heads = {place: Heading.of(text) for place, text in row.items()}
@@ -148,9 +150,9 @@ def _no_names(
     )
 
 
-def _which_column(means: Mapping[str, str]) -> Question | None:
-    """Return the question which of these texts stands at the head of a column of ours."""
-    answers = tuple((f"{name}={text}", text) for text, name in means.items())
+def _which_column(means: Sequence[tuple[str, str]]) -> Question | None:
+    """Return the question which texts stand at the heads of these columns of ours."""
+    answers = tuple((meaning(*each), each[1]) for each in means)
     return Question("sheet.columns", answers) if answers else None
 
 

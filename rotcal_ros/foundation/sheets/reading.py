@@ -6,6 +6,7 @@ method then checks it as one of our own tables.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,7 +35,7 @@ from rotcal_ros.foundation.sheets.layout import (
     side_by_side,
 )
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, is_repeated, passes
+from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, directed, is_repeated, passes
 from rotcal_ros.foundation.sheets.questions import (
     is_number,
     likely_head,
@@ -63,11 +64,12 @@ from rotcal_ros.foundation.sheets.words import (
     is_summary,
     kind_of,
     label_of,
+    meaning,
     option,
     undecided,
 )
 from rotcal_ros.foundation.tables import Header, Table, own_table
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 _OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
 """Columns as messages call them."""
@@ -203,7 +205,7 @@ def read_any(
             f"{', '.join(names)}"
         )
     named = settings.named()
-    layout = best_layout(found, headers, named, str(path))
+    layout = best_layout(found, headers, named, str(path), settings.table)
     require_named(path, headers, named, layout.head if layout else likely_head(found))
     if layout is None or layout.missing:
         raise not_understood(path, headers, layout, found, named)
@@ -233,7 +235,6 @@ class _Rows:
         self._angles_deg: tuple[float, ...] = ()
         self._runs, self._both_directions = 1, False
         self._found: tuple[Pass, ...] = ()
-        self._strange: list[tuple[int, str]] = []  # directions that are no word for one
 
     def read(self) -> Reading:
         """Return the table."""
@@ -377,7 +378,7 @@ class _Rows:
                 f"{self._path}: {text!r} may be table angles or numbers of positions, and the "
                 "angles are needed",
                 "sheet.columns",
-                [(f"{TABLE_ANGLE}={text}", "table angles")],
+                [(meaning(TABLE_ANGLE, text), "table angles")],
             )
         if name not in rows[0][1] or self._by_angles(name):
             return self._positions(rows, mark)
@@ -451,7 +452,7 @@ class _Rows:
             _smallest_step([float(angle) for angle in commanded]) if commanded else 2.0 * pi,
             self._others(rows, mark) if "deviation" not in self._settings.named() else (),
             self._settings.values,
-            REVERSED in self._settings.named(),
+            self._settings.named(),
         ).read()
         self._remarks += [remark] if remark else []
         return list(map(str, found))
@@ -485,26 +486,34 @@ class _Rows:
                 f"{self._path}, row {number}: {_OURS.get(name, name)} must be a number, found "
                 f"{text_of(value)!r}: correct it, or empty the cell where nothing was measured"
             )
-        if "dms" in (measure.unit, *use.units):
-            self._require_sixtieths(number, value, measure, use, name)
+        if {"dms", "m:s"} & {measure.unit, *use.units}:
+            measure = self._sixtieths(number, value, measure, use, name)
         return str(in_si(measure, measure.unit or self._unit(use, quantity, value, name)))
 
-    def _require_sixtieths(
-        self, row: int, value: Cell, measure: Measure, use: Use, name: str
-    ) -> None:
-        """Raise a question where only one of heading and cell is in degrees, minutes, seconds.
+    def _sixtieths(self, row: int, value: Cell, measure: Measure, use: Use, name: str) -> Measure:
+        """Return degrees or minutes with their 60ths where it is sure which; else ask.
 
-        A time of a workbook, or 12:30:15, may be a time of day; 12.3015 may be degrees.
+        A time of a workbook, or 12:30:15, may be a time of day; 12.3015 may be degrees; 12:30 may
+        be minutes and seconds.
         """
         stated = self._unit_elsewhere(use, ANGLE, name)
+        units = {stated} if stated in ("dms", "m:s") else {*use.units, stated} - {""}
+        of_time = isinstance(value, TimeCell)
+        pair = not of_time and len(re.split(r"[:\s]+", text_of(value).strip())) == 2
+        shifted = Measure(measure.value, "m:s")  # all by one place
         if measure.unit == "dms":
-            sure = not isinstance(value, TimeCell) and set(use.units) <= {"deg", "gon"}
-            if "dms" in (*use.units, stated) or (sure and not stated):
-                return
+            if "m:s" in units and (pair or (of_time and stated)):
+                return shifted
+            plainly = not of_time or (measure.value < 1 and not text_of(value).endswith(":00"))
+            sure = not of_time and units <= {"deg", "gon"} and not stated and (units or not pair)
+            if "dms" in units or ("m:s" in units and plainly) or sure:
+                return measure
             meant = "a time of day, or degrees, minutes and seconds"
-            answers = [("dms", f"{text_of(value)} = {float(measure.value) * 3600:.6g} arcsec")]
+            ways = [("dms", measure)] + [("m:s", shifted)] * (pair or of_time)
+            answers = [(unit, f"{text_of(value)} = {float(in_si(m, 'dms')) / ARCSEC:.6g} arcsec")
+                       for unit, m in ways]  # fmt: skip
         elif measure.unit or stated or measure.value == int(measure.value):
-            return
+            return measure
         else:
             meant = "no degrees, minutes and seconds"
             answers = [(unit, f"{text_of(value)} {unit}") for unit in _SMALL]
@@ -518,7 +527,7 @@ class _Rows:
         """Return the unit of a column; a question, with all readings, if none is stated."""
         stated = self._unit_elsewhere(use, quantity, name)
         if len(use.units) == 1:
-            return stated if stated and use.units == ("dms",) else use.units[0]
+            return stated if stated and use.units[0] in ("dms", "m:s") else use.units[0]
         if stated:
             return stated
         rows = self._layout.sheet.rows[self._layout.first :]
@@ -613,11 +622,11 @@ class _Rows:
         """Return that the table stood at ``angle`` (rad) for a row; its number is open yet."""
         keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
         texts = {name: text_of(cell) for name, (cell, _) in row.items()}
-        down = is_down(texts.get(DIRECTION, ""))
-        if down is None and texts.get(DIRECTION):
-            self._strange.append((number, texts[DIRECTION]))
+        way = texts.get(DIRECTION, "")
+        down = is_down(way)
         what = tuple(folded(texts[name]) for name in keys)
-        return Halt(number, angle, 0, what, texts.get(RUN, ""), down)
+        run = texts.get(RUN, "")
+        return Halt(number, angle, 0, what, run, down, way if down is None else "")
 
     def _nearest(self, halt: Halt, angles: Sequence[float], near: float) -> int:
         """Return which of the angles a halt is at, the one of its own turn if there are several.
@@ -666,11 +675,7 @@ class _Rows:
 
     def _passes(self, halts: Sequence[Halt], *, both: bool = False) -> list[Pass]:
         """Return the passes of the halts, and note how many runs they are."""
-        for number, text in self._strange[:1]:
-            raise DataError(
-                f"{self._path}, row {number}: the direction must be up or down, found {text!r}: "
-                "write one of these"
-            )
+        halts = directed(halts, self._settings.up, str(self._path))
         found = passes(halts, str(self._path), both=both)
         self._found = tuple(found)
         runs = self._runs = 1 + max(run for run, _ in found)

@@ -41,7 +41,7 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     ANGLE: {
         "rad": Decimal(1), "mrad": Decimal("1e-3"), "urad": Decimal("1e-6"), "deg": _PI / 180,
         "mdeg": _PI / 180_000, "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200,
-        "mgon": _PI / 200_000, "dms": _PI / 180,
+        "mgon": _PI / 200_000, "dms": _PI / 180, "m:s": _PI / 10_800,
     },
     TIME: {
         "s": Decimal(1), "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1e-9"),
@@ -78,6 +78,35 @@ class TableColumn:
         """Return the column with the name ``header``, as length_m."""
         suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
         return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
+
+
+class Caption(str):
+    """The text at the head of a column, of one cell or of two, one above the other.
+
+    ``cells`` are their texts, ``address`` is by what a person names the column: its text, or its
+    number where no cell, or more than one, has that text.
+    """
+
+    __slots__ = ("address", "cells")
+    address: str
+    cells: tuple[str, ...]
+
+    @classmethod
+    def of(cls, cells: Sequence[str], place: int, *, alone: bool) -> Caption:
+        """Return the caption of a column with its ``place``, from 0."""
+        caption = cls(" over ".join(cells))
+        caption.cells = tuple(cells)
+        caption.address = caption if alone and len(cells) == 1 else f"#{place + 1}"
+        return caption
+
+    def __repr__(self) -> str:
+        """Return the texts of the cells, each in quotes."""
+        return " over ".join(map(repr, self.cells))
+
+
+def meaning(column: str, text: str) -> str:
+    """Return the entry of sheet.columns that says that a heading means a column."""
+    return f"{column}={text.address if isinstance(text, Caption) else text}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +213,7 @@ def answer(column: str, text: str) -> str:
     >>> print(answer("length", "Weg [mm]"))
     --set 'sheet.columns=["length=Weg [mm]"]'
     """
-    return option("sheet.columns", f"{column}={text}")
+    return option("sheet.columns", meaning(column, text))
 
 
 def option(setting: str, value: str, *more: str) -> str:
@@ -259,12 +288,21 @@ def kind_of(text: str) -> str:
 
 
 def is_down(text: str) -> bool | None:
-    """Return whether a direction is that of shrinking angles; None for a text that is none.
+    """Return whether a direction is that of shrinking angles; None for a text that says neither.
 
     >>> is_down("Rück"), is_down("+"), is_down("left")
     (True, False, None)
     """
-    return _directions().get(_unit(text))
+    return _directions().get(_way(text))
+
+
+def is_direction(text: str) -> bool:
+    """Return whether a text says a direction, perhaps one of either sign, as clockwise."""
+    return _way(text) in _directions()
+
+
+def _way(text: str) -> str:
+    return folded(text) if any(map(str.isalpha, text)) else _unit(text)
 
 
 def folded(text: str) -> str:
@@ -349,10 +387,10 @@ def _kinds() -> dict[str, str]:
 
 
 @cache
-def _directions() -> dict[str, bool]:
+def _directions() -> dict[str, bool | None]:
     directions = _words()["directions"]
     return {
-        _unit(word): direction == "down"
+        _way(word): {"up": False, "down": True}.get(direction)
         for direction, languages in directions.items()
         for word in _listed(languages)
     }

@@ -83,6 +83,39 @@ def test_an_error_of_the_other_sign_is_asked_about(tmp_path, commanded, actual) 
     require_truth(path, columns=(first[0],))
 
 
+@pytest.mark.parametrize("errors", [True, False])
+@pytest.mark.parametrize("digits", [0, 1, 5])
+@pytest.mark.parametrize(("commanded", "actual"), [("Actual", "Target"), ("Ist", "Soll")])
+def test_headings_that_may_be_exchanged_are_asked_about(
+    tmp_path, commanded, actual, digits, errors
+) -> None:
+    head = [f"{commanded} [deg]", f"{actual} [deg]", "Error [arcsec]"][: 2 + errors]
+    columns = [degrees(ANGLES, digits), degrees(ANGLES + OFF), seconds(OFF)][: 2 + errors]
+    path = table(tmp_path, head, columns)
+    with pytest.raises(UndecidedError, match="is rounder than") as asked:
+        read_deviations(path, 1.0)
+    (exchanged, _), (as_named, _) = asked.value.question.answers
+    if not errors:  # the other one is asked for next
+        with pytest.raises(BagError, match=rf'"actual={actual} \[deg\]"'):
+            read_deviations(path, 1.0, SheetSettings(columns=(exchanged,)))
+        require_truth(path, columns=(exchanged, f"actual={actual} [deg]"))
+        curve = read_deviations(path, 1.0, SheetSettings(columns=(as_named,)))
+        np.testing.assert_allclose(np.rad2deg(curve.deviation), -OFF, atol=3e-6)
+        return
+    require_truth(path, columns=(exchanged,))
+
+
+@pytest.mark.parametrize("digits", [4, 9])
+@pytest.mark.parametrize("faces", [7, 14, 23])
+def test_faces_at_uneven_numbers_are_commanded_as_they_are_named(tmp_path, faces, digits) -> None:
+    even = 360.0 / faces * np.arange(faces)
+    off = 4e-3 * np.sin(np.deg2rad(even) + 0.4)
+    path = table(tmp_path, ["Target [deg]", "Actual [deg]"],
+                 [degrees(even, digits), degrees(even + off, 4)])  # fmt: skip
+    curve = read_deviations(path, 1.0)
+    np.testing.assert_allclose(np.rad2deg(curve.deviation), off, atol=1.1e-4)
+
+
 @pytest.mark.parametrize(("shift", "row"), [(1e-3, 5), (2e-4, 11)])
 def test_one_error_that_does_not_fit_is_named(tmp_path, shift, row) -> None:
     wrong = OFF + shift * (np.arange(12) == row)
@@ -288,8 +321,10 @@ def test_runs_without_known_directions_are_refused(tmp_path, way) -> None:
     with pytest.raises(BagError, match=r'"angle=P \[deg\]"') as asked:
         read_any_runs(path)
     assert "column 2 'x1" in asked.value.log
-    with pytest.raises((BagError, DataError), match=r"up or down behind|x1 c?cw"):
+    with pytest.raises(DataError, match=r"up or down behind|'ccw' and 'cw' do not say"):
         read_any_runs(path, SheetSettings(columns=("angle=P [deg]",)))
+    if way[0]:
+        require_runs(path, columns=("angle=P [deg]",), up="ccw")
 
 
 @pytest.mark.parametrize("form", [name for name, (_, answer) in RUNS.items() if answer])

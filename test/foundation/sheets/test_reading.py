@@ -342,8 +342,11 @@ def test_an_order_that_tells_no_passes_is_asked_about(tmp_path: Path, angles: li
 def test_an_unknown_direction_is_named(tmp_path: Path) -> None:
     text = "angle [deg],direction,target,length [m]\n0,left,0,1.5\n"
     assert [cells[0] for cells in rows(read(tmp_path, text))] == ["0"]  # which needs no direction
+    text += "0,right,0,1.5\n"
+    with pytest.raises(DataError, match="'left' and 'right' do not say"):
+        read(tmp_path, text, known={"target": Known((0,))})
     with pytest.raises(DataError, match="row 2: the direction must be up or down, found 'left'"):
-        read(tmp_path, text + "0,right,0,1.5\n", known={"target": Known((0,))})
+        read(tmp_path, text + "0,across,0,1.5\n", known={"target": Known((0,))})
 
 
 def test_columns_of_direction_and_run_go_with_numbers_of_positions(tmp_path: Path) -> None:

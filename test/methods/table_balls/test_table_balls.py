@@ -154,9 +154,6 @@ def test_the_six_motions_of_an_angle_are_a_block_of_their_own(chain):
     computed, design = model.equations(x)
     kernel = design.weighted(1.0 / model.std).kernel()
     balls = BallsOnTable.of(world.plan, world.solver)
-        design.weighted(1.0 / model.std).kernel(),
-        BallsOnTable.of(world.plan, world.solver),
-    )
     motions = balls.first["EXC"] + np.arange(6 * 12 * balls.tilts).reshape(6, -1)
     assert sorted(map(sorted, kernel.groups.own.tolist())) == sorted(motions.T.tolist())
     white = (model.observed - computed) / model.std
