@@ -120,9 +120,10 @@ class Fit:
     def response_of(self, rows: Ints) -> Floats:
         """Return the same of some ``rows`` (k,), (o + a, k)."""
         found = self.kernel.response(self.model.output_rows, rows)
-        for each, spread in zip(self.model.correlated, self._spread, strict=True):
+        for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
-            found[:, mine] = spread[:, at]
+            if len(mine):
+                found[:, mine] = self._spread[number][:, at]
         return found
 
     @cached_property
