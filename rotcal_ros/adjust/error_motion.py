@@ -8,14 +8,13 @@ to the axis average line (ISO 230-7), as what turns with the table does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 HIGHEST: Final = 10
 """Order up to which a motion is held to be one of low orders."""
@@ -110,36 +109,41 @@ class Correlated:
 
     They are sums of independent ``parts``, as of radial and axial motions. Each part is one of
     several ways, roots (k, r) whose products are its covariance; which one is not known.
+    ``likely``: which ways of the first, of the second ... part (w, v, ...) a fit of that model
+    leaves possible; without it all are.
     """
 
     rows: Ints
     parts: tuple[tuple[Floats, ...], ...]
+    likely: Callable[..., Bools] | None = None
 
     def below(self, count: int) -> Correlated:
-        """Return the same below ``count`` further rows of a model."""
-        return replace(self, rows=self.rows + count)
+        """Return the same below ``count`` further rows, in a model where all ways are possible."""
+        return Correlated(self.rows + count, self.parts)
 
-    def spread(self, felt: Floats) -> Floats:
+    def possible(self, fit: object | None = None) -> Bools:
+        """Return which ways (w, v, ...) are possible together, of a ``fit`` or before any."""
+        if fit is None or self.likely is None:
+            return np.ones([len(ways) for ways in self.parts], np.bool_)
+        return self.likely(fit)
+
+    def spread(self, felt: Floats, possible: Bools) -> Floats:
         """Return what independent errors would have to do (o, k) in the place of these.
 
         ``felt`` (o, k): what errors of the rows do to outputs. The variance of each output is that
-        of the worst way of each part, its correlations are those of the mean of all.
+        of the worst of the ``possible`` ways (w, v, ...), its correlations are those of the mean
+        of all that are in one of them.
         """
-        worst = sum(
-            np.max([((felt @ root) ** 2).sum(axis=1) for root in ways], axis=0)
-            for ways in self.parts
-        )
-        spread = felt @ self._mean_root
-        size = (spread**2).sum(axis=1)
-        factor = np.sqrt(np.where(size > 0.0, worst, 0.0) / np.where(size > 0.0, size, 1.0))
+        chosen, every = np.nonzero(possible), range(possible.ndim)
+        variance, mean = np.zeros((len(chosen[0]), len(felt))), np.zeros(2 * [len(self.rows)])
+        for part, (ways, mine) in enumerate(zip(self.parts, chosen, strict=True)):
+            variance += np.array([((felt @ root) ** 2).sum(axis=1) for root in ways])[mine]
+            others = tuple(k for k in every if k != part)
+            kept = np.flatnonzero(possible.any(axis=others)).tolist()
+            for k in kept:
+                mean += ways[k] @ ways[k].T / len(kept)
+        size, axes = np.linalg.eigh(mean)
+        spread = felt @ (axes * np.sqrt(np.maximum(size, 0.0))) @ axes.T
+        square, worst = (spread**2).sum(axis=1), variance.max(axis=0)
+        factor = np.sqrt(np.where(square > 0.0, worst, 0.0) / np.where(square > 0.0, square, 1.0))
         return np.asarray(spread * factor[:, None])
-
-    @cached_property
-    def _mean_root(self) -> Floats:
-        """Symmetric root (k, k) of the mean covariance."""
-        total = np.zeros((len(self.rows), len(self.rows)))
-        for ways in self.parts:
-            for root in ways:
-                total += root @ root.T / len(ways)
-        size, axes = np.linalg.eigh(total)
-        return np.asarray((axes * np.sqrt(np.maximum(size, 0.0))) @ axes.T)

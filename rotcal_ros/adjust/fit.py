@@ -225,11 +225,20 @@ class Fit:
     def response(self) -> Floats:
         """B (o + a, n): what whitened errors do to the outputs; correlated ones as independent."""
         if isinstance(self.cofactors, Whole):
-            plain = self.alone(slice(None))
+            response: Floats = self._alone.copy()
             for each in self.model.correlated:
-                plain[:, each.rows] = each.spread(plain[:, each.rows])
-            return plain
+                response[:, each.rows] = each.spread(response[:, each.rows], each.possible(self))
+            return response
         return self.response_of(np.arange(len(self.std)))
+
+    def _response_where(self, asked: Bools) -> Floats:
+        """Return B, of which only columns that are ``asked`` for (n,) count."""
+        together = any(asked[each.rows].any() for each in self.model.correlated)
+        return self.response if together else self._alone
+
+    @cached_property
+    def _alone(self) -> Floats:
+        return self.alone(slice(None))
 
     def alone(self, rows: slice) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).
@@ -244,7 +253,7 @@ class Fit:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs, (o + a, k)."""
         found = self.cofactors
         if isinstance(found, Whole):
-            return self.response[:, rows]
+            return self._response_where(np.isin(np.arange(len(self.std)), rows))[:, rows]
         parts = np.array_split(rows, len(rows) // AT_ONCE + 1)
         return np.hstack([self.model.output_rows.times(found.gained(part)) for part in parts])
 
@@ -252,7 +261,7 @@ class Fit:
         """Return what whitened errors (n, k) do to the outputs, (o + a, k): B times them."""
         found = self.cofactors
         if isinstance(found, Whole):
-            return np.asarray(self.response @ white)
+            return np.asarray(self._response_where(np.any(np.atleast_2d(white.T), 0)) @ white)
         return self.model.output_rows.times(found.times(found.design.adjoint(white)))
 
     def covariance(self, count: int) -> Floats:

@@ -599,8 +599,9 @@ def model_of(
     model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
     if whole or not len(motions):
         return model
-    together = correlated(motions[:, balls.motions], moves(balls, solver))
-    return replace(model, correlated=(together.below(len(zero)),))
+    rows, first = motions[:, balls.motions], balls.first["EXC"]
+    together = correlated(rows, len(zero), balls.stated, moves(balls, solver), first, balls.angles)
+    return replace(model, correlated=(together,))
 
 
 def _returning(balls: BallsOnTable, read: Readings, zero: Ints) -> Floats:

@@ -2,23 +2,25 @@
 
 The balls do not determine all motions at an angle; for those the statement stands. It is weighed
 as if each angle moved by itself, so that it leads nothing astray; what it does to the uncertainty
-follows from the orders. Of orders that nobody states, each alone and white motion are held to be
-possible, and every output keeps the worst: one in a low order, as those of real axes are, is the
-same witness at every angle, and passes for an axis that stands or leans elsewhere.
+follows from the orders. Of orders that nobody states, each alone, several and white motion are
+held to be possible, and of those that fit what the balls show every output keeps the worst: one in
+a low order, as those of real axes are, is the same witness at every angle, and passes for an axis
+that stands or leans elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
 from rotcal_ros.adjust.engine import LIMITS
-from rotcal_ros.adjust.error_motion import WHITE, Correlated, Spectrum
+from rotcal_ros.adjust.error_motion import HIGHEST, WHITE, Correlated, Spectrum
 from rotcal_ros.adjust.fit import Fit
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.table_balls.settings import (
     FALLING,
@@ -38,8 +40,19 @@ FACTORS: Final = np.geomspace(0.05, 1000.0, 80)
 """Sizes of motions, per stated, that are tried."""
 SILENT: Final = 1e-9
 """Share of the largest variance of what is shown below which another is none."""
-RANGES: Final = tuple((low, high) for low in (1, 2) for high in (3, 4, 6, 10))
-"""Lowest and highest orders of motions that have several alike."""
+SINGLE: Final = 6
+"""Order up to which a motion may be in one alone; above, one passes for no other axis."""
+HIDDEN: Final = 0.6
+"""Share of a motion that may be in its lowest order, which passes for another axis."""
+ORDERS: Final = 36
+"""Highest order in which motions are compared."""
+SHOWN: Final = 1e-3
+"""Square of motions, per that of noise, below which nothing shows them."""
+SMALLER: Final = (0.2, 0.5, 1.0)
+"""Sizes of motions, per stated, at which ways to move are compared: a statement is generous."""
+LIKELY: Final = 0.002
+"""Likelihood, per that of the best, from which on a way to move is possible: by simulation, as
+scripts/ball_coverage.py does. The truth is rarely below, and what is far from it mostly."""
 
 
 def spectra(solver: BallsSolverSettings) -> dict[str, tuple[Spectrum, ...]]:
@@ -53,11 +66,21 @@ def spectra(solver: BallsSolverSettings) -> dict[str, tuple[Spectrum, ...]]:
         return {kind: (Spectrum.falling(LOWEST[kind]),) for kind in MOTION_KINDS}
     if solver.error_motion_orders == STATED:
         return {kind: (Spectrum.of_sizes(sizes[kind]),) for kind in MOTION_KINDS}
-    alike = [
-        Spectrum.of_sizes([0.0, *[1.0] * (h - 1)] if a == 2 else [1.0] * h) for a, h in RANGES
-    ]
-    every = (*Spectrum.one_each(), *alike, Spectrum.falling(1), Spectrum.falling(2))
-    return dict.fromkeys(MOTION_KINDS, every)
+    return {kind: tuple(_any(lowest)) for kind, lowest in LOWEST.items()}
+
+
+def _any(lowest: int) -> Iterator[Spectrum]:
+    """Yield white, single orders, several, and such with most of it in the ``lowest``."""
+
+    def alike(first: int, last: int) -> Spectrum:
+        return Spectrum.of_sizes((np.arange(1, last + 1) >= first).tolist())
+
+    hidden = Spectrum((lowest,), (1.0,))
+    yield from Spectrum.one_each(SINGLE)
+    yield from (alike(lowest, 4), alike(lowest, HIGHEST), Spectrum.falling(lowest))
+    for rest in (WHITE, alike(lowest + 1, lowest + 1), alike(lowest + 2, lowest + 2),
+                 alike(lowest + 1, HIGHEST)):  # fmt: skip
+        yield Spectrum.mean({hidden: HIDDEN, rest: 1.0 - HIDDEN})
 
 
 def ways(spectrum: Spectrum, angles: Floats, tilts: int) -> Iterator[Floats]:
@@ -100,14 +123,85 @@ def drawn(
     }
 
 
-def correlated(rows: Floats, moves: Mapping[str, tuple[Floats, ...]]) -> Correlated:
-    """Return what the errors of statements have in common, the first rows of their model.
+def correlated(
+    rows: Floats,
+    before: int,
+    stated: Floats,
+    moves: Mapping[str, tuple[Floats, ...]],
+    first: int,
+    angles: Floats,
+) -> Correlated:
+    """Return what the errors of statements have in common, whose rows follow ``before`` others.
 
     ``rows`` (k, 6 t p): what each statement takes of the motions, per standard deviation;
-    ``moves``: what :func:`drawn` returns.
+    ``moves``: what :func:`drawn` returns; ``first``: where the motions are among the unknowns.
     """
     parts = tuple(tuple(rows @ way for way in each) for each in moves.values())
-    return Correlated(np.arange(len(rows)), parts)
+    found = Correlated(before + np.arange(len(rows)), parts)
+    if len(stated) * len(angles) < len(next(iter(moves.values()))[0]):
+        return found  # several tilts, each of which may move by itself
+    return replace(found, likely=lambda fit: likely(fit, stated, moves, first, angles))
+
+
+def likely(
+    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int, angles: Floats
+) -> Bools:
+    """Return which ways to move (w, v, u), of each kind one, fit what the balls show.
+
+    Of the motions order by order, as if these were independent, which they are where angles are
+    even and complete; by the likelihood of each per that of the best.
+    """
+    moved, gain, noise = _moved(fit, stated, moves, first)
+    (together,) = fit.model.correlated
+    scale, merit = np.repeat(stated, len(angles))[:, None], np.zeros(())
+    for order in range(min(ORDERS, len(angles) // 2) + 1):  # balls see those beside
+        waves = np.kron(np.eye(6)[:5], _waves(order, angles))  # nothing is stated of ECC
+        rows = _white(waves @ noise) @ waves
+        felt = rows @ gain[:, together.rows]
+        columns = [
+            [rows @ (way / scale) - felt @ root for way, root in zip(*both, strict=True)]
+            for both in zip(moves.values(), together.parts, strict=True)
+        ]
+        size, axes = np.linalg.eigh(sum(_square(c) for each in columns for c in each))
+        shown = axes[:, size > SHOWN].T
+        squares = [np.array([_square(shown @ c) for c in each]) for each in columns]
+        merit = merit + _log_likelihood(shown @ rows @ moved, squares)
+    best = merit.max(axis=0)
+    return np.asarray(best >= best.max() + np.log(LIKELY))
+
+
+def _waves(order: int, angles: Floats) -> Floats:
+    """Return orthonormal rows (1 or 2, n) of what undulates so often in a turn."""
+    phase = order * angles
+    _, size, rows = np.linalg.svd(np.array([np.cos(phase), np.sin(phase)]), full_matrices=False)
+    return np.asarray(rows[size > SILENT * size[0]])
+
+
+def _log_likelihood(value: Floats, squares: Sequence[Floats]) -> Floats:
+    """Return that (f, w, v, ...) of a ``value`` (m,) with white noise of 1 and a way of each part.
+
+    ``squares``: covariances (w, m, m) of the ways of each part, which are as large as stated; at
+    each of the sizes :data:`SMALLER`. Up to what all have in common.
+    """
+    m, which = len(value), list[Ints]()
+    bordered = np.zeros((1, m + 1, m + 1))
+    for each in squares:
+        does = np.trace(each, axis1=1, axis2=2) > SILENT  # the others are the same here: nothing
+        which.append(np.where(does, np.cumsum(does), 0))
+        more = np.zeros((1 + int(does.sum()), m + 1, m + 1))
+        more[1:, :m, :m] = each[does]
+        bordered = bordered[..., None, :, :] + more
+    own, found = np.eye(m + 1), []
+    own[m, :m], own[m, m] = value, 1.0 + value @ value
+    for size in SMALLER:  # the last pivot of Cholesky's factor shows the square, whitened
+        pivots = np.linalg.cholesky(own + size**2 * bordered[0]).diagonal(axis1=-2, axis2=-1)
+        merit = 0.5 * pivots[..., m] ** 2 - np.log(pivots[..., :m].prod(axis=-1))
+        found.append(merit[np.ix_(*which)])
+    return np.array(found)
+
+
+def _square(columns: Floats) -> Floats:
+    return np.asarray(columns @ columns.T)
 
 
 class Contradiction(NamedTuple):
@@ -153,11 +247,9 @@ def _shown(
 ) -> Iterator[tuple[str, Floats, Floats, list[Floats]]]:
     """Yield each kind, what makes the noise in its motions white (k, m), these (m,), its ways."""
     (together,) = fit.model.correlated
-    count = next(iter(moves.values()))[0].shape[0] // 6
+    value, gain, noise = _moved(fit, stated, moves, first)
+    count = len(value) // 6
     scale = np.repeat(stated, count)
-    gain = fit.gain(slice(first, first + 6 * count)) / scale[:, None]
-    value = fit.x[first : first + 6 * count] / scale
-    noise = np.delete(gain, together.rows, axis=1)
     per_way = [
         np.concatenate([
             way / scale[:, None] - gain[:, together.rows] @ root
@@ -168,10 +260,29 @@ def _shown(
     ]  # fmt: skip
     for kind, numbers in MOTION_KINDS.items():
         own = np.isin(np.repeat(np.arange(6), count), numbers)
-        size, axes = np.linalg.eigh(noise[own] @ noise[own].T)
-        kept = size > SILENT * max(size[-1], np.finfo(np.float64).tiny)
-        white = (axes[:, kept] / np.sqrt(size[kept])).T
+        white = _white(noise[own])
         yield kind, white, value[own], [way[own] for way in per_way]
+
+
+def _moved(
+    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return motions (6 t p,), what whitened errors do to them, and what those of readings do.
+
+    Per stated size of each; ``first`` and ``moves`` as of :func:`contradictions`.
+    """
+    (together,) = fit.model.correlated
+    count = len(next(iter(moves.values()))[0])
+    scale, motions = np.repeat(stated, count // 6), slice(first, first + count)
+    gain = fit.gain(motions) / scale[:, None]
+    return fit.x[motions] / scale, gain, np.delete(gain, together.rows, axis=1)
+
+
+def _white(noise: Floats) -> Floats:
+    """Return rows (k, m) that make errors with the root ``noise`` (m, n) white, but for none."""
+    size, axes = np.linalg.eigh(noise @ noise.T)
+    kept = size > SILENT * max(size[-1], np.finfo(np.float64).tiny)
+    return np.asarray((axes[:, kept] / np.sqrt(size[kept])).T)
 
 
 def _contradiction(kind: str, value: Floats, ways: Sequence[Floats]) -> Contradiction:

@@ -146,8 +146,8 @@ class BallsSolverSettings:
     error_motion_orders: str = expert(
         ANY,
         doc="how these motions are spread over orders, undulations per turn: in any (the "
-        "uncertainty holds the worst), in sizes that are falling as 1 / order to the tenth, white "
-        "(another at every angle), or as stated",
+        "uncertainty holds the worst that fits), in sizes that are falling as 1 / order to the "
+        "tenth, white (another at every angle), or as stated",
         choices=(ANY, FALLING, WHITE_ONLY, STATED),
     )
     radial_orders: tuple[float, ...] = expert(
