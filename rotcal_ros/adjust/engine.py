@@ -114,14 +114,12 @@ class Adjusted:
         Where the noise was estimated from few residuals, 1.96 of its standard uncertainties hold
         95 % as those of Student's t do.
         """
-        count = len(self.model.outputs)
-        return self._covariance[:count, :count]
+        return self._covariance
 
     @cached_property
     def _covariance(self) -> Floats:
-        """Covariance of the outputs that count; of all (o + a) where it is the whole matrix."""
-        fit = self.fit
-        count = len(self.model.outputs if fit.by_order is not None else fit.value)
+        """Covariance of the outputs that count."""
+        fit, count = self.fit, len(self.model.outputs)
         few = (self.scale * self._student)[:count]
         total = few[:, None] * fit.covariance(count) * few
         for weight, change in self.diagnosis.contested():
@@ -181,8 +179,6 @@ class Adjusted:
 
     @cached_property
     def _every_std(self) -> Floats:
-        if self.fit.by_order is None:
-            return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
         variance = (self.scale * self._student) ** 2 * self.fit.variance
         for weight, change in self.diagnosis.contested():
             variance = variance + weight * change**2
