@@ -43,6 +43,8 @@ from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
 COVARIANCE_LIMIT: Final = 720
 """Most deviations of a component whose covariance is put into the result (4 MB)."""
+SOLVED: Final = 32
+"""Trials that are solved at once."""
 MOST_INFLUENCES: Final = 20_000_000
 """Most numbers in what each observation does to the deviations (160 MB); of more, none."""
 LARGEST: Final = 1000.0
@@ -235,8 +237,9 @@ class Adjusted:
     @cached_property
     def trials(self) -> Trials:
         """Measurements with the noise that was used, and with what is probable but not proved."""
-        few = self.scale * self._student
-        causes = [few[:, None] * self.fit.response]
+        few, size = self.scale * self._student, len(self.value)
+        many = size * len(self.fit.std) > MOST_INFLUENCES and not self.model.correlated
+        causes = [np.zeros((len(few), 0)) if many else few[:, None] * self.fit.response]
         causes += [
             np.sqrt(weight) * change[:, None] for weight, change in self.diagnosis.contested()
         ]
@@ -244,7 +247,10 @@ class Adjusted:
         if gathers is not None:
             values, vectors = np.linalg.eigh(gathers)
             causes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
-        return Trials(self.value, np.concatenate(causes, axis=1)[: len(self.value)])
+        beside = np.concatenate(causes, axis=1)[:size]
+        if many:
+            return TrialsOfNoise(self.value, beside, self.fit, few[:size])
+        return Trials(self.value, beside)
 
     def protections(self) -> tuple[Protection, ...]:
         """Return what is done about each declared effect, the noise, and what gathers."""
@@ -378,6 +384,23 @@ class Trials:
         """Return outputs (count, o)."""
         drawn = rng.standard_normal((count, self.causes.shape[1]))
         return np.asarray(self.value + drawn @ self.causes.T)
+
+
+@dataclass(frozen=True, eq=False)
+class TrialsOfNoise(Trials):
+    """The same of very many observations, whose noise is drawn and solved: ``few`` (o,) times."""
+
+    fit: Fit
+    few: Floats
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return outputs (count, o)."""
+        found, outputs = super().__call__(rng, count), self.fit.model.counting_outputs
+        for begin in range(0, count, SOLVED):
+            part = found[begin : begin + SOLVED]
+            white = rng.standard_normal((len(self.fit.std), len(part)))
+            part += outputs.times(self.fit.kernel.solve(white)).T * self.few
+        return found
 
 
 @dataclass(frozen=True, eq=False)
