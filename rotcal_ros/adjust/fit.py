@@ -164,7 +164,7 @@ class Fit:
 
     @cached_property
     def _plain_variance(self) -> Floats:
-        return self.kernel.variances_of(self.model.output_rows)
+        return np.maximum(self.kernel.variances_of(self.model.output_rows), 0.0)
 
     @cached_property
     def variance(self) -> Floats:
