@@ -246,7 +246,8 @@ class Adjusted:
         gathers = self.diagnosis.gathering.covariance()
         if gathers is not None:
             values, vectors = np.linalg.eigh(gathers)
-            causes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
+            # of all roots the one that no sign of a vector, and no order of equals, changes
+            causes.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
         beside = np.concatenate(causes, axis=1)[:size]
         if many:
             return TrialsOfNoise(self.value, beside, self.fit, few[:size])

@@ -164,7 +164,8 @@ class Fit:
 
     @cached_property
     def _plain_variance(self) -> Floats:
-        return np.maximum(self.kernel.variances_of(self.model.output_rows), 0.0)
+        rows = self.model.output_rows
+        return np.where(rows.idle, 0.0, np.maximum(self.kernel.variances_of(rows), 0.0))
 
     @cached_property
     def variance(self) -> Floats:

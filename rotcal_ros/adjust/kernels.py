@@ -406,6 +406,7 @@ class Updated(Kernel):
         if self.columns.shape[1]:
             low = self.design.some_times(rows, self.columns)
             found += (outputs.times(self.columns) @ self.core) @ low.T
+        found[outputs.idle] = 0.0
         return found
 
     def among(self, rows: Ints) -> Floats:

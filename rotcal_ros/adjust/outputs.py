@@ -115,6 +115,11 @@ class Outputs:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     @cached_property
+    def idle(self) -> Bools:
+        """Which (o,) are always zero, as the first that is counted from itself."""
+        return self.lengths(np.ones(self.shape[1])) == 0.0
+
+    @cached_property
     def felt(self) -> Bools:
         """Which unknowns (p,) one of them feels."""
         return np.asarray((self.common != 0.0).any(axis=0) | (abs(self.few).sum(axis=0) > 0.0))
