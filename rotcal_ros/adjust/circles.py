@@ -130,8 +130,7 @@ class Turns:
         step, cell = np.arange(self.size), np.arange(len(self.sign))[:, None] * self.size
         circle = np.arange(self.circles)[:, None, None] * self.size
         shift = self.shift.T[:, :, None]
-        read = circle + (step + shift) % self.size, cell + (step - shift) % self.size
-        return read
+        return circle + (step + shift) % self.size, cell + (step - shift) % self.size
 
     def normal_times(self, share: Floats, x: Floats) -> Floats:
         """Return the normal matrix of rows with squared weights ``share`` (t, N) times x (p,)."""
@@ -186,7 +185,7 @@ class Circular(Design):
     def lengths(self) -> Floats:
         """The length (p + q,) of each column."""
         own = np.bincount(self.few.indices, self.few.data**2, self.few.shape[1])
-        return np.sqrt(np.append(own, (self.extra**2).sum(axis=0)))
+        return np.asarray(np.sqrt(np.append(own, (self.extra**2).sum(axis=0))))
 
     def weighted(self, weight: Floats) -> Circular:
         """Return the same, its rows times ``weight`` (n,)."""
@@ -360,7 +359,8 @@ class ByOrder(Kernel):
         found = np.einsum("cdh,kdh->kch", self._by_circle, orders)
         found[:, :, 0] = zero[:, :circles] * np.sqrt(size)
         places = np.fft.irfft(found, size).reshape(-1, count)
-        return np.concatenate([places, zero[:, circles:]], axis=1).T.reshape(columns.shape)
+        whole = np.concatenate([places, zero[:, circles:]], axis=1)
+        return np.asarray(whole.T.reshape(columns.shape))
 
     @cached_property
     def _by_circle(self) -> Orders:
@@ -383,8 +383,8 @@ class ByOrder(Kernel):
         sums = np.zeros((len(outputs), len(self.zero)))
         at = np.where(there, circle, column - circles * size + circles)
         for a in range(count):
-            sums[np.arange(len(outputs)), at[:, a]] += (
-                np.where(there[:, a], value[:, a] / np.sqrt(size), value[:, a])
+            sums[np.arange(len(outputs)), at[:, a]] += np.where(
+                there[:, a], value[:, a] / np.sqrt(size), value[:, a]
             )
         found += ((sums @ self.zero) * sums).sum(axis=1)
         carried = self.times(outputs.common.T)
@@ -434,7 +434,7 @@ class ByOrder(Kernel):
         """Return what rows (k,) do to ``outputs``, from what they do beside the common ones."""
         carried = self.turns.rows_of(turn, place) @ self.times(outputs.common.T)
         found += carried if carried.shape[1] == 1 else carried[:, outputs.part]
-        return found.T
+        return np.asarray(found.T)
 
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -63,7 +63,7 @@ class Outputs:
         """Return their number o."""
         return len(self.part)
 
-    def __array__(self, dtype: DTypeLike = None, copy: bool | None = None) -> Floats:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Floats:
         """Return all of them, written out."""
         return np.asarray(self[:], dtype=dtype)
 
@@ -117,7 +117,7 @@ class Outputs:
     @cached_property
     def idle(self) -> Bools:
         """Which (o,) are always zero, as the first that is counted from itself."""
-        return self.lengths(np.ones(self.shape[1])) == 0.0
+        return np.asarray(self.lengths(np.ones(self.shape[1])) == 0.0)
 
     @cached_property
     def felt(self) -> Bools:
@@ -132,6 +132,6 @@ class Outputs:
         if self.each != 1 or not len(self) or (self.few.data != 1.0).any():
             return None
         circle, place = np.divmod(self.few.indices, size)
-        here = (place[0] + np.arange(len(self))) % size
-        follow = circle[0] * size < count and (circle == circle[0]).all() and (place == here).all()
-        return (int(circle[0]), int(place[0])) if follow and len(self.few.data) == len(self) else None
+        here = (place[0] + np.arange(len(place))) % size
+        follow = (circle == circle[0]).all() and (place == here).all() and len(self) == len(circle)
+        return (int(circle[0]), int(place[0])) if follow and circle[0] * size < count else None

@@ -152,8 +152,9 @@ def model_of(
     table, mark, _ = blocks.values()
     design = _design(circles, read, mark, sum(blocks.values()))
     unknowns = np.arange(sum(blocks.values()))
-    first = -1.0 * (unknowns == circles.table[0])
-    mean = -1.0 / max(mark, 1) * ((unknowns >= table) & (unknowns < table + mark))
+    first = np.where(unknowns == circles.table[0], -1.0, 0.0)
+    of_mark = (unknowns >= table) & (unknowns < table + mark)
+    mean = np.where(of_mark, -1.0 / max(mark, 1), 0.0)
     marks = Outputs.picked(unknowns[table : table + mark], mean)
     model = Model(
         blocks=blocks,
