@@ -207,9 +207,9 @@ class Bordered(Kernel):
     """The kernel of a design whose unknowns fall into groups and a border, see above.
 
     ``basis`` (g, d, s): Q, and ``inverse`` (g, s, s): R^-1 of each group. ``tied`` (g s, m):
-    H'G^-1 and ``root`` (m, m): G, M = G'G. ``columns`` (p + q, r) of the unknowns, times their
-    transposed, hold what the border adds to N^-1; ``along`` (g d, r) and ``below`` (m, r) is what
-    the rows of the groups and the known ones feel of those.
+    H'G^-1 and ``root`` (m, m): G of orthogonal rows, M = G'G. ``columns`` (p + q, r) of the
+    unknowns, times their transposed, hold what the border adds to N^-1; ``along`` (g d, r) and
+    ``below`` (m, r) is what the rows of the groups and the known ones feel of those.
     """
 
     design: FewEach
@@ -238,14 +238,15 @@ class Bordered(Kernel):
         weak = (diagonal <= FIRM * np.linalg.norm(triangle, axis=1)).any(axis=1)
         if weak.any():
             own = groups.own[weak]
-            rest = Groups.of(design.few, own[own >= 0]) if 2 * weak.sum() < count else None
+            joined = np.append(groups.shared, own[own >= 0])
+            rest = Groups.of(design.few, joined) if 2 * weak.sum() < count else None
             return None if rest is None else cls.of(design, rest)
         inverse, felt = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
         known = np.hstack([design.known[:, groups.shared], design.columns[n:]])
         of_own = _own_of(groups, design.known.T)  # (g, s, m)
         of_own = (np.swapaxes(inverse, 1, 2) @ of_own).reshape(count * size, -1)  # H'
-        root = _triangle(np.concatenate([np.eye(len(known)), of_own]))
-        tied = np.linalg.solve(root.T, of_own.T).T
+        _, grown, ways = np.linalg.svd(_triangle(np.concatenate([np.eye(len(known)), of_own])))
+        root, tied = grown[:, None] * ways, of_own @ (ways.T / grown)
         open_ = known - of_own.T @ felt.reshape(count * size, known.shape[1])
         white = np.linalg.solve(root.T, open_)
         flat = border.reshape(count * groups.depth, known.shape[1])
@@ -269,15 +270,24 @@ class Bordered(Kernel):
 
     def times(self, columns: Floats) -> Floats:
         """Return N^-1 times ``columns`` (p + q, k)."""
-        own = np.swapaxes(self.inverse, 1, 2) @ _own_of(self.groups, columns)
-        return self._whole(own.reshape(len(self.tied), -1), self.columns.T @ columns)
-
-    def _whole(self, own: Floats, border: Floats) -> Floats:
-        """Return all unknowns of u (g s, k) that is not yet tied, and of the border (r, k)."""
-        own = own - self.tied @ (self.tied.T @ own)
-        found = self.columns @ border
+        own = self._half(self._half(self._along_own(columns)))
+        found = self.columns @ (self.columns.T @ columns)
         _to_own(self.groups, found, self.inverse @ own.reshape(*self.groups.own.shape, -1))
         return np.asarray(found)
+
+    def variances(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p + q) make of the unknowns."""
+        own, border = self._half(self._along_own(rows.T)), rows @ self.columns
+        return np.asarray((own**2).sum(axis=0) + (border**2).sum(axis=1))
+
+    def _along_own(self, columns: Floats) -> Floats:
+        own = np.swapaxes(self.inverse, 1, 2) @ _own_of(self.groups, columns)
+        return np.asarray(own.reshape(len(self.tied), -1))
+
+    def _half(self, own: Floats) -> Floats:
+        """Return the symmetric root of I - H'M^-1 H times ``own`` (g s, k)."""
+        grown = np.linalg.norm(self.root, axis=1)[:, None]
+        return np.asarray(own - self.tied @ (grown / (1.0 + grown) * (self.tied.T @ own)))
 
     def solve(self, white: Floats) -> Floats:
         """Return the unknowns (p + q,) or (p + q, k) of least squares, from whitened readings."""

@@ -258,10 +258,13 @@ def require_determined(model: Model) -> None:
 def _by_form(model: Model, design: Design) -> Kernel | None:
     """Return the kernel of the form of a whitened design; None where it has none that is firm.
 
-    Or where outputs feel what is open: then the whole design shows which unknowns are at fault.
+    Or none of circles whose outputs feel what is open. Raises ObservabilityError where others do.
     """
     found = design.kernel()
     if found is None or not found.directions.shape[1]:
+        return found
+    if design.divided:
+        _require_unfelt(model, found)
         return found
     return None if _feels(model, found) else found
 
@@ -371,10 +374,12 @@ class _Steps:
 
 
 def _require_told(model: Model, design: Design) -> None:
-    """Raise ObservabilityError for unknowns of a weighted ``design`` that no observation feels.
+    """Raise ObservabilityError for unknowns of circles that no observation feels, weighted.
 
     And for too many unknowns for a whole matrix, where nothing else solves them.
     """
+    if design.divided:
+        return
     felt = model.output_rows.felt
     unseen = np.flatnonzero(felt & (design.lengths[: len(felt)] == 0.0))
     if unseen.size:
