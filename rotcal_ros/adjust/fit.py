@@ -124,9 +124,10 @@ class Fit:
         """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
         outputs = self.model.output_rows if outputs is None else outputs
         found = self.kernel.response(outputs, rows)
-        for each, spread in zip(self.model.correlated, self._spread, strict=True):
+        for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
-            found[:, mine] = spread[: len(outputs), at]
+            if len(mine):
+                found[:, mine] = self._spread[number][: len(outputs), at]
         return found
 
     @cached_property
