@@ -34,6 +34,7 @@ from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import PRIOR
+from rotcal_ros.adjust.outputs import AT_ONCE
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -558,8 +559,10 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     limit = detected(found.diagnosis.limits.outlier(model), POWER)
     size = limit / np.sqrt(np.maximum(redundancy, (limit / LARGEST) ** 2))
     counts = std > 0.0
-    felt = fit.response_of(rows)[: len(std)]
-    squares = np.einsum("ok,k,ok->o", felt, size**2 / len(rows), felt)[counts]
+    squares = np.zeros(int(counts.sum()))
+    for some in np.array_split(np.arange(len(rows)), len(rows) // AT_ONCE + 1):
+        felt = fit.response_of(rows[some])[: len(std)][counts]
+        squares += felt**2 @ (size[some] ** 2 / len(rows))
     error = float(np.sqrt((squares / std[counts] ** 2).max(initial=0.0)))
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)
