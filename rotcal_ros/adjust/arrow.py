@@ -258,8 +258,10 @@ class Arrow:
         if shared:
             border = least[:shared, :shared]
             length = np.linalg.norm(border, axis=0)
-            if len(border) < shared or not length.all():
-                return None
+            whole = np.bincount(design.few.indices, design.few.data**2, design.few.shape[1])
+            whole = np.sqrt(whole + (design.known**2).sum(axis=0))[self.shared]
+            if len(border) < shared or (length <= FIRM * whole).any():
+                return None  # what is left of a column is rounding
             if lapack.dtrcon(border / length)[0] <= FIRM:
                 return None
             x[self.shared] = lapack.dtrtrs(border, least[:shared, shared])[0]

@@ -77,6 +77,10 @@ def test_what_has_no_blocks_or_no_firm_ones_is_left_to_the_whole_matrix():
     open_[:, -1] = open_[:, -2]
     twice = csr_array(open_)
     assert Arrow.of(twice).solved(FewEach(twice, nothing), np.ones(few.shape[0])) is None
+    angles = np.append(np.arange(12), 0)
+    one_zero = csr_array(np.column_stack([1e7 * np.eye(12)[angles], np.full(13, 1e7)]))
+    arrow, read = Arrow.of(one_zero), np.random.default_rng(2).standard_normal(13)
+    assert arrow.solved(FewEach(one_zero, np.zeros((0, 13))), read) is None
 
 
 def stations(sparse):
