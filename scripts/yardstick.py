@@ -208,7 +208,7 @@ SECTIONS: Final = (
      "of a table that scatters, intervals hold more often."),
     ("power", "Effects", effects, ("plan", "effect", "size"), ("% not ok", "error / u", "named"),
      "Each effect at the size where the old code notices it in 95 of 100 measurements; \"up to\" "
-     "is the largest that was tried, where none is noticed. The new code must notice it in 90. "
+     "is the largest that was tried, if none is. The new code must notice it in 90. "
      "The error of what stays ok must not grow, or the verdict names the effect."),
     ("time", "Time and memory", times, ("plan", "size"), ("s", "MB"),
      "Processor time of a whole solution, and the peak of memory. The new code may take 1.5 times "
@@ -262,6 +262,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=100, help="measurements of each kind")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
     parser.add_argument("--results", type=Path, default=ROOT / "out" / "yardstick")
+    parser.add_argument("--no-more", action="store_true", help="only show what was measured")
     parser.add_argument("--page", type=Path, help="write this, instead of printing")
     given = parser.parse_args()
     given.results.mkdir(parents=True, exist_ok=True)
@@ -270,7 +271,8 @@ def main() -> int:
         new = Code.of(given.new, given.results)
     compared = Comparison(old, new, tuple(given.plan), given.runs)
     try:
-        compared.measure(given.part or PARTS, given.jobs)
+        if not given.no_more:
+            compared.measure(given.part or PARTS, given.jobs)
     except KeyboardInterrupt:
         print("the same command goes on from here", file=sys.stderr)
         return 130

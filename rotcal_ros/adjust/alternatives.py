@@ -15,8 +15,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.arrow import OPEN, dense
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.groups import CHECKED
+from rotcal_ros.adjust.kernels import OPEN
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError

@@ -34,6 +34,7 @@ from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import PRIOR
+from rotcal_ros.adjust.outputs import AT_ONCE
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -114,14 +115,12 @@ class Adjusted:
         Where the noise was estimated from few residuals, 1.96 of its standard uncertainties hold
         95 % as those of Student's t do.
         """
-        count = len(self.model.outputs)
-        return self._covariance[:count, :count]
+        return self._covariance
 
     @cached_property
     def _covariance(self) -> Floats:
-        """Covariance of the outputs that count; of all (o + a) where it is the whole matrix."""
-        fit = self.fit
-        count = len(self.model.outputs if fit.by_order is not None else fit.value)
+        """Covariance of the outputs that count."""
+        fit, count = self.fit, len(self.model.outputs)
         few = (self.scale * self._student)[:count]
         total = few[:, None] * fit.covariance(count) * few
         for weight, change in self.diagnosis.contested():
@@ -181,8 +180,6 @@ class Adjusted:
 
     @cached_property
     def _every_std(self) -> Floats:
-        if self.fit.by_order is None:
-            return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
         variance = (self.scale * self._student) ** 2 * self.fit.variance
         for weight, change in self.diagnosis.contested():
             variance = variance + weight * change**2
@@ -538,8 +535,10 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     limit = detected(found.diagnosis.limits.outlier(model), POWER)
     size = limit / np.sqrt(np.maximum(redundancy, (limit / LARGEST) ** 2))
     counts = std > 0.0
-    felt = fit.response_of(rows)[: len(std)]
-    squares = np.einsum("ok,k,ok->o", felt, size**2 / len(rows), felt)[counts]
+    squares = np.zeros(int(counts.sum()))
+    for some in np.array_split(np.arange(len(rows)), len(rows) // AT_ONCE + 1):
+        felt = fit.response_of(rows[some])[: len(std)][counts]
+        squares += felt**2 @ (size[some] ** 2 / len(rows))
     error = float(np.sqrt((squares / std[counts] ** 2).max(initial=0.0)))
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)

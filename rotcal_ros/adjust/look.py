@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 from scipy.special import gammaln
 
-from rotcal_ros.adjust.circles import Circular
 from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
 from rotcal_ros.adjust.distributions import t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
@@ -237,7 +236,7 @@ class Look:
                 if not 1 < len(kept) < len(fit.used):
                     continue
                 name, lost = f"{grouping.kind} {number}", len(members) - len(kept)
-                if len(kept) > LARGEST_GROUP and isinstance(fit.jacobian, Circular):
+                if len(kept) > LARGEST_GROUP and not fit.jacobian.divided:
                     found.append(_as_a_whole(fit, grouping.kind, name, kept, lost))
                     continue
                 parts = parts_of(grouping, members)
@@ -252,10 +251,12 @@ class Look:
         """Return the group of ``rows`` (e,) that are used, of which ``lost`` ones are not."""
         fit, gathered = self.fit, gathered_of(grouping, rows)
         # of others it is not asked what gathers, nor what that would do
-        felt = fit.response_of(rows) if len(gathered) else np.zeros((0, len(rows)))
+        felt = Sensitivity.whole(np.zeros((0, len(rows))))
+        if len(gathered):
+            felt = fit.sensitivity(rows)
         return Group.of(
             grouping.kind, name, rows, fit.white[rows][:, None], 1.0 / fit.std[rows][:, None],
-            fit.cofactors.among(rows), Sensitivity.whole(felt), gathered, lost,
+            fit.kernel.among(rows), felt, gathered, lost,
         )  # fmt: skip
 
 
@@ -279,9 +280,9 @@ def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> Judged
     """
     rest = fit.without(rows)
     if rest is None:
-        cofactor = LowRank.whole(np.eye(len(rows)) - fit.cofactors.among(rows))
+        cofactor = LowRank.whole(np.eye(len(rows)) - fit.kernel.among(rows))
         return Undivided(kind, name, fit.white[rows], cofactor, lost)
-    rank = len(rows) - (fit.cofactors.rank - rest[1])
+    rank = len(rows) - (fit.kernel.rank - rest[1])
     checked = float(fit.redundancy[rows].sum())
     together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
     return JudgedWhole(kind, name, len(rows), together, checks, lost)

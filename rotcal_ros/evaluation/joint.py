@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 from threadpoolctl import threadpool_limits
 
-from rotcal_ros.adjust.arrow import dense
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.fit import Fit

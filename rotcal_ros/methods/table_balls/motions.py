@@ -165,9 +165,7 @@ def likely(
         size, axes = np.linalg.eigh(sum(_square(c) for each in columns for c in each))
         shown = axes[:, size > SHOWN].T
         squares = [np.array([_square(shown @ c) for c in each]) for each in columns]
-        value = shown @ rows @ moved
-        each = [_log_likelihood(value, [f**2 * ways for ways in squares]) for f in SMALLER]
-        merit = merit + np.array(each)
+        merit = merit + _log_likelihood(shown @ rows @ moved, squares)
     best = merit.max(axis=0)
     return np.asarray(best >= best.max() + np.log(LIKELY))
 
@@ -180,21 +178,26 @@ def _waves(order: int, angles: Floats) -> Floats:
 
 
 def _log_likelihood(value: Floats, squares: Sequence[Floats]) -> Floats:
-    """Return that (w, v, ...) of a ``value`` (m,) with white noise of 1 and a way of each part.
+    """Return that (f, w, v, ...) of a ``value`` (m,) with white noise of 1 and a way of each part.
 
-    ``squares``: covariances (w, m, m) of the ways of each part. Up to what all have in common.
+    ``squares``: covariances (w, m, m) of the ways of each part, which are as large as stated; at
+    each of the sizes :data:`SMALLER`. Up to what all have in common.
     """
-    m, every, which = len(value), np.eye(len(value)), list[Ints]()
+    m, which = len(value), list[Ints]()
+    bordered = np.zeros((1, m + 1, m + 1))
     for each in squares:
         does = np.trace(each, axis1=1, axis2=2) > SILENT  # the others are the same here: nothing
         which.append(np.where(does, np.cumsum(does), 0))
-        every = every[..., None, :, :] + np.concatenate([np.zeros((1, m, m)), each[does]])
-    bordered = np.zeros((*every.shape[:-2], m + 1, m + 1))
-    bordered[..., :m, :m], bordered[..., m, :m] = every, value
-    bordered[..., m, m] = 1.0 + value @ value
-    pivots = np.linalg.cholesky(bordered).diagonal(axis1=-2, axis2=-1)
-    found = 0.5 * pivots[..., m] ** 2 - np.log(pivots[..., :m]).sum(axis=-1)
-    return np.asarray(found[np.ix_(*which)])
+        more = np.zeros((1 + int(does.sum()), m + 1, m + 1))
+        more[1:, :m, :m] = each[does]
+        bordered = bordered[..., None, :, :] + more
+    own, found = np.eye(m + 1), []
+    own[m, :m], own[m, m] = value, 1.0 + value @ value
+    for size in SMALLER:  # the last pivot of Cholesky's factor shows the square, whitened
+        pivots = np.linalg.cholesky(own + size**2 * bordered[0]).diagonal(axis1=-2, axis2=-1)
+        merit = 0.5 * pivots[..., m] ** 2 - np.log(pivots[..., :m].prod(axis=-1))
+        found.append(merit[np.ix_(*which)])
+    return np.array(found)
 
 
 def _square(columns: Floats) -> Floats:
