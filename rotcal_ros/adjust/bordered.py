@@ -408,7 +408,10 @@ def _to_own(groups: Groups, columns: Floats, own: Floats) -> None:
 
 
 def _determined(rows: Floats) -> tuple[Floats, Floats]:
-    """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k)."""
+    """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k).
+
+    They are what is left of columns of length 1, of which nothing but rounding may be left.
+    """
     _, share, turn = np.linalg.svd(_triangle(rows))
     determined = np.arange(rows.shape[1]) < (share > OPEN * share.max(initial=1.0)).sum()
     return turn[determined].T / share[: int(determined.sum())], turn[~determined].T
