@@ -15,13 +15,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.kernels import OPEN, Design, Kernel
+from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
 FIRM: Final = 1e-6
@@ -358,6 +360,41 @@ class Bordered(Kernel):
         known = 1.0 - (inverse**2).sum(axis=1) + (self.below**2).sum(axis=1)
         return np.append(first, known)
 
+    def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` (o,) by few numbers.
+
+        By way of the border all feel them, else those of their own groups.
+        """
+        groups = self.groups
+        if (rows >= len(groups.place)).any() or outputs.common.any():
+            return super().sensitivity(outputs, rows)
+        group, at = np.divmod(groups.place[rows], groups.depth)
+        felt = (self.inverse[group] @ self.basis[group, at][:, :, None])[:, :, 0]  # (k, s)
+        unknown, real = groups.own[group], groups.own[group] >= 0
+        error = np.broadcast_to(np.arange(len(rows))[:, None], real.shape)
+        shape = outputs.few.shape[1], len(rows)
+        own = csr_array(coo_array((felt[real], (unknown[real], error[real])), shape=shape))
+        own = csr_array(outputs.few @ own)
+        touched = np.flatnonzero(np.diff(own.indptr))
+        if self._carried.get("of") is not outputs:
+            self._carried.update({"of": outputs, "by": outputs.times(self._carriers)})
+        return Sensitivity(
+            self._low_rank(rows), self._carried["by"], touched, own[touched].toarray()
+        )
+
+    @cached_property
+    def _carried(self) -> dict[str, Any]:
+        """What outputs that were asked for last feel of the known rows and the border."""
+        return {}
+
+    @property
+    def _carriers(self) -> Floats:
+        """Unknowns (p + q, m + r) by the parts that :meth:`_low_rank` returns."""
+        known = np.zeros((len(self.columns), len(self.root)))
+        shape = (*self.groups.own.shape, len(self.root))
+        _to_own(self.groups, known, -(self.inverse @ self.tied.reshape(shape)))
+        return np.hstack([known, self.columns])
+
 
 def _own_of(groups: Groups, columns: Floats) -> Floats:
     """Return ``columns`` (p, k) of the own unknowns of each group, (g, s, k)."""
@@ -371,9 +408,12 @@ def _to_own(groups: Groups, columns: Floats, own: Floats) -> None:
 
 
 def _determined(rows: Floats) -> tuple[Floats, Floats]:
-    """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k)."""
+    """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k).
+
+    They are what is left of columns of length 1, of which nothing but rounding may be left.
+    """
     _, share, turn = np.linalg.svd(_triangle(rows))
-    determined = np.arange(rows.shape[1]) < (share > OPEN * share.max(initial=0.0)).sum()
+    determined = np.arange(rows.shape[1]) < (share > OPEN * share.max(initial=1.0)).sum()
     return turn[determined].T / share[: int(determined.sum())], turn[~determined].T
 
 

@@ -15,10 +15,10 @@ from functools import cached_property
 from typing import Final, TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
-from scipy.sparse.linalg import LinearOperator, cg
 
 from rotcal_ros.adjust.bordered import FewEach
 from rotcal_ros.adjust.kernels import Design, Kernel, Updated
@@ -33,7 +33,9 @@ OPEN: Final = 1e-12
 """Eigenvalue of order 0, of unit diagonal, below which nothing determines a direction."""
 LARGE: Final = 1000
 """Places of a circle from which on steps are iterated: whole matrices cost their third power."""
-STEPS: Final = 300
+FEW: Final = 16
+"""Rows that differ from most in weight up to which a low rank beside the orders is quick."""
+STEPS: Final = 1000
 """Steps of conjugate gradients after which another way is taken."""
 CONVERGED: Final = 1e-12
 """Share of what is asked, and of the sizes it is the sum of, that such a solution may leave."""
@@ -122,6 +124,23 @@ class Turns:
         begin = np.arange(len(turn) + 1) * column.shape[1]
         return csr_array((data.ravel(), column.ravel(), begin), shape=(len(turn), self.unknowns))
 
+    @cached_property
+    def _met(self) -> tuple[Ints, Ints]:
+        """Which unknown a row reads, and in which row of a turn one is read: (C, t, N) each."""
+        step, cell = np.arange(self.size), np.arange(len(self.sign))[:, None] * self.size
+        circle = np.arange(self.circles)[:, None, None] * self.size
+        shift = self.shift.T[:, :, None]
+        return circle + (step + shift) % self.size, cell + (step - shift) % self.size
+
+    def normal_times(self, share: Floats, x: Floats) -> Floats:
+        """Return the normal matrix of rows with squared weights ``share`` (t, N) times x (p,)."""
+        (read, by), sign = self._met, self.sign.T[:, :, None]
+        count = self.circles * self.size
+        found = (self.tied @ x[count:])[:, None] + (sign * x[read]).sum(axis=0)
+        found *= share
+        places = (sign * found.ravel()[by]).sum(axis=1)
+        return np.concatenate([places.ravel(), self.tied.T @ found.sum(axis=1)])
+
 
 @dataclass(frozen=True, eq=False)
 class Circular(Design):
@@ -161,6 +180,12 @@ class Circular(Design):
     def dense(self) -> Floats:
         """Return the whole design."""
         return np.concatenate([self.few.toarray(), self.extra], axis=1)
+
+    @property
+    def lengths(self) -> Floats:
+        """The length (p + q,) of each column."""
+        own = np.bincount(self.few.indices, self.few.data**2, self.few.shape[1])
+        return np.asarray(np.sqrt(np.append(own, (self.extra**2).sum(axis=0))))
 
     def weighted(self, weight: Floats) -> Circular:
         """Return the same, its rows times ``weight`` (n,)."""
@@ -209,6 +234,12 @@ class Circular(Design):
         changed = self.turns.rows_of(*np.nonzero(odd)), (share - usual[:, None])[odd]
         plain = replace(self, extra=self.extra[:, :0])
         return Updated.of(orders, plain, self.weight, changed, self.extra)
+
+    @property
+    def rough_first(self) -> bool:  # type: ignore[override]
+        """Whether so many rows weigh otherwise than most that iteration is quicker."""
+        odd = int(self.turns.shares(self.weight)[2].sum())
+        return odd > FEW and not self.extra.shape[1]
 
     @property
     def large(self) -> bool:  # type: ignore[override]
@@ -319,23 +350,91 @@ class ByOrder(Kernel):
         return np.concatenate([places, others])
 
     def times(self, columns: Floats) -> Floats:
-        """Return N^-1 times ``columns`` (p, k)."""
-        right = columns
-        size, circles = self.turns.size, self.turns.circles
-        inside = right[: circles * size].reshape(circles, size, -1)
-        orders = np.fft.rfft(inside, axis=1)
-        zero = self.zero @ np.concatenate(
-            [orders[:, 0].real / np.sqrt(size), right[circles * size :]]
-        )
-        found = (self.inverse @ orders.swapaxes(0, 1)).swapaxes(0, 1)
-        found[:, 0] = zero[:circles] * np.sqrt(size)
-        places = np.fft.irfft(found, size, axis=1).reshape(circles * size, -1)
-        return np.concatenate([places, zero[circles:]])
+        """Return N^-1 times ``columns`` (p,) or (p, k)."""
+        (size, circles), right = (self.turns.size, self.turns.circles), np.atleast_2d(columns.T)
+        count = circles * size
+        orders = np.fft.rfft(np.ascontiguousarray(right[:, :count]).reshape(-1, circles, size))
+        sums = np.concatenate([orders[:, :, 0].real / np.sqrt(size), right[:, count:]], axis=1)
+        zero = sums @ self.zero
+        found = np.einsum("cdh,kdh->kch", self._by_circle, orders)
+        found[:, :, 0] = zero[:, :circles] * np.sqrt(size)
+        places = np.fft.irfft(found, size).reshape(-1, count)
+        whole = np.concatenate([places, zero[:, circles:]], axis=1)
+        return np.asarray(whole.T.reshape(columns.shape))
+
+    @cached_property
+    def _by_circle(self) -> Orders:
+        return np.ascontiguousarray(self.inverse.transpose(1, 2, 0))
 
     def variances_of(self, outputs: Outputs) -> Floats:
-        """Return the variances (o,) of ``outputs``."""
-        parts = outputs.parts(self.turns.unknowns)
-        return np.concatenate([self.variances(rows) for _, rows in parts])
+        """Return the variances (o,) of ``outputs``, by how far apart the places are they read."""
+        (circles, size), count = (self.turns.circles, self.turns.size), outputs.each
+        column, value = outputs.entries
+        along = np.fft.irfft(self._by_circle, size)  # between places of two circles
+        circle, place = np.divmod(np.minimum(column, circles * size), size)
+        there = column < circles * size
+        inside = np.where(there, value, 0.0)
+        met = np.where(there, circle, 0)
+        found = np.zeros(len(outputs))
+        for a in range(count):
+            for b in range(count):
+                between = along[met[:, a], met[:, b], (place[:, a] - place[:, b]) % size]
+                found += inside[:, a] * inside[:, b] * between
+        sums = np.zeros((len(outputs), len(self.zero)))
+        at = np.where(there, circle, column - circles * size + circles)
+        for a in range(count):
+            sums[np.arange(len(outputs)), at[:, a]] += np.where(
+                there[:, a], value[:, a] / np.sqrt(size), value[:, a]
+            )
+        found += ((sums @ self.zero) * sums).sum(axis=1)
+        carried = self.times(outputs.common.T)
+        both = (outputs.few @ carried)[np.arange(len(outputs)), outputs.part]
+        own = (outputs.common.T * carried).sum(axis=0)[outputs.part]
+        return np.asarray(found + 2.0 * both + own)
+
+    @cached_property
+    def _felt(self) -> tuple[Floats, Floats]:
+        """What a row at place 0 of a turn does to places (t, C, N) and to the others (t, s)."""
+        turns = self.turns
+        wave = _waves(turns, np.arange(turns.size // 2 + 1))
+        orders = np.einsum("cdh,tdh->tch", self._by_circle, wave.conj())
+        rows = np.hstack([turns.sign / np.sqrt(turns.size), turns.tied])
+        zero = rows @ self.zero
+        orders[:, :, 0] = zero[:, : turns.circles] * np.sqrt(turns.size)
+        return np.fft.irfft(orders, turns.size), zero[:, turns.circles :]
+
+    def gains(self, rows: Ints) -> Floats:
+        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
+        mine = self.turns.rows_of(self.turns.turn[rows], self.turns.place[rows])
+        return self.times(mine.toarray().T)
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        if outputs.each != 1:
+            return super().response(outputs, rows)
+        (circles, size), (places, others) = (self.turns.circles, self.turns.size), self._felt
+        turn, place = self.turns.turn[rows], self.turns.place[rows]
+        column, value = (each[:, 0] for each in outputs.entries)
+        if len(np.unique(turn)) == 1 and (run := outputs.run(circles * size, size)):
+            felt = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
+            found = sliding_window_view(felt, len(outputs))[(run[1] - place) % size]
+            return self._beside_common(found, outputs, turn, place)
+        found = np.empty((len(rows), len(outputs)))
+        for number, begin in enumerate(range(0, circles * size, size)):
+            mine = np.flatnonzero((column >= begin) & (column < begin + size))
+            for k in np.unique(turn) if len(mine) else ():
+                felt, here = places[k, number], np.flatnonzero(turn == k)
+                turned = sliding_window_view(np.append(felt, felt[:-1]), size)[-place[here] % size]
+                found[np.ix_(here, mine)] = turned[:, column[mine] - begin] * value[mine]
+        beyond = np.flatnonzero(column >= circles * size)
+        found[:, beyond] = others[turn[:, None], column[beyond] - circles * size] * value[beyond]
+        return self._beside_common(found, outputs, turn, place)
+
+    def _beside_common(self, found: Floats, outputs: Outputs, turn: Ints, place: Ints) -> Floats:
+        """Return what rows (k,) do to ``outputs``, from what they do beside the common ones."""
+        carried = self.turns.rows_of(turn, place) @ self.times(outputs.common.T)
+        found += carried if carried.shape[1] == 1 else carried[:, outputs.part]
+        return np.asarray(found.T)
 
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
@@ -344,6 +443,12 @@ class ByOrder(Kernel):
         if len(np.unique(turn)) == 1:
             return np.asarray(self.between[turn[0], turn[0]][step])
         return np.asarray(self.between[turn[:, None], turn, step])
+
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        turn, place = self.turns.turn[rows], self.turns.place[rows]
+        step = (place[:, :, None] - place[:, None]) % self.turns.size
+        return np.asarray(self.between[turn[:, :, None], turn[:, None], step])
 
     @property
     def leverage(self) -> Floats:
@@ -452,22 +557,32 @@ class Iterated:
         orders = ByOrder.of(turns, turns.shares(design.weight)[0].mean(axis=1))
         return None if orders is None or len(orders.lost[0]) else cls(design, orders)
 
+    @cached_property
+    def _share(self) -> Floats:
+        return self.design.turns.shares(self.design.weight)[0]
+
     def _normal(self, x: Floats) -> Floats:
-        return self.design.adjoint(self.design.times(x))
+        return self.design.turns.normal_times(self._share, x)
 
     def solved(self, design: Circular, read: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened.
 
         None where the iteration does not converge.
         """
-        asked, size = design.adjoint(read), (self.design.few.shape[1],) * 2
-        rounding = CONVERGED * float(np.linalg.norm(abs(design.few).T @ np.abs(read)))
-        found, failed = cg(
-            LinearOperator(size, matvec=self._normal), asked, rtol=CONVERGED,
-            atol=rounding, maxiter=STEPS,
-            M=LinearOperator(size, matvec=self._led),
-        )  # fmt: skip
-        return None if failed else np.asarray(found)
+        left = design.adjoint(read)
+        rounded = float(np.linalg.norm(design.lengths) * np.abs(read).max())
+        enough = CONVERGED * max(float(np.linalg.norm(left)), rounded)
+        found, way, before = np.zeros(len(left)), np.zeros(len(left)), 1.0
+        for _ in range(STEPS):
+            if float(np.linalg.norm(left)) <= enough:
+                return found
+            led = self.orders.times(left)
+            now = float(left @ led)
+            way = led + now / before * way
+            felt = self._normal(way)
+            length = now / float(way @ felt)
+            found, left, before = found + length * way, left - length * felt, now
+        return None
 
     @cached_property
     def extremes(self) -> tuple[float, float]:
@@ -483,7 +598,7 @@ class Iterated:
         way = self._led(left)
         now, carried, found = float(left @ way), 0.0, np.array([np.inf, 0.0])
         nothing, diagonal, beside = OPEN**2 * now, list[float](), list[float]()
-        for step in range(1, STEPS):
+        for step in range(1, STEPS // 4):
             felt = self._normal(way)
             along = float(way @ felt)
             if along <= OPEN * now:
@@ -502,4 +617,4 @@ class Iterated:
         return float(found[0]), float(found[1])
 
     def _led(self, x: Floats) -> Floats:
-        return self.orders.times(x[:, None])[:, 0]
+        return self.orders.times(x)

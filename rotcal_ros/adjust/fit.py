@@ -12,7 +12,7 @@ from scipy.linalg import lapack
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Design, Kernel, Whole
 from rotcal_ros.adjust.model import Model
-from rotcal_ros.adjust.outputs import AT_ONCE
+from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -62,8 +62,11 @@ class Fit:
         """That of x (p + q,), from the whitened design of what is used."""
         if self.by_form is not None:
             return self.by_form
-        _require_told(self.model, self._white_design)
-        return _whole(self.model, self._white_design)
+        design = self._white_design
+        if design.rough_first and (found := _by_form(self.model, design)) is not None:
+            return found
+        _require_told(self.model, design)
+        return _whole(self.model, design)
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
@@ -117,13 +120,14 @@ class Fit:
         """B (o + a, n): what whitened errors do to the outputs; correlated ones as independent."""
         return self.response_of(np.arange(len(self.std)))
 
-    def response_of(self, rows: Ints) -> Floats:
-        """Return the same of some ``rows`` (k,), (o + a, k)."""
-        found = self.kernel.response(self.model.output_rows, rows)
+    def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
+        """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
+        outputs = self.model.output_rows if outputs is None else outputs
+        found = self.kernel.response(outputs, rows)
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
-                found[:, mine] = self._spread[number][:, at]
+                found[:, mine] = self._spread[number][: len(outputs), at]
         return found
 
     @cached_property
@@ -161,8 +165,8 @@ class Fit:
 
     @cached_property
     def _plain_variance(self) -> Floats:
-        parts = self.model.output_rows.parts(len(self.x))
-        return np.concatenate([self.kernel.variances(rows) for _, rows in parts])
+        rows = self.model.output_rows
+        return np.where(rows.idle, 0.0, np.maximum(self.kernel.variances_of(rows), 0.0))
 
     @cached_property
     def variance(self) -> Floats:
@@ -192,7 +196,10 @@ class Fit:
 
         Those that nothing correlates.
         """
-        variance = None if self.by_form else self._white_design.variances(self.model.output_rows)
+        design = self._white_design
+        variance = None if self.by_form else design.variances(self.model.output_rows)
+        if variance is None and design.rough_first:
+            _require_told(self.model, design)
         return self.counting(np.sqrt(self._plain_variance if variance is None else variance))
 
     def far_worse_than(self, other: Fit, factor: float) -> bool:
@@ -337,7 +344,7 @@ class _Steps:
 
     @classmethod
     def of(cls, model: Model, design: Design) -> _Steps:
-        return cls(model, design, _by_form(model, design))
+        return cls(model, design, None if design.rough_first else _by_form(model, design))
 
     def __call__(self, white: Floats) -> tuple[Floats, float]:
         """Return the step (p + q,) that ``white`` (n,) asks for, and the square it takes off."""

@@ -31,6 +31,8 @@ eigenvalue of normal equations of unit diagonal whose inverse keeps nine digits.
 class Design(ABC):
     """Derivatives (n, p) of observations."""
 
+    rough_first: bool = False
+    """Whether steps are quicker without its kernel."""
     divided: bool = True
     """Whether large groups of its observations are judged in parts."""
     large: bool = False
@@ -177,6 +179,10 @@ class Kernel(ABC):
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
 
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        return np.stack([self.among(each) for each in rows])
+
     @property
     @abstractmethod
     def leverage(self) -> Floats:
@@ -199,9 +205,18 @@ class Kernel(ABC):
         """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
         return self.design.times(self.solve(white))
 
+    def taken_in(self, white: Floats, rows: Ints) -> Floats:
+        """Return the same of some ``rows`` (r,) alone, (r, k)."""
+        return self.design.some_times(rows, self.solve(white))
+
     def variances(self, rows: Floats) -> Floats:
         """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
         return np.asarray((rows * self.times(rows.T).T).sum(axis=1))
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        parts = outputs.parts(self.design.shape[1])
+        return np.concatenate([self.variances(rows) for _, rows in parts])
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
@@ -379,6 +394,25 @@ class Updated(Kernel):
         found[:p] += self.base.times(columns[:p])
         return np.asarray(found)
 
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        if outputs.shape[1] > len(self.base.directions):
+            return super().variances_of(outputs)  # of further unknowns, too
+        low = outputs.times(self.columns)
+        return np.asarray(self.base.variances_of(outputs) + ((low @ self.core) * low).sum(axis=1))
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        if outputs.shape[1] > len(self.base.directions):
+            return super().response(outputs, rows)
+        found = self.base.response(outputs, rows)
+        found *= self.share[rows]
+        if self.columns.shape[1]:
+            low = self.design.some_times(rows, self.columns)
+            found += (outputs.times(self.columns) @ self.core) @ low.T
+        found[outputs.idle] = 0.0
+        return found
+
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         found, share = self.base.among(rows), self.share[rows]
@@ -386,6 +420,15 @@ class Updated(Kernel):
         found *= share
         low = self.design.some_times(rows, self.columns)
         found += low @ self.core @ low.T
+        return np.asarray(found)
+
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        share = self.share[rows]
+        found = self.base.among_each(rows) * share[:, :, None] * share[:, None]
+        if self.columns.shape[1]:
+            low = self.design.some_times(rows.ravel(), self.columns).reshape(*rows.shape, -1)
+            found += (low @ self.core) @ low.swapaxes(1, 2)
         return np.asarray(found)
 
     @property

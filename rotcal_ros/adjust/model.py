@@ -315,11 +315,11 @@ class Model:
     observed: Floats
     std: Floats
     equations: Equations
-    outputs: Floats
+    outputs: Floats | Outputs
     words: Words
     unit: Unit = SECONDS
     start: Floats | None = None
-    also: Mapping[str, Floats] = field(default_factory=dict)
+    also: Mapping[str, Floats | Outputs] = field(default_factory=dict)
     components: Sequence[str] = ("the observations",)
     component: Ints | None = None
     judged: Bools | None = None
@@ -356,7 +356,7 @@ class Model:
                 raise DataError(
                     f"{name} of the model: shape {found}, expected {wanted or (n, 'k')}"
                 )
-            if not (isinstance(values, Steps) or np.isfinite(values).all()):
+            if not (isinstance(values, Steps | Outputs) or np.isfinite(values).all()):
                 raise DataError(f"{name} of the model: expected finite numbers")
         if not (self.std > 0.0).all():
             raise DataError("std of the model: expected positive numbers")
@@ -389,6 +389,11 @@ class Model:
     def every_output(self) -> Floats:
         """``outputs`` and, below them, all of ``also`` (o + a, p)."""
         return np.concatenate([self.outputs, *self.also.values()])
+
+    @cached_property
+    def counting_outputs(self) -> Outputs:
+        """``outputs`` alone by what they have in common."""
+        return self.output_rows.first(len(self.outputs))
 
     @cached_property
     def output_rows(self) -> Outputs:

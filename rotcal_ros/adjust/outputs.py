@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.typing import DTypeLike
 from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -28,23 +29,70 @@ class Outputs:
     part: Ints
 
     @classmethod
-    def of(cls, parts: Sequence[Floats]) -> Outputs:
+    def of(cls, parts: Sequence[Floats | Outputs]) -> Outputs:
         """Return those of ``parts`` (o, p), one below the other, that share a row each."""
-        common = np.zeros((len(parts), parts[0].shape[1]))
-        for k, rows in enumerate(parts):
-            if len(rows):  # what two of three rows share
-                common[k] = np.median(rows[[0, len(rows) // 2, -1]], axis=0)
-        few = [csr_array(rows - row) for rows, row in zip(parts, common, strict=True)]
-        part = np.repeat(np.arange(len(parts)), [len(rows) for rows in parts])
-        return cls(csr_array(vstack(few, format="csr")), common, part)
+        found = [rows if isinstance(rows, Outputs) else cls._sharing(rows) for rows in parts]
+        before = np.cumsum([0, *(len(each.common) for each in found)])
+        part = [each.part + first for each, first in zip(found, before, strict=False)]
+        return cls(
+            csr_array(vstack([each.few for each in found], format="csr")),
+            np.concatenate([each.common for each in found]),
+            np.concatenate(part),
+        )
+
+    @classmethod
+    def _sharing(cls, rows: Floats) -> Outputs:
+        common = np.zeros((1, rows.shape[1]))
+        if len(rows):  # what two of three rows share
+            common[0] = np.median(rows[[0, len(rows) // 2, -1]], axis=0)
+        return cls(csr_array(rows - common), common, np.zeros(len(rows), dtype=np.int64))
+
+    @classmethod
+    def picked(cls, unknowns: Ints, common: Floats) -> Outputs:
+        """Return some ``unknowns`` (o,) of p, each beside the row ``common`` (p,)."""
+        o = len(unknowns)
+        few = csr_array((np.ones(o), unknowns, np.arange(o + 1)), shape=(o, len(common)))
+        return cls(few, common[None], np.zeros(o, dtype=np.int64))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers o of outputs and p of unknowns."""
+        return len(self.part), int(self.common.shape[1])
 
     def __len__(self) -> int:
         """Return their number o."""
         return len(self.part)
 
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Floats:
+        """Return all of them, written out."""
+        return np.asarray(self[:], dtype=dtype)
+
+    def __getitem__(self, which: slice) -> Floats:
+        """Return some of them, written out."""
+        return np.asarray(self.few[which].toarray() + self.common[self.part[which]])
+
+    def __matmul__(self, x: Floats) -> Floats:
+        """Return C times ``x`` (p,) or (p, k)."""
+        return self.times(x)
+
+    @cached_property
+    def each(self) -> int:
+        """The most entries of a row beside what it shares."""
+        return int(np.diff(self.few.indptr).max(initial=0))
+
+    @cached_property
+    def entries(self) -> tuple[Ints, Floats]:
+        """Columns and values of those entries, (o, each): zeros where there are fewer."""
+        counts = np.diff(self.few.indptr)
+        there = np.arange(self.each) < counts[:, None]
+        column, value = np.zeros(there.shape, dtype=np.int64), np.zeros(there.shape)
+        column[there], value[there] = self.few.indices, self.few.data
+        return column, value
+
     def first(self, count: int) -> Outputs:
         """Return the first ``count`` of them."""
-        return replace(self, few=self.few[:count], part=self.part[:count])
+        part = self.part[:count]
+        return Outputs(self.few[:count], self.common[: int(part.max(initial=0)) + 1], part)
 
     def times(self, x: Floats) -> Floats:
         """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""
@@ -67,7 +115,23 @@ class Outputs:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     @cached_property
+    def idle(self) -> Bools:
+        """Which (o,) are always zero, as the first that is counted from itself."""
+        return np.asarray(self.lengths(np.ones(self.shape[1])) == 0.0)
+
+    @cached_property
     def felt(self) -> Bools:
         """Which unknowns (p,) one of them feels."""
-        every = [(rows != 0.0).any(axis=0) for _, rows in self.parts(self.common.shape[1])]
-        return np.asarray(np.any(every, axis=0))
+        return np.asarray((self.common != 0.0).any(axis=0) | (abs(self.few).sum(axis=0) > 0.0))
+
+    def run(self, count: int, size: int) -> tuple[int, int] | None:
+        """Return circle and first place where all read one place after the other; else None.
+
+        Of the first ``count`` unknowns, circles of ``size`` places each.
+        """
+        if self.each != 1 or not len(self) or (self.few.data != 1.0).any():
+            return None
+        circle, place = np.divmod(self.few.indices, size)
+        here = (place[0] + np.arange(len(place))) % size
+        follow = (circle == circle[0]).all() and (place == here).all() and len(self) == len(circle)
+        return (int(circle[0]), int(place[0])) if follow and circle[0] * size < count else None

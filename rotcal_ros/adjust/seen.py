@@ -14,6 +14,8 @@ from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Steps
 from rotcal_ros.foundation.arrays import Floats, Ints
 
+AT_A_TIME, FEW = 128, 64
+"""Steps that are summed up at once, of themselves and of what they do to all outputs."""
 WEAK: Final = 1e-4
 """Information of a size, per that of its errors without the unknowns, below which digits go."""
 
@@ -66,13 +68,32 @@ def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:
 
 
 def _run_seen_by(fit: Fit, root: Floats, rows: Ints, first: Ints) -> Floats:
-    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m)."""
-    mine = root[rows]
-    taken = _later(_later(mine[:, None] * fit.kernel.among(rows) * mine).T)
+    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m).
+
+    In blocks: of a step, what all later blocks have in common with it is asked of the kernel.
+    """
+    mine, own, beside = root[rows], np.zeros(len(first)), np.zeros(len(first))
+    ends = [*first[AT_A_TIME::AT_A_TIME].tolist(), len(rows)]
+    later = np.zeros((len(root), len(ends)))
+    for k, end in enumerate(ends):
+        later[rows[end:], k] = mine[end:]
+    taken = mine[:, None] * fit.kernel.taken_in(later, rows)
+    for k, end in enumerate(ends):
+        of = slice(k * AT_A_TIME, (k + 1) * AT_A_TIME)
+        begin, here = int(first[of][0]) if len(first) else 0, first[of]
+        among = fit.kernel.among(rows[begin:end])
+        within = _later(_later(mine[begin:end, None] * among * mine[begin:end]).T)
+        within = np.pad(within, ((0, 1), (0, 1)))
+        shared = np.append(_later(taken[begin:end, k]), 0.0)
+        apart = float(taken[end:, k].sum())
+        at = here - begin
+        after = np.append(at[1:], end - begin)[: len(at)]
+        own[of] = within[at, at] + 2.0 * shared[at] + apart
+        beside[of] = within[at, after] + shared[at] + shared[after] + apart
     square = _later(mine**2)[first]
-    own = square - taken[first, first]
-    beside = np.append(square[1:] - taken[first[:-1], first[1:]], [0.0] * (len(first) > 0))
-    return np.stack([own, beside, _later(mine * fit.white[rows])[first], square])
+    if len(first):
+        beside[:-1], beside[-1] = square[1:] - beside[:-1], 0.0
+    return np.stack([square - own, beside, _later(mine * fit.white[rows])[first], square])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +118,21 @@ class StepMoves:
 
     def worst(self, std: Floats) -> Floats:
         """Return the most (k,) that each does to an output, in their ``std`` (o + a,)."""
-        counts = np.isfinite(std) & (std > 0.0)
+        counts, outputs = np.isfinite(std) & (std > 0.0), self.fit.model.counting_outputs
+        unit = np.where(counts, 1.0 / np.where(counts, std, 1.0), 0.0)[: len(outputs)]
         found = [np.zeros(0)]
         for rows, first in self.steps.runs:
-            felt = self.fit.response_of(rows)[counts] * self.root[rows] / std[counts, None]
-            found.append(np.abs(_later(felt.T)[first]).max(axis=1, initial=0.0))
+            most, carried = np.zeros(len(rows)), np.zeros(len(outputs))
+            for end in range(len(rows), 0, -FEW):
+                part = slice(max(end - FEW, 0), end)
+                felt = self.fit.response_of(rows[part], outputs).T[::-1]
+                felt *= self.root[rows[part], None][::-1]
+                felt[0] += carried
+                felt = np.cumsum(felt, axis=0, out=felt)
+                carried = felt[-1].copy()
+                felt *= unit
+                most[part] = np.maximum(felt.max(axis=1), -felt.min(axis=1))[::-1]
+            found.append(most[first])
         return np.concatenate(found)
 
 

@@ -97,7 +97,7 @@ def stacked(
         unit=IN_NOISE,
         start=start,
         also={
-            f"{what} of {name}": _spread(further, mine, p)
+            f"{what} of {name}": _spread(np.asarray(further), mine, p)
             for (name, model), _, mine in every
             for what, further in model.also.items()
         },

@@ -72,6 +72,16 @@ def test_what_has_no_blocks_or_no_firm_ones_is_left_to_the_whole_matrix():
     assert FewEach(few, np.zeros((0, few.shape[1]))).kernel() is None
 
 
+def test_a_border_of_which_rounding_is_left_is_open():
+    """Angles, one read twice, and a zero that all have in common: an angle and the zero."""
+    angles = np.append(np.arange(12), 0)
+    few = csr_array(np.column_stack([1e7 * np.eye(12)[angles], np.full(13, 1e7 / 3.0)]))
+    read, kernel = np.random.default_rng(2).standard_normal(13), FewEach(few, np.zeros((0, 13)))
+    kernel = kernel.kernel()
+    assert kernel.directions.shape[1] == 1
+    assert few @ kernel.solve(read) == pytest.approx(few @ by_whole(few.toarray(), read))
+
+
 def stations(sparse):
     few = levels(groups=8)
     design = few if sparse else few.toarray()

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from rotcal_ros.adjust import circles
@@ -223,6 +225,37 @@ def test_the_variance_of_each_order_is_that_of_the_closed_form(size):
     assert found[:, 0, 1] == pytest.approx(np.conj(sums) / left) or found[
         :, 0, 1
     ] == pytest.approx(sums / left)
+
+
+@given(size=st.integers(5, 40), steps=st.sets(st.integers(1, 39), min_size=1, max_size=5))
+@settings(max_examples=40, deadline=None)
+def test_the_closed_form_of_a_complete_grid_is_the_pseudo_inverse(size, steps):
+    """Values, variances and what each reading does, where all orders are told: to 1e-12."""
+    shifts = sorted({0, 1, *(step % size for step in steps)})
+    design = Circular.of(
+        design_of(size, rows_of(size, shifts, closed=False), len(shifts)), 2, size
+    )
+    blocks = {"table": size, "mark": size, "setting": len(shifts)}
+    parts = [from_first(blocks, "table"), from_mean(blocks, "mark")]
+    found, outputs, inverse = design.kernel(), Outputs.of(parts), np.linalg.pinv(design.dense())
+    assume(found is not None and found.rank == 2 * size + len(shifts) - 2)
+    response = np.concatenate(parts) @ inverse
+    scale = np.abs(response).max()
+    every = np.arange(size * len(shifts))
+    assert found.response(outputs, every) == pytest.approx(response, abs=1e-12 * scale)
+    mine = outputs.first(size)
+    assert found.response(mine, every[:size]) == pytest.approx(
+        response[:size, :size], abs=1e-12 * scale
+    )
+    variance = (response**2).sum(axis=1)
+    assert found.variances_of(outputs) == pytest.approx(variance, abs=1e-12 * variance.max())
+    read = np.random.default_rng(size).standard_normal(len(every))
+    solved = outputs.times(found.solve(read))
+    assert solved == pytest.approx(response @ read, abs=1e-12 * np.abs(solved).max())
+    groups = every.reshape(-1, len(shifts))
+    among = design.dense() @ inverse
+    for rows, each in zip(groups, found.among_each(groups), strict=True):
+        assert each == pytest.approx(among[np.ix_(rows, rows)], abs=1e-12)
 
 
 def test_trials_of_the_noise_scatter_by_order_as_is_said():

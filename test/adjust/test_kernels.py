@@ -53,6 +53,9 @@ def agrees(kernel, expected, random):
     outputs = Outputs.of([told])
     assert alike(kernel.response(outputs, some), carried[:, some])
     assert alike(kernel.sensitivity(outputs, some).dense(), carried[:, some])
+    if expected.rank == p > 2:  # each unknown by itself
+        each = kernel.sensitivity(Outputs.of([np.eye(p)]), some[:-1])
+        assert alike(each.dense(), expected.gain[:, some[:-1]])
     used = np.diagonal(expected.hat) > 0.0
     parts = (np.arange(n) % 3 == np.arange(3)[:, None]) & used
     whole = np.array([[(expected.hat[np.ix_(a, b)] ** 2).sum() for b in parts] for a in parts])

@@ -30,10 +30,10 @@ from rotcal_ros.adjust.model import (
     Disturbing,
     Grouping,
     Model,
-    from_mean,
     instrument_effects,
     linear,
 )
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
@@ -163,15 +163,18 @@ def model_of(
     }
     table, mark, _ = blocks.values()
     design = _design(circles, read, mark, sum(blocks.values()))
-    positions = np.eye(table, sum(blocks.values()))[circles.table]
-    reference = {REFERENCE: from_mean(blocks, "reference mark")} if mark else {}
+    unknowns = np.arange(sum(blocks.values()))
+    first = np.where(unknowns == circles.table[0], -1.0, 0.0)
+    of_mark = (unknowns >= table) & (unknowns < table + mark)
+    mean = np.where(of_mark, -1.0 / max(mark, 1), 0.0)
+    marks = Outputs.picked(unknowns[table : table + mark], mean)
     model = Model(
         blocks=blocks,
         observed=SIGNS[solver.readings_count] * read.value,
         std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
         equations=linear(design),
-        outputs=positions - positions[0],
-        also=reference,
+        outputs=Outputs.picked(circles.table, first),
+        also={REFERENCE: marks} if mark else {},
         words=WORDS,
         components=("the readings",),
         groupings=(

@@ -598,7 +598,7 @@ def model_of(
         row_names=list(_names(balls, read)),
     )
     model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
-    if whole or not len(motions):
+    if not len(motions):
         return model
     rows, first = motions[:, balls.motions], balls.first["EXC"]
     together = correlated(rows, len(zero), balls.stated, moves(balls, solver), first, balls.angles)

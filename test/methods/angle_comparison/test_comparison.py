@@ -351,6 +351,10 @@ def test_one_shift_alone_takes_the_reference_for_perfect_and_says_so():
     assert result.warnings[0].startswith("the errors of the reference are in the result")
     assert result.deviations["ECC"] == pytest.approx(world.value - world.value[0], abs=1e-17)
     assert not result.details["also"]
+    world.value = world.noisy()  # which the closure shows
+    closed = solved(world, "plan.shifts_deg=[0.0]")
+    assert closed.verdict == "suspect"
+    assert closed.warnings[0] == result.warnings[0]
 
 
 def test_a_drift_that_a_turn_shows_is_taken_off_and_told():
