@@ -330,6 +330,7 @@ class _Views:
         design, width = fit.design[rows, :unknowns], self.shared.basis.shape[1]
         known = _determined(design, width)
         outputs = self.shared.basis @ known.T @ known
+        outputs[np.abs(outputs) < NONE] = 0.0  # rounding is no part of a deviation
         return replace(
             model,
             blocks=self.whole.blocks,
