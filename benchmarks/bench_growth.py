@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.arrow import dense
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.model import linear
 from rotcal_ros.foundation.units import ARCSEC

@@ -20,7 +20,7 @@ import numpy as np
 from racing import Row, race
 from scipy.optimize import least_squares
 
-from rotcal_ros.adjust.arrow import dense
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.model import Model

@@ -3,8 +3,9 @@
 
     python scripts/power_table.py --method tracer --runs 200 --output docs/what_could_be_wrong.md
 
-Without --method all of them. The sections of other methods in the output stay. The exit code is 1
-when an effect misleads: it does more than the tolerable error, unnoticed and unnamed.
+Without --method all of them. The sections of other methods in the output stay, and with --effect
+the other rows. The exit code is 1 when an effect misleads: it does more than the tolerable error,
+unnoticed and unnamed.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pathlib import Path
 
 from rotcal_ros.evaluation.power import Bench, PowerRow, power_rows
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.foundation.protection import POWER, TOLERABLE
+from rotcal_ros.foundation.protection import ALL_EFFECTS, POWER, TOLERABLE
 from rotcal_ros.methods import prepare, read_configuration
 
 PLANS = Path(__file__).parent / "power_plans"
@@ -72,14 +73,22 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--method", choices=METHODS, action="append", help="default: all")
+    parser.add_argument("--effect", action="append", default=[], help="default: all")
     parser.add_argument("--runs", type=int, default=100, help="measurements of each size")
     parser.add_argument("--output", type=Path, default=PAGE)
     chosen = parser.parse_args()
     misleading = []
     for plan in plans_of(chosen.method or METHODS):
         bench = Bench(prepare(read_configuration(plan)), chosen.runs)
-        rows = power_rows(bench, lambda row: print(*row.cells(), sep=", ", flush=True))
-        _put(chosen.output, title_of(plan), _section(bench, rows))
+        listed = {d.effect for d in bench.listed()}
+        if chosen.effect and not listed & set(chosen.effect):
+            continue
+        rows = power_rows(
+            bench,
+            lambda row: print(*row.cells(), sep=", ", flush=True),
+            [effect for effect in chosen.effect if effect in listed],
+        )
+        _put(chosen.output, title_of(plan), _section(bench, rows), bool(chosen.effect))
         misleading += [(plan.stem, row) for row in rows if row.misleads]
     for name, row in misleading:
         print(
@@ -122,17 +131,33 @@ def _section(bench: Bench, rows: list[PowerRow]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _put(page: Path, title: str, section: str) -> None:
-    """Write the page with ``section`` under its title, in place of what was there."""
+def _put(page: Path, title: str, section: str, beside: bool) -> None:
+    """Write the page with ``section`` under its title, in place or ``beside`` what was there."""
     old = page.read_text(encoding="utf-8") if page.exists() else ""
     sections = dict(re.findall(r"^## (.*?)\n\n(.*?)(?=^## |\Z)", old, flags=re.M | re.S))
-    sections[title] = section + "\n"
+    sections[title] = (_joined(sections[title], section) if beside else section) + "\n"
     known = [title_of(plan) for plan in plans_of(METHODS)]
     order = [name for name in known if name in sections]
     order += [name for name in sections if name not in known]
     explained: dict[str, str] = {}
     texts = [f"## {name}\n\n{_once(sections[name], explained).rstrip()}\n" for name in order]
     write_atomically(page, "\n".join([INTRODUCTION, *texts]))
+
+
+def _joined(old: str, new: str) -> str:
+    """Return the section ``old``; rows and items of effects that ``new`` has are its own."""
+    head = re.split(r"(?<=--- \|\n)", old)[0]
+    rows, items = dict[str, str](), dict[str, str]()
+    for section in (old, new):
+        rows |= re.findall(r"^\| (.*?) (\|(?! treatment| ---).*)$", section, flags=re.M)
+        items |= re.findall(r"^\* (.*?)(:.*?)(?=^\* |\Z)", section, flags=re.M | re.S)
+    order = [effect for effect in ALL_EFFECTS if effect in rows]
+    return "\n".join([
+        head + "\n".join(f"| {effect} {rows[effect]}" for effect in order),
+        "",
+        *(f"* {effect}{items[effect].rstrip()}" for effect in order if effect in items),
+        "",
+    ])  # fmt: skip
 
 
 def _once(section: str, explained: dict[str, str]) -> str:

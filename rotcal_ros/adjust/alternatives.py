@@ -15,8 +15,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.arrow import OPEN, dense
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.groups import CHECKED
+from rotcal_ros.adjust.kernels import OPEN
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError
@@ -34,6 +35,8 @@ MOST: Final = np.log(1e9)
 """ln of odds that are named; what is more says no more."""
 LEAST: Final = 0.5
 """Factor on what is stated beforehand, at least."""
+SIZES: Final = (1.0, 2.0, 3.0)
+"""Sizes of motions in orders, per stated, that are tried: a statement is rough."""
 ROUNDS: Final = 4
 """Steps to the solution of a model that is nearly linear, and to its noise."""
 
@@ -116,7 +119,37 @@ def _restricted(model: Model, used: Floats) -> float:
         found = float(squares.sum() + 2.0 * redundancy @ np.log(factors))
         share = np.where(redundancy > CHECKED, squares / np.maximum(redundancy, CHECKED), 1.0)
         factors = np.maximum(factors * np.sqrt(share), least)
-    return found
+    return found + _in_orders(model, basis, left, factors)
+
+
+def _in_orders(model: Model, basis: Floats, left: Floats, factors: Floats) -> float:
+    """Return what -2 ln of the likelihood falls by where motions are in orders, or 0: no less.
+
+    Each row counts one that is stated by itself: were a motion of one order large by chance, as
+    many witnesses of two numbers. ``basis`` (n, r) spans the design, ``left`` (n,) is beside it,
+    both white. Rows of motions hold those of an order, of some size, and of all as much as there
+    is at least.
+    """
+    n, fall, squares = basis.shape[1], 0.0, float(left @ left)
+    for together in model.correlated:
+        rows, weight = together.rows, np.ones(len(left))
+        factor = factors[model.of_component[rows[0]]]
+        weight[rows] = (factor / LEAST) ** 2
+        for ways in zip(*together.parts, strict=True):
+            order = np.zeros((len(left), sum(way.shape[1] for way in ways)))
+            if 2 * order.shape[1] > len(rows):
+                continue  # of as many orders each is one by itself
+            order[rows] = np.concatenate(ways, axis=1) / factor
+            columns = np.column_stack([basis, order, left]) * np.sqrt(weight)[:, None]
+            bordered, at = columns.T @ columns, n + np.arange(order.shape[1])
+            bordered[-1, -1] += 1.0  # also where nothing is left
+            for before, size in zip((np.inf, *SIZES), SIZES, strict=False):
+                bordered[at, at] += size**-2.0 - before**-2.0
+                pivots = np.linalg.cholesky(bordered).diagonal()
+                of_sizes = len(at) * np.log(size) + np.log(pivots[:-1]).sum()
+                of_rows = float(np.log(weight[rows]).sum())
+                fall = min(fall, float(pivots[-1] ** 2 - 1.0 - squares + 2.0 * of_sizes - of_rows))
+    return fall
 
 
 def doubts(every: Sequence[WeighedAlternative]) -> Iterator[str]:

@@ -100,7 +100,7 @@ def _improbability(diagnosis: Diagnosis) -> float:
     """
     fit, n = diagnosis.fit, len(diagnosis.used)
     factors = diagnosis.noise.factors[diagnosis.model.of_component[diagnosis.used]]
-    unknowns = fit.cofactors.rank - sum(e.columns.shape[1] for e in diagnosis.taken)
+    unknowns = fit.kernel.rank - sum(e.columns.shape[1] for e in diagnosis.taken)
     spread = 2.0 * float(np.log(factors).sum())
     return float(fit.chi2 + spread + unknowns * np.log(n) + diagnosis.price)
 
@@ -227,5 +227,5 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
         squares = bent_squares(squares, redundancy, CHECKED)
     part = (model.of_component == np.arange(count)[:, None]) & fit.used
     # R is a projection: the squared sums of its blocks follow from those of its complement
-    information = fit.cofactors.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
+    information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
     return NoiseEvidence(part.any(axis=1), part @ squares, part @ redundancy, information)

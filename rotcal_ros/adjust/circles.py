@@ -10,18 +10,19 @@ unknowns, are a low rank beside that (Woodbury).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, eigvalsh_tridiagonal, lapack
+from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
-from scipy.sparse.linalg import LinearOperator, cg
 
-from rotcal_ros.adjust.arrow import FewEach
+from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.kernels import Design, Kernel, Updated
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 FIRM: Final = 1e-6
@@ -32,18 +33,19 @@ OPEN: Final = 1e-12
 """Eigenvalue of order 0, of unit diagonal, below which nothing determines a direction."""
 LARGE: Final = 1000
 """Places of a circle from which on steps are iterated: whole matrices cost their third power."""
-STEPS: Final = 300
+FEW: Final = 16
+"""Rows that differ from most in weight up to which a low rank beside the orders is quick."""
+STEPS: Final = 1000
 """Steps of conjugate gradients after which another way is taken."""
 CONVERGED: Final = 1e-12
 """Share of what is asked, and of the sizes it is the sum of, that such a solution may leave."""
 STEADY: Final = 1e-3
 """Relative change of an extreme eigenvalue in LOOKED steps that ends looking for it."""
 LOOKED: Final = 10
+SURELY: Final = 0.9
+"""Share of a limit below which bounds that are found by iteration need not be known exactly."""
 SAME: Final = 1e-12
 """Difference of squared weights, in the largest of them, that is rounding."""
-AT_ONCE: Final = 1024
-"""Rows or columns that are worked out at once: what is dense of them stays small."""
-
 Orders: TypeAlias = NDArray[np.complex128]
 
 
@@ -122,18 +124,37 @@ class Turns:
         begin = np.arange(len(turn) + 1) * column.shape[1]
         return csr_array((data.ravel(), column.ravel(), begin), shape=(len(turn), self.unknowns))
 
+    @cached_property
+    def _met(self) -> tuple[Ints, Ints]:
+        """Which unknown a row reads, and in which row of a turn one is read: (C, t, N) each."""
+        step, cell = np.arange(self.size), np.arange(len(self.sign))[:, None] * self.size
+        circle = np.arange(self.circles)[:, None, None] * self.size
+        shift = self.shift.T[:, :, None]
+        return circle + (step + shift) % self.size, cell + (step - shift) % self.size
+
+    def normal_times(self, share: Floats, x: Floats) -> Floats:
+        """Return the normal matrix of rows with squared weights ``share`` (t, N) times x (p,)."""
+        (read, by), sign = self._met, self.sign.T[:, :, None]
+        count = self.circles * self.size
+        found = (self.tied @ x[count:])[:, None] + (sign * x[read]).sum(axis=0)
+        found *= share
+        places = (sign * found.ravel()[by]).sum(axis=1)
+        return np.concatenate([places.ravel(), self.tied.T @ found.sum(axis=1)])
+
 
 @dataclass(frozen=True, eq=False)
-class Circular(FewEach):
+class Circular(Design):
     """A design (n, p + q) of the rows of ``turns``, each times its ``weight`` (n,).
 
     ``few`` (n, p): those rows, weighted; ``extra`` (n, q): columns of further unknowns, too.
-    Nothing is ``known`` beside them.
     """
 
+    few: csr_array
     turns: Turns
     weight: Floats
     extra: Floats
+
+    divided = False
 
     @classmethod
     def of(cls, rows: csr_array, circles: int, size: int) -> Circular | csr_array:
@@ -143,21 +164,35 @@ class Circular(FewEach):
         the ``rows`` come back as they are: then they are solved as any others.
         """
         turns = Turns.of(rows, circles, size)
-        if turns is None:
-            return rows
-        n, p = rows.shape
-        return cls(rows, np.zeros((0, p)), turns, np.ones(n), np.zeros((n, 0)))
+        n = rows.shape[0]
+        return rows if turns is None else cls(rows, turns, np.ones(n), np.zeros((n, 0)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers n of observations and p + q of unknowns."""
+        return self.few.shape[0], self.few.shape[1] + self.extra.shape[1]
+
+    @property
+    def finite(self) -> bool:
+        """Whether all derivatives are finite."""
+        return bool(np.isfinite(self.few.data).all())
 
     def dense(self) -> Floats:
         """Return the whole design."""
         return np.concatenate([self.few.toarray(), self.extra], axis=1)
 
+    @property
+    def lengths(self) -> Floats:
+        """The length (p + q,) of each column."""
+        own = np.bincount(self.few.indices, self.few.data**2, self.few.shape[1])
+        return np.asarray(np.sqrt(np.append(own, (self.extra**2).sum(axis=0))))
+
     def weighted(self, weight: Floats) -> Circular:
         """Return the same, its rows times ``weight`` (n,)."""
-        few = super().weighted(weight).few
-        return replace(
-            self, few=few, weight=self.weight * weight, extra=self.extra * weight[:, None]
-        )
+        few = csr_array(self.few, copy=True)
+        few.data *= np.repeat(weight, np.diff(few.indptr))
+        extra = self.extra * weight[:, None]
+        return replace(self, few=few, weight=self.weight * weight, extra=extra)
 
     def times(self, x: Floats) -> Floats:
         """Return the design times ``x`` (p + q,) or (p + q, k)."""
@@ -168,7 +203,7 @@ class Circular(FewEach):
         """Return the transposed design times ``y`` (n,) or (n, k)."""
         return np.concatenate([self.few.T @ y, self.extra.T @ y])
 
-    def beside(self, rows: Floats) -> FewEach:
+    def beside(self, rows: Floats) -> Design:
         """Return the design with further ``rows`` (k, p) at its end, turns too where they can."""
         few = csr_array(vstack([self.few, csr_array(rows)], format="csr"))
         found = Circular.of(few, self.turns.circles, self.turns.size)
@@ -182,76 +217,86 @@ class Circular(FewEach):
         """Return some rows (r, p + q) as a whole."""
         return np.concatenate([self.few[which].toarray(), self.extra[which]], axis=1)
 
+    def some_times(self, which: Ints, x: Floats) -> Floats:
+        """Return some rows times ``x`` (p + q, k)."""
+        p = self.few.shape[1]
+        return np.asarray(self.few[which] @ x[:p] + self.extra[which] @ x[p:])
 
-@dataclass(frozen=True, eq=False)
-class Outputs:
-    """Rows C (o, p) that differ little from one that they share: of many, little is kept.
+    def kernel(self) -> Updated | None:
+        """Return the kernel order by order; None where it is not firm.
 
-    ``few`` (o, p) beside the row of ``common`` (g, p) that each belongs to, by ``part`` (o,).
-    """
+        Or where so many rows are missing that they are no low rank.
+        """
+        share, usual, odd = self.turns.shares(self.weight)
+        orders = ByOrder.of(self.turns, usual) if odd.sum() <= self.turns.size else None
+        if orders is None:
+            return None
+        changed = self.turns.rows_of(*np.nonzero(odd)), (share - usual[:, None])[odd]
+        plain = replace(self, extra=self.extra[:, :0])
+        return Updated.of(orders, plain, self.weight, changed, self.extra)
 
-    few: csr_array
-    common: Floats
-    part: Ints
+    @property
+    def rough_first(self) -> bool:  # type: ignore[override]
+        """Whether so many rows weigh otherwise than most that iteration is quicker."""
+        odd = int(self.turns.shares(self.weight)[2].sum())
+        return odd > FEW and not self.extra.shape[1]
 
-    @classmethod
-    def of(cls, parts: Sequence[Floats]) -> Outputs:
-        """Return those of ``parts`` (o, p), one below the other, that share a row each."""
-        common = np.zeros((len(parts), parts[0].shape[1]))
-        for k, rows in enumerate(parts):
-            if len(rows):  # what two of three rows share
-                common[k] = np.median(rows[[0, len(rows) // 2, -1]], axis=0)
-        few = [csr_array(rows - row) for rows, row in zip(parts, common, strict=True)]
-        part = np.repeat(np.arange(len(parts)), [len(rows) for rows in parts])
-        return cls(csr_array(vstack(few, format="csr")), common, part)
-
-    def __len__(self) -> int:
-        """Return their number o."""
-        return len(self.part)
-
-    def first(self, count: int) -> Outputs:
-        """Return the first ``count`` of them."""
-        return replace(self, few=self.few[:count], part=self.part[:count])
-
-    def times(self, x: Floats) -> Floats:
-        """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""
-        x = x[: self.common.shape[1]]
-        return np.asarray(self.few @ x + (self.common @ x)[self.part])
-
-    def parts(self, unknowns: int) -> Iterator[tuple[slice, Floats]]:
-        """Yield some rows after the other, (r, ``unknowns``) and which they are."""
-        more = ((0, 0), (0, unknowns - self.common.shape[1]))
-        for begin in range(0, len(self), AT_ONCE):
-            here = slice(begin, min(begin + AT_ONCE, len(self)))
-            yield here, np.pad(self.few[here].toarray() + self.common[self.part[here]], more)
+    @property
+    def large(self) -> bool:  # type: ignore[override]
+        """Whether its whole matrix would be too large."""
+        return self.turns.size >= LARGE
 
     @cached_property
-    def lengths(self) -> Floats:
-        """The length (o,) of each."""
-        every = self.parts(self.common.shape[1])
-        return np.concatenate([np.linalg.norm(rows, axis=1) for _, rows in every])
+    def _iterated(self) -> Iterated | None:
+        return Iterated.of(self)
 
     @cached_property
-    def felt(self) -> Bools:
-        """Which unknowns (p,) one of them feels."""
-        every = [(rows != 0.0).any(axis=0) for _, rows in self.parts(self.common.shape[1])]
-        return np.asarray(np.any(every, axis=0))
+    def _eliminated(self) -> Eliminated | None:
+        return Eliminated.of(self)
+
+    def roughly(self, white: Floats) -> Floats | None:
+        """Return the unknowns (p,) of least squares with any weights; None: nothing does."""
+        found = None if self._iterated is None else self._iterated.solved(self, white)
+        if found is None and self._eliminated is not None:
+            found = self._eliminated.solved(self, white)
+        return found
+
+    def variances(self, outputs: Outputs) -> Floats | None:
+        """Return variances (o,) of ``outputs`` with any weights; None: nothing does."""
+        if self._eliminated is None:
+            return None
+        every = outputs.parts(self.shape[1])
+        return np.concatenate([self._eliminated.squares(rows) for _, rows in every])
+
+    def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
+        """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
+        mine, others = self._iterated, other._iterated if isinstance(other, Circular) else None
+        if mine is None or others is None:
+            return False
+        bound = mine.extremes[1] * mine.orders.variances_of(outputs)
+        least = mine.extremes[0] * others.orders.variances_of(outputs)
+        return bool((bound <= (SURELY * factor) ** 2 * least).all())
+
+    def without_idle(self) -> Circular:
+        """Return it without further unknowns that no row feels: they are none of the others."""
+        return replace(self, extra=self.extra[:, self.extra.any(axis=0)])
 
 
 @dataclass(frozen=True, eq=False)
-class ByOrder:
-    """The inverse normal matrix of complete ``turns``, order by order.
+class ByOrder(Kernel):
+    """The kernel of rows of complete ``turns``, order by order; rows count with a weight of one.
 
     ``inverse`` (N // 2 + 1, C, C): the pseudo inverse of each order but 0; ``zero`` (C + s,
     C + s): that of order 0, of sums of each circle over root N and the other unknowns. ``open``
-    (C + s, k): directions of order 0 that nothing determines; ``lost``: how many of all others.
+    (C + s, k): directions of order 0 that nothing determines; ``lost``: other orders (l,), and
+    what nothing determines of them (l, C).
     """
 
     turns: Turns
     inverse: Orders
     zero: Floats
     open: Floats
-    lost: int
+    lost: tuple[Ints, Orders]
 
     @classmethod
     def of(cls, turns: Turns, share: Floats) -> ByOrder | None:
@@ -269,45 +314,146 @@ class ByOrder:
         if (values[seen] < FIRM).any() or not length.all():
             return None
         length, inverse = length[1:, :, None], np.zeros_like(normal)
-        each, axes = np.linalg.eigh(normal[1:] / length / length.swapaxes(1, 2))
+        each, ways = np.linalg.eigh(normal[1:] / length / length.swapaxes(1, 2))
         firm = each > OPEN
         if (each[firm] < FIRM).any():
             return None
         root = np.where(firm, 1.0 / np.sqrt(np.where(firm, each, 1.0)), 0.0)
-        axes = root[:, None] * axes / length
+        axes = root[:, None] * ways / length
         inverse[1:] = axes @ axes.conj().swapaxes(1, 2)
-        # an order is a cosine and a sine, but for the last one of an even number of places
-        twice = np.where(2 * orders[1:] == size, 1, 2)
         open_ = vectors[:, ~seen] / scale[:, None]
         at_root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
-        lost = int(twice @ (~firm).sum(axis=1))
+        order, which = np.nonzero(~firm)
+        lost = order + 1, ways[order, :, which] / length[order, :, 0]
         return cls(turns, inverse, at_root @ at_root.T, open_, lost)
 
+    @property
+    def rank(self) -> int:
+        """How many unknowns are determined."""
+        return self.turns.unknowns - int(self.directions.shape[1])
+
     @cached_property
-    def directions(self) -> Floats:
-        """What nothing determines (p, k), as directions of the unknowns."""
-        each = self.open[: self.turns.circles] / np.sqrt(self.turns.size)
-        return np.concatenate(
-            [np.repeat(each, self.turns.size, axis=0), self.open[self.turns.circles :]]
-        )
+    def directions(self) -> Floats:  # type: ignore[override]
+        """What nothing determines (p, k), as directions of the unknowns.
 
-    def times(self, right: Floats) -> Floats:
-        """Return the inverse times ``right`` (p, k)."""
-        size, circles = self.turns.size, self.turns.circles
-        inside = right[: circles * size].reshape(circles, size, -1)
-        orders = np.fft.rfft(inside, axis=1)
-        zero = self.zero @ np.concatenate(
-            [orders[:, 0].real / np.sqrt(size), right[circles * size :]]
-        )
-        found = (self.inverse @ orders.swapaxes(0, 1)).swapaxes(0, 1)
-        found[:, 0] = zero[:circles] * np.sqrt(size)
-        places = np.fft.irfft(found, size, axis=1).reshape(circles * size, -1)
-        return np.concatenate([places, zero[circles:]])
+        A lost order is a cosine and a sine, but for the last one of an even number of places.
+        """
+        (circles, size), (orders, lost) = (self.turns.circles, self.turns.size), self.lost
+        found = [np.repeat(self.open[:circles] / np.sqrt(size), size, axis=0)]
+        for order, way in zip(orders.tolist(), lost, strict=True):
+            wave = np.multiply.outer(way, np.exp(2j * np.pi * order / size * np.arange(size)))
+            parts = [wave.real] if 2 * order == size else [wave.real, wave.imag]
+            found.append(np.stack(parts, axis=-1).reshape(circles * size, -1))
+        places = np.hstack(found)
+        others = np.zeros((self.turns.unknowns - len(places), places.shape[1]))
+        others[:, : self.open.shape[1]] = self.open[circles:]
+        return np.concatenate([places, others])
 
-    def variances(self, outputs: Outputs) -> Floats:
-        """Return the variances (o,) of ``outputs``."""
-        parts = outputs.parts(self.turns.unknowns)
-        return np.concatenate([(rows * self.times(rows.T).T).sum(axis=1) for _, rows in parts])
+    def times(self, columns: Floats) -> Floats:
+        """Return N^-1 times ``columns`` (p,) or (p, k)."""
+        (size, circles), right = (self.turns.size, self.turns.circles), np.atleast_2d(columns.T)
+        count = circles * size
+        orders = np.fft.rfft(np.ascontiguousarray(right[:, :count]).reshape(-1, circles, size))
+        sums = np.concatenate([orders[:, :, 0].real / np.sqrt(size), right[:, count:]], axis=1)
+        zero = sums @ self.zero
+        found = np.einsum("cdh,kdh->kch", self._by_circle, orders)
+        found[:, :, 0] = zero[:, :circles] * np.sqrt(size)
+        places = np.fft.irfft(found, size).reshape(-1, count)
+        whole = np.concatenate([places, zero[:, circles:]], axis=1)
+        return np.asarray(whole.T.reshape(columns.shape))
+
+    @cached_property
+    def _by_circle(self) -> Orders:
+        return np.ascontiguousarray(self.inverse.transpose(1, 2, 0))
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``, by how far apart the places are they read."""
+        (circles, size), count = (self.turns.circles, self.turns.size), outputs.each
+        column, value = outputs.entries
+        along = np.fft.irfft(self._by_circle, size)  # between places of two circles
+        circle, place = np.divmod(np.minimum(column, circles * size), size)
+        there = column < circles * size
+        inside = np.where(there, value, 0.0)
+        met = np.where(there, circle, 0)
+        found = np.zeros(len(outputs))
+        for a in range(count):
+            for b in range(count):
+                between = along[met[:, a], met[:, b], (place[:, a] - place[:, b]) % size]
+                found += inside[:, a] * inside[:, b] * between
+        sums = np.zeros((len(outputs), len(self.zero)))
+        at = np.where(there, circle, column - circles * size + circles)
+        for a in range(count):
+            sums[np.arange(len(outputs)), at[:, a]] += np.where(
+                there[:, a], value[:, a] / np.sqrt(size), value[:, a]
+            )
+        found += ((sums @ self.zero) * sums).sum(axis=1)
+        carried = self.times(outputs.common.T)
+        both = (outputs.few @ carried)[np.arange(len(outputs)), outputs.part]
+        own = (outputs.common.T * carried).sum(axis=0)[outputs.part]
+        return np.asarray(found + 2.0 * both + own)
+
+    @cached_property
+    def _felt(self) -> tuple[Floats, Floats]:
+        """What a row at place 0 of a turn does to places (t, C, N) and to the others (t, s)."""
+        turns = self.turns
+        wave = _waves(turns, np.arange(turns.size // 2 + 1))
+        orders = np.einsum("cdh,tdh->tch", self._by_circle, wave.conj())
+        rows = np.hstack([turns.sign / np.sqrt(turns.size), turns.tied])
+        zero = rows @ self.zero
+        orders[:, :, 0] = zero[:, : turns.circles] * np.sqrt(turns.size)
+        return np.fft.irfft(orders, turns.size), zero[:, turns.circles :]
+
+    def gains(self, rows: Ints) -> Floats:
+        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
+        mine = self.turns.rows_of(self.turns.turn[rows], self.turns.place[rows])
+        return self.times(mine.toarray().T)
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        if outputs.each != 1:
+            return super().response(outputs, rows)
+        (circles, size), (places, others) = (self.turns.circles, self.turns.size), self._felt
+        turn, place = self.turns.turn[rows], self.turns.place[rows]
+        column, value = (each[:, 0] for each in outputs.entries)
+        if len(np.unique(turn)) == 1 and (run := outputs.run(circles * size, size)):
+            felt = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
+            found = sliding_window_view(felt, len(outputs))[(run[1] - place) % size]
+            return self._beside_common(found, outputs, turn, place)
+        found = np.empty((len(rows), len(outputs)))
+        for number, begin in enumerate(range(0, circles * size, size)):
+            mine = np.flatnonzero((column >= begin) & (column < begin + size))
+            for k in np.unique(turn) if len(mine) else ():
+                felt, here = places[k, number], np.flatnonzero(turn == k)
+                turned = sliding_window_view(np.append(felt, felt[:-1]), size)[-place[here] % size]
+                found[np.ix_(here, mine)] = turned[:, column[mine] - begin] * value[mine]
+        beyond = np.flatnonzero(column >= circles * size)
+        found[:, beyond] = others[turn[:, None], column[beyond] - circles * size] * value[beyond]
+        return self._beside_common(found, outputs, turn, place)
+
+    def _beside_common(self, found: Floats, outputs: Outputs, turn: Ints, place: Ints) -> Floats:
+        """Return what rows (k,) do to ``outputs``, from what they do beside the common ones."""
+        carried = self.turns.rows_of(turn, place) @ self.times(outputs.common.T)
+        found += carried if carried.shape[1] == 1 else carried[:, outputs.part]
+        return np.asarray(found.T)
+
+    def among(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+        turn, place = self.turns.turn[rows], self.turns.place[rows].astype(np.int32)
+        step = (place[:, None] - place) % np.int32(self.turns.size)
+        if len(np.unique(turn)) == 1:
+            return np.asarray(self.between[turn[0], turn[0]][step])
+        return np.asarray(self.between[turn[:, None], turn, step])
+
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        turn, place = self.turns.turn[rows], self.turns.place[rows]
+        step = (place[:, :, None] - place[:, None]) % self.turns.size
+        return np.asarray(self.between[turn[:, :, None], turn[:, None], step])
+
+    @property
+    def leverage(self) -> Floats:
+        """The diagonal (n,) of J N^-1 J'."""
+        return np.asarray(self.between[self.turns.turn, self.turns.turn, 0])
 
     @cached_property
     def between(self) -> Floats:
@@ -334,143 +480,6 @@ def _of_unit_diagonal(square: Floats) -> tuple[Floats, Floats, Floats]:
     scale = np.sqrt(np.where(square.diagonal() > 0.0, square.diagonal(), 1.0))
     values, vectors = np.linalg.eigh(square / scale / scale[:, None])
     return values, vectors, scale
-
-
-@dataclass(frozen=True, eq=False)
-class Cofactors:
-    """The inverse normal matrix of a circular ``design``: orders, and a low rank beside them.
-
-    It is that of ``orders``, zero for further unknowns, and ``columns`` (p + q, r) times ``core``
-    (r, r) times their transposed. What nothing determines stands still in some way that outputs
-    must not feel.
-    """
-
-    design: Circular
-    orders: ByOrder
-    columns: Floats
-    core: Floats
-
-    @classmethod
-    def of(cls, design: Circular, *, lost: bool = False) -> Cofactors | None:
-        """Return those of a ``design``, weights included; None where they are not firm.
-
-        Or where so many rows are missing that they are no low rank, or where an order but 0 is
-        ``lost``, unless that may be.
-        """
-        turns = design.turns
-        share, usual, odd = turns.shares(design.weight)
-        if odd.sum() > turns.size:
-            return None
-        orders = ByOrder.of(turns, usual)
-        if orders is None or (orders.lost and not lost):
-            return None
-        turn, place = np.nonzero(odd)
-        more = (share - usual[:, None])[odd]
-        rows = turns.rows_of(turn, place)
-        columns = orders.times(rows.T.toarray())
-        size = np.sqrt(np.abs(more))
-        left = np.diag(np.sign(more)) + size[:, None] * (rows @ columns) * size
-        core = _inverse(left)
-        if core is None:
-            return None
-        alone = cls(replace(design, extra=design.extra[:, :0]), orders, columns * size, -core)
-        return alone._with_extra(design)
-
-    def _with_extra(self, design: Circular) -> Cofactors | None:
-        """Return the same of a ``design`` with extra columns; None where they are not firm."""
-        extra = design.extra
-        felt = self.design.adjoint(extra)
-        gain = self.times(felt)
-        squares, whole = extra.T @ extra - felt.T @ gain, (extra**2).sum(axis=0)
-        length = np.sqrt(np.where(whole > 0.0, whole, 1.0))
-        inverse = _inverse(squares / length / length[:, None])
-        if inverse is None:
-            return None
-        q = extra.shape[1]
-        columns = np.block([[self.columns, -gain / length], [np.zeros((q, len(self.core))),
-                                                            np.diag(1.0 / length)]])  # fmt: skip
-        return Cofactors(design, self.orders, columns, np.asarray(block_diag(self.core, inverse)))
-
-    @property
-    def rank(self) -> int:
-        """How many unknowns are determined."""
-        return len(self.columns) - int(self.orders.open.shape[1]) - self.orders.lost
-
-    def times(self, right: Floats) -> Floats:
-        """Return the cofactors times ``right`` (p + q, k)."""
-        p = self.design.turns.unknowns
-        found = self.columns @ (self.core @ (self.columns.T @ right))
-        found[:p] += self.orders.times(right[:p])
-        return np.asarray(found)
-
-    def solved(self, design: FewEach, read: Floats) -> Floats:
-        """Return the unknowns (p + q,) of least squares from what was ``read`` (n,), whitened."""
-        return self.times(design.adjoint(read)[:, None])[:, 0]
-
-    def _low_rank(self, rows: Ints) -> Floats:
-        """Return what the low rank does to some rows of the design, (k, r)."""
-        p = self.design.turns.unknowns
-        return np.asarray(
-            self.design.few[rows] @ self.columns[:p] + self.design.extra[rows] @ self.columns[p:]
-        )
-
-    def among(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        turns, weight = self.design.turns, self.design.weight[rows]
-        turn, place = turns.turn[rows], turns.place[rows].astype(np.int32)
-        step = (place[:, None] - place) % np.int32(turns.size)
-        if len(np.unique(turn)) == 1:
-            found = self.orders.between[turn[0], turn[0]][step]
-        else:
-            found = self.orders.between[turn[:, None], turn, step]
-        found *= weight[:, None]
-        found *= weight
-        low = self._low_rank(rows)
-        found += low @ self.core @ low.T
-        return np.asarray(found)
-
-    @property
-    def leverage(self) -> Floats:
-        """The diagonal (n,) of J N^-1 J'."""
-        turns, every = self.design.turns, np.arange(len(self.design.weight))
-        own = self.orders.between[turns.turn, turns.turn, 0] * self.design.weight**2
-        low = self._low_rank(every)
-        return np.asarray(own + ((low @ self.core) * low).sum(axis=1))
-
-    def taken(self, white: Floats) -> Floats:
-        """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
-        return self.design.times(self.times(self.design.adjoint(white)))
-
-    def shared(self, part: Bools) -> Floats:
-        """Return the sums of squares (c, c) of J N^-1 J' between parts (c, n) of the rows.
-
-        These are all rows in use: as J N^-1 J' is a projection, those of the largest part follow.
-        """
-        total, found = part @ self.leverage, np.zeros((len(part), len(part)))
-        most = int(part.sum(axis=1).argmax())
-        others = np.delete(np.arange(len(part)), most)
-        rows = np.flatnonzero(part[others].any(axis=0))
-        mine = part[np.ix_(others, rows)].astype(np.float64)
-        found[np.ix_(others, others)] = mine @ self.among(rows) ** 2 @ mine.T
-        found[most, others] = found[others, most] = (total - found.sum(axis=1))[others]
-        found[most, most] = total[most] - found[most].sum()
-        return found
-
-    def squares(self, rows: Floats) -> Floats:
-        """Return the variances (k,) of what ``rows`` (k, p + q) make of the unknowns."""
-        return np.asarray((rows * self.times(rows.T).T).sum(axis=1))
-
-    def gained(self, rows: Ints) -> Floats:
-        """Return N^-1 J' of some ``rows`` (k,), (p + q, k)."""
-        return self.times(self.design.rows(rows).T)
-
-
-def _inverse(square: Floats) -> Floats | None:
-    """Return the inverse of a symmetric matrix of entries of order one; None if it is not firm."""
-    values, vectors = np.linalg.eigh(square)
-    if len(values) and np.abs(values).min() < FIRM:
-        return None
-    return np.asarray((vectors / values) @ vectors.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,7 +522,7 @@ class Eliminated:
             return None
         return cls(own, csr_array(over), np.asarray(np.tril(root)) * scale[:, None])
 
-    def solved(self, design: FewEach, read: Floats) -> Floats:
+    def solved(self, design: Circular, read: Floats) -> Floats:
         """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened."""
         asked, count = design.adjoint(read), len(self.own)
         left = asked[count:] - self.shared.T @ asked[:count]
@@ -546,24 +555,34 @@ class Iterated:
         if turns.size < LARGE or design.extra.shape[1]:
             return None
         orders = ByOrder.of(turns, turns.shares(design.weight)[0].mean(axis=1))
-        return None if orders is None or orders.lost else cls(design, orders)
+        return None if orders is None or len(orders.lost[0]) else cls(design, orders)
+
+    @cached_property
+    def _share(self) -> Floats:
+        return self.design.turns.shares(self.design.weight)[0]
 
     def _normal(self, x: Floats) -> Floats:
-        return self.design.adjoint(self.design.times(x))
+        return self.design.turns.normal_times(self._share, x)
 
-    def solved(self, design: FewEach, read: Floats) -> Floats | None:
+    def solved(self, design: Circular, read: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened.
 
         None where the iteration does not converge.
         """
-        asked, size = design.adjoint(read), (self.design.few.shape[1],) * 2
-        rounding = CONVERGED * float(np.linalg.norm(abs(design.few).T @ np.abs(read)))
-        found, failed = cg(
-            LinearOperator(size, matvec=self._normal), asked, rtol=CONVERGED,
-            atol=rounding, maxiter=STEPS,
-            M=LinearOperator(size, matvec=self._led),
-        )  # fmt: skip
-        return None if failed else np.asarray(found)
+        left = design.adjoint(read)
+        rounded = float(np.linalg.norm(design.lengths) * np.abs(read).max())
+        enough = CONVERGED * max(float(np.linalg.norm(left)), rounded)
+        found, way, before = np.zeros(len(left)), np.zeros(len(left)), 1.0
+        for _ in range(STEPS):
+            if float(np.linalg.norm(left)) <= enough:
+                return found
+            led = self.orders.times(left)
+            now = float(left @ led)
+            way = led + now / before * way
+            felt = self._normal(way)
+            length = now / float(way @ felt)
+            found, left, before = found + length * way, left - length * felt, now
+        return None
 
     @cached_property
     def extremes(self) -> tuple[float, float]:
@@ -579,7 +598,7 @@ class Iterated:
         way = self._led(left)
         now, carried, found = float(left @ way), 0.0, np.array([np.inf, 0.0])
         nothing, diagonal, beside = OPEN**2 * now, list[float](), list[float]()
-        for step in range(1, STEPS):
+        for step in range(1, STEPS // 4):
             felt = self._normal(way)
             along = float(way @ felt)
             if along <= OPEN * now:
@@ -598,4 +617,4 @@ class Iterated:
         return float(found[0]), float(found[1])
 
     def _led(self, x: Floats) -> Floats:
-        return self.orders.times(x[:, None])[:, 0]
+        return self.orders.times(x)

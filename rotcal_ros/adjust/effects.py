@@ -20,8 +20,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import erfc
 
-from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.distributions import chi2_sf, detected, f_sf, noncentrality, normal_isf
+from rotcal_ros.adjust.kernels import dense
 from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.protection import Treatment

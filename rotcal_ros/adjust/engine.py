@@ -34,6 +34,7 @@ from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import PRIOR
+from rotcal_ros.adjust.outputs import AT_ONCE
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -43,6 +44,8 @@ from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
 COVARIANCE_LIMIT: Final = 720
 """Most deviations of a component whose covariance is put into the result (4 MB)."""
+SOLVED: Final = 32
+"""Trials that are solved at once."""
 MOST_INFLUENCES: Final = 20_000_000
 """Most numbers in what each observation does to the deviations (160 MB); of more, none."""
 LARGEST: Final = 1000.0
@@ -114,14 +117,12 @@ class Adjusted:
         Where the noise was estimated from few residuals, 1.96 of its standard uncertainties hold
         95 % as those of Student's t do.
         """
-        count = len(self.model.outputs)
-        return self._covariance[:count, :count]
+        return self._covariance
 
     @cached_property
     def _covariance(self) -> Floats:
-        """Covariance of the outputs that count; of all (o + a) where it is the whole matrix."""
-        fit = self.fit
-        count = len(self.model.outputs if fit.by_order is not None else fit.value)
+        """Covariance of the outputs that count."""
+        fit, count = self.fit, len(self.model.outputs)
         few = (self.scale * self._student)[:count]
         total = few[:, None] * fit.covariance(count) * few
         for weight, change in self.diagnosis.contested():
@@ -181,8 +182,6 @@ class Adjusted:
 
     @cached_property
     def _every_std(self) -> Floats:
-        if self.fit.by_order is None:
-            return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
         variance = (self.scale * self._student) ** 2 * self.fit.variance
         for weight, change in self.diagnosis.contested():
             variance = variance + weight * change**2
@@ -239,16 +238,21 @@ class Adjusted:
     @cached_property
     def trials(self) -> Trials:
         """Measurements with the noise that was used, and with what is probable but not proved."""
-        few = self.scale * self._student
-        causes = [few[:, None] * self.fit.response]
+        few, size = self.scale * self._student, len(self.value)
+        many = size * len(self.fit.std) > MOST_INFLUENCES and not self.model.correlated
+        causes = [np.zeros((len(few), 0)) if many else few[:, None] * self.fit.response]
         causes += [
             np.sqrt(weight) * change[:, None] for weight, change in self.diagnosis.contested()
         ]
         gathers = self.diagnosis.gathering.covariance()
         if gathers is not None:
             values, vectors = np.linalg.eigh(gathers)
-            causes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
-        return Trials(self.value, np.concatenate(causes, axis=1)[: len(self.value)])
+            # of all roots the one that no sign of a vector, and no order of equals, changes
+            causes.append((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+        beside = np.concatenate(causes, axis=1)[:size]
+        if many:
+            return TrialsOfNoise(self.value, beside, self.fit, few[:size])
+        return Trials(self.value, beside)
 
     def protections(self) -> tuple[Protection, ...]:
         """Return what is done about each declared effect, the noise, and what gathers."""
@@ -382,6 +386,23 @@ class Trials:
         """Return outputs (count, o)."""
         drawn = rng.standard_normal((count, self.causes.shape[1]))
         return np.asarray(self.value + drawn @ self.causes.T)
+
+
+@dataclass(frozen=True, eq=False)
+class TrialsOfNoise(Trials):
+    """The same of very many observations, whose noise is drawn and solved: ``few`` (o,) times."""
+
+    fit: Fit
+    few: Floats
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return outputs (count, o)."""
+        found, outputs = super().__call__(rng, count), self.fit.model.counting_outputs
+        for begin in range(0, count, SOLVED):
+            part = found[begin : begin + SOLVED]
+            white = rng.standard_normal((len(self.fit.std), len(part)))
+            part += outputs.times(self.fit.kernel.solve(white)).T * self.few
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -538,8 +559,10 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     limit = detected(found.diagnosis.limits.outlier(model), POWER)
     size = limit / np.sqrt(np.maximum(redundancy, (limit / LARGEST) ** 2))
     counts = std > 0.0
-    felt = fit.response_of(rows)[: len(std)]
-    squares = np.einsum("ok,k,ok->o", felt, size**2 / len(rows), felt)[counts]
+    squares = np.zeros(int(counts.sum()))
+    for some in np.array_split(np.arange(len(rows)), len(rows) // AT_ONCE + 1):
+        felt = fit.response_of(rows[some])[: len(std)][counts]
+        squares += felt**2 @ (size[some] ** 2 / len(rows))
     error = float(np.sqrt((squares / std[counts] ** 2).max(initial=0.0)))
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)

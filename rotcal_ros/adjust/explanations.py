@@ -144,7 +144,8 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
         mix = np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors)
         return np.asarray(mix.reshape(group.residual.size, *along.shape))
 
-    times = (lambda matrix: _times_runs(group, subsets, matrix)) if large else None
+    where = bounds(subsets) if large else None
+    times = None if where is None else lambda matrix: _times_runs(group, subsets, where, matrix)
     return Hypotheses(values, along, on_rows, group.sensitivity, vectors, times)
 
 
@@ -164,9 +165,14 @@ def _of_runs(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
     return square, score
 
 
-def _times_runs(group: Group, subsets: Bools, matrix: Floats) -> Floats:
-    """Return a ``matrix`` (r, e) times unit shifts of elements with one axis, (r, q, 1)."""
-    first, end, run = bounds(subsets)
+def _times_runs(
+    group: Group, subsets: Bools, where: tuple[Ints, Ints, Bools], matrix: Floats
+) -> Floats:
+    """Return a ``matrix`` (r, e) times unit shifts of elements with one axis, (r, q, 1).
+
+    ``where``: the :func:`~.subsets.bounds` of the subsets.
+    """
+    first, end, run = where
     unit = matrix * group.relative[:, 0]
     leading = np.pad(unit.cumsum(axis=1), ((0, 0), (1, 0)))
     found = leading[:, end] - leading[:, first]

@@ -1,41 +1,19 @@
-"""A model at its least-squares solution, and what that makes of errors in the observations.
-
-By the whole design, which is the reference; order by order where a design is of circles
-(:mod:`.circles`). Steps go block by block where unknowns fall into blocks (:mod:`.arrow`).
-"""
+"""A model at its least-squares solution, and what that makes of errors in the observations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.arrow import (
-    OPEN,
-    Arrow,
-    Design,
-    FewEach,
-    Turned,
-    adjoint,
-    dense,
-    normal,
-    times,
-    weighted,
-)
-from rotcal_ros.adjust.circles import (
-    AT_ONCE,
-    LARGE,
-    Circular,
-    Cofactors,
-    Eliminated,
-    Iterated,
-)
 from rotcal_ros.adjust.groups import CHECKED
-from rotcal_ros.adjust.model import FIRM, Model
+from rotcal_ros.adjust.kernels import FIRM, OPEN, Design, Kernel, Whole
+from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
@@ -49,73 +27,8 @@ CONVERGED: Final = 1e-14
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
 HALVINGS: Final = 20
-SURELY: Final = 0.9
-"""Share of a limit below which bounds that are found by iteration need not be known exactly."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
-
-
-class Whole(NamedTuple):
-    """The cofactors N^-1 of a whitened design J (n, p), by the whole of it: the reference.
-
-    ``basis``: orthonormal columns (n, rank) that span J; ``root`` (p, rank) times its transposed
-    is N^-1. Both are blocks and little else where J is an arrow.
-    """
-
-    basis: Floats | Turned
-    root: Floats | Turned
-
-    @property
-    def rank(self) -> int:
-        """How many unknowns are determined."""
-        if isinstance(self.basis, Turned):
-            return int(self.basis.below.shape[1])
-        return int(self.basis.shape[1])
-
-    def _rows(self, which: Ints) -> Floats:
-        return self.basis.rows(which) if isinstance(self.basis, Turned) else self.basis[which]
-
-    def among(self, rows: Ints) -> Floats:
-        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        if isinstance(self.basis, Turned):
-            return self.basis.among(rows)
-        return np.asarray(self.basis[rows] @ self.basis[rows].T)
-
-    def along(self, white: Floats | csr_array) -> Floats:
-        """Return the parts (rank, k) of whitened errors (n, k) along the basis."""
-        return adjoint(self.basis, white)
-
-    def felt_by(self, rows: Floats) -> Floats:
-        """Return what ``rows`` (k, p) make of a unit along the basis, (k, rank)."""
-        return np.asarray(adjoint(self.root, rows.T).T)
-
-    @property
-    def leverage(self) -> Floats:
-        """The diagonal (n,) of J N^-1 J'."""
-        if isinstance(self.basis, Turned):
-            return self.basis.squares
-        return np.asarray((self.basis**2).sum(axis=1))
-
-    def taken(self, white: Floats) -> Floats:
-        """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
-        return times(self.basis, self.along(white))
-
-    def shared(self, part: Bools) -> Floats:
-        """Return the sums of squares (c, c) of J N^-1 J' between parts (c, n) of all rows.
-
-        What the largest has of the unit matrix B'B is what the others leave of it.
-        """
-        largest = int(part.sum(axis=1).argmax())
-        squares = np.zeros((len(part), self.rank, self.rank))
-        for k in np.delete(np.arange(len(part)), largest).tolist():
-            mine = self._rows(np.flatnonzero(part[k]))
-            squares[k] = mine.T @ mine
-        squares[largest] = np.eye(self.rank) - squares.sum(axis=0)
-        return np.asarray(np.einsum("kab,lab->kl", squares, squares))
-
-    def squares(self, rows: Floats) -> Floats:
-        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
-        return np.asarray((self.felt_by(rows) ** 2).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +37,7 @@ class Fit:
 
     ``x`` (p + q,): the unknowns, then the sizes of q effects that were found. ``residual`` (n,):
     observed - computed, also of observations that are not ``used``. ``weighed`` (n,): with which
-    standard deviations.
+    standard deviations. ``by_form``: the kernel of the form of what is used, if that has one.
     """
 
     model: Model
@@ -133,43 +46,31 @@ class Fit:
     std: Floats
     used: Bools
     jacobian: Design
+    by_form: Kernel | None = None
 
     @cached_property
     def design(self) -> Floats:
         """The derivatives (n, p + q) of the computed observations."""
-        return dense(self.jacobian)
+        return self.jacobian.dense()
+
+    @property
+    def _white_design(self) -> Design:
+        return self.jacobian.weighted(self.used / self.std)
 
     @cached_property
-    def by_order(self) -> Cofactors | None:
-        """The cofactors of circles; None of others, or where too much is missing for that."""
-        if not isinstance(self.jacobian, Circular):
-            return None
-        return _by_order(self.model, self.jacobian.weighted(self.used / self.std))
-
-    @cached_property
-    def cofactors(self) -> Whole | Cofactors:
-        """Those of x (p + q, p + q), from the whitened design of what is used."""
-        if self.by_order is not None:
-            return self.by_order
-        return _whole(self.model, weighted(self.jacobian, self.used / self.std))
+    def kernel(self) -> Kernel:
+        """That of x (p + q,), from the whitened design of what is used."""
+        if self.by_form is not None:
+            return self.by_form
+        design = self._white_design
+        if design.rough_first and (found := _by_form(self.model, design)) is not None:
+            return found
+        _require_told(self.model, design)
+        return _whole(self.model, design)
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
-        found = self.cofactors
-        if isinstance(found, Whole):
-            each = np.eye(len(self.x))[unknowns]
-            return np.asarray(times(found.basis, found.felt_by(each).T).T)
-        count = unknowns.stop - unknowns.start
-        each = np.eye(len(self.x), count, -unknowns.start)
-        return np.asarray(found.design.times(found.times(each)).T)
-
-    def _rows(self, which: Bools) -> Floats:
-        """Return the derivatives (k, p + q) of some observations."""
-        if isinstance(self.jacobian, Circular):
-            return self.jacobian.rows(np.flatnonzero(which))
-        if isinstance(self.jacobian, FewEach):
-            return self.jacobian.rows(np.flatnonzero(which))
-        return self.design[which]
+        return np.asarray(self.kernel.adjusted(np.eye(len(self.x))[:, unknowns]).T)
 
     @property
     def computed(self) -> Floats:
@@ -189,12 +90,12 @@ class Fit:
     @property
     def dof(self) -> int:
         """Observations in use minus unknowns that they determine."""
-        return int(self.used.sum()) - self.cofactors.rank
+        return int(self.used.sum()) - self.kernel.rank
 
     @cached_property
     def redundancy(self) -> Floats:
         """Share (n,) of each observation that the others check; zero where not used."""
-        return np.where(self.used, 1.0 - self.cofactors.leverage, 0.0)
+        return np.where(self.used, 1.0 - self.kernel.leverage, 0.0)
 
     @cached_property
     def test_value(self) -> Floats:
@@ -202,104 +103,86 @@ class Fit:
 
         Of what is not used, against what the others predict.
         """
-        variance, left = self.redundancy.copy(), ~self.used
-        rows = self._rows(left) / self.std[left, None]
-        variance[left] = 1.0 + self.cofactors.squares(rows)
+        variance, left = self.redundancy.copy(), np.flatnonzero(~self.used)
+        rows = self.jacobian.rows(left) / self.std[left, None]
+        variance[left] = 1.0 + self.kernel.variances(rows)
         checked = variance > CHECKED
         root = np.sqrt(np.where(checked, variance, 1.0))
         return np.where(checked, self.residual / self.std / root, 0.0)
 
-    @cached_property
-    def outputs(self) -> Floats:
-        """C (o + a, p + q): the outputs do not count the effects that were taken up."""
-        return _padded(self.model.every_output, len(self.x))
-
     @property
     def value(self) -> Floats:
         """All outputs (o + a,)."""
-        if self.by_order is not None:
-            return self.model.output_rows.times(self.x)
-        return np.asarray(self.outputs @ self.x)
+        return self.model.output_rows.times(self.x)
 
-    @cached_property
+    @property
     def response(self) -> Floats:
         """B (o + a, n): what whitened errors do to the outputs; correlated ones as independent."""
-        if isinstance(self.cofactors, Whole):
-            response: Floats = self._alone.copy()
-            for each in self.model.correlated:
-                response[:, each.rows] = each.spread(response[:, each.rows], each.possible(self))
-            return response
         return self.response_of(np.arange(len(self.std)))
 
-    def _response_where(self, asked: Bools) -> Floats:
-        """Return B, of which only columns that are ``asked`` for (n,) count."""
-        together = any(asked[each.rows].any() for each in self.model.correlated)
-        return self.response if together else self._alone
+    def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
+        """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
+        outputs = self.model.output_rows if outputs is None else outputs
+        found = self.kernel.response(outputs, rows)
+        for number, each in enumerate(self.model.correlated):
+            mine, at = np.nonzero(rows[:, None] == each.rows)
+            if len(mine):
+                found[:, mine] = self._spread[number][: len(outputs), at]
+        return found
 
     @cached_property
-    def _alone(self) -> Floats:
-        return self.alone(slice(None))
+    def _spread(self) -> list[Floats]:
+        """What independent errors do in the place of those that are correlated (o + a, k)."""
+        every = self.model.correlated
+        return [each.spread(self.alone(each.rows), each.possible(self)) for each in every]
 
-    def alone(self, rows: slice) -> Floats:
+    def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).
 
-        Each as it is, whatever they have in common; of a design that is no circles.
+        Each as it is, whatever they have in common.
         """
-        found = self.cofactors
-        assert isinstance(found, Whole)
-        return np.asarray(times(found.basis, found.felt_by(self.outputs).T)[rows].T)
+        return self.kernel.response(self.model.output_rows, rows)
 
-    def response_of(self, rows: Ints) -> Floats:
-        """Return what whitened errors of some ``rows`` (k,) do to the outputs, (o + a, k)."""
-        found = self.cofactors
-        if isinstance(found, Whole):
-            return self._response_where(np.isin(np.arange(len(self.std)), rows))[:, rows]
-        parts = np.array_split(rows, len(rows) // AT_ONCE + 1)
-        return np.hstack([self.model.output_rows.times(found.gained(part)) for part in parts])
+    def sensitivity(self, rows: Ints) -> Sensitivity:
+        """Return the same in parts that are few."""
+        return self.kernel.sensitivity(self.model.output_rows, rows)
 
     def moved(self, white: Floats) -> Floats:
-        """Return what whitened errors (n, k) do to the outputs, (o + a, k): B times them."""
-        found = self.cofactors
-        if isinstance(found, Whole):
-            return np.asarray(self._response_where(np.any(np.atleast_2d(white.T), 0)) @ white)
-        return self.model.output_rows.times(found.times(found.design.adjoint(white)))
+        """Return what whitened errors (n, k) of what is not correlated do to the outputs."""
+        return self.model.output_rows.times(self.kernel.solve(white))
 
     def covariance(self, count: int) -> Floats:
         """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
-        found = self.cofactors
-        if isinstance(found, Whole):
-            return self._covariance[:count, :count]
         first, whole = self.model.output_rows.first(count), np.zeros((count, count))
         for here, rows in first.parts(len(self.x)):
-            whole[:, here] = first.times(found.times(rows.T))
+            whole[:, here] = first.times(self.kernel.times(rows.T))
+        for each, spread in zip(self.model.correlated, self._spread, strict=True):
+            alone = self.alone(each.rows)[:count]
+            whole += spread[:count] @ spread[:count].T - alone @ alone.T
         whole += whole.T.copy()
         whole *= 0.5
         return whole
 
     @cached_property
-    def _covariance(self) -> Floats:
-        return np.asarray(self.response @ self.response.T)
+    def _plain_variance(self) -> Floats:
+        rows = self.model.output_rows
+        return np.where(rows.idle, 0.0, np.maximum(self.kernel.variances_of(rows), 0.0))
 
     @cached_property
     def variance(self) -> Floats:
         """Variances (o + a,) of the outputs, by the noise alone."""
-        found = self.cofactors
-        if isinstance(found, Whole):
-            return self._covariance.diagonal()
-        parts = self.model.output_rows.parts(len(self.x))
-        return np.concatenate([found.squares(rows) for _, rows in parts])
+        found = self._plain_variance
+        for each, spread in zip(self.model.correlated, self._spread, strict=True):
+            found = found + (spread**2).sum(axis=1) - (self.alone(each.rows) ** 2).sum(axis=1)
+        return np.maximum(found, 0.0)
 
     @property
     def noise_std(self) -> Floats:
         """Standard deviations (o + a,) of all outputs, by the noise alone."""
-        if self.by_order is not None:
-            return np.sqrt(self.variance)
-        return np.asarray(np.linalg.norm(self.response, axis=1))
+        return np.sqrt(self.variance)
 
     def variance_from(self, part: Bools) -> Floats:
         """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
-        if isinstance(self.cofactors, Whole):
-            return np.asarray((self.response**2) @ part.T.astype(np.float64))
         if len(part) == 1:
             return self.variance[:, None]
         found, every = np.zeros((len(self.model.output_rows), len(part))), np.arange(len(self.std))
@@ -309,59 +192,39 @@ class Fit:
 
     @cached_property
     def output_std(self) -> Floats:
-        """Standard deviations (o + a,) of the outputs; infinite for those that count nowhere."""
-        if self.by_order is not None:
-            return self.counting(np.sqrt(self.variance))
-        if isinstance(self.jacobian, Circular):
-            design = self.jacobian.weighted(self.used / self.std)
-            plain = Eliminated.of(design)
-            if plain is None:
-                _require_told(self.model, design)
-            else:
-                parts = self.model.output_rows.parts(len(self.x))
-                squares = np.concatenate([plain.squares(rows) for _, rows in parts])
-                return self.counting(np.sqrt(squares))
-        found = self.cofactors
-        assert isinstance(found, Whole)
-        return self.counting(np.linalg.norm(found.felt_by(self.outputs), axis=1))
+        """Standard deviations (o + a,) of the outputs; infinite for those that count nowhere.
+
+        Those that nothing correlates.
+        """
+        design = self._white_design
+        variance = None if self.by_form else design.variances(self.model.output_rows)
+        if variance is None and design.rough_first:
+            _require_told(self.model, design)
+        return self.counting(np.sqrt(self._plain_variance if variance is None else variance))
 
     def far_worse_than(self, other: Fit, factor: float) -> bool:
         """Whether an output is less sure than by ``factor`` times of another fit.
 
         Raises ObservabilityError where one is not determined at all.
         """
-        mine, others = self._iterated, other._iterated
-        if mine is not None and others is not None:
-            outputs = self.model.output_rows.first(len(self.model.outputs))
-            bound = others.extremes[1] * mine.orders.variances(outputs)
-            least = mine.extremes[0] * others.orders.variances(outputs)
-            if (bound <= (SURELY * factor) ** 2 * least).all():
-                return False
+        outputs = self.model.output_rows.first(len(self.model.outputs))
+        if self._white_design.never_worse(other._white_design, outputs, factor):
+            return False
         return bool((self.output_std > factor * other.output_std).any())
-
-    @cached_property
-    def _iterated(self) -> Iterated | None:
-        if not isinstance(self.jacobian, Circular):
-            return None
-        return Iterated.of(self.jacobian.weighted(self.used / self.std))
 
     def without(self, rows: Ints) -> tuple[float, int] | None:
         """Return chi-squared and the unknowns that are determined without some ``rows`` (k,).
 
-        Of circles; None of others, or where those rows leave what is not firm.
+        None where the form of the rest has no kernel.
         """
-        if not isinstance(self.jacobian, Circular):
-            return None
         weight = self.used / self.std
         weight[rows] = 0.0
-        design = self.jacobian.weighted(weight)
-        # an effect on those rows alone is no unknown of the others
-        design = replace(design, extra=design.extra[:, design.extra.any(axis=0)])
-        found = Cofactors.of(design, lost=True)
+        design = self.jacobian.weighted(weight).without_idle()
+        found = design.kernel()
         if found is None:
             return None
         white = self.residual * weight
-        left = white - design.times(found.solved(design, white))
+        left = white - design.times(found.solve(white))
         return float(left @ left), found.rank
 
     def felt(self, change: Floats) -> bool:
@@ -375,7 +238,7 @@ class Fit:
     def left_of(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) leave in the residuals, R times them."""
         mine = white * self.used[:, None]
-        return np.asarray(mine - self.cofactors.taken(mine))
+        return np.asarray(mine - self.kernel.taken(mine))
 
 
 def require_determined(model: Model) -> None:
@@ -383,28 +246,28 @@ def require_determined(model: Model) -> None:
 
     Raises ObservabilityError with the unknowns.
     """
-    computed, design = model.equations(model.first)
-    if not _finite(computed, design):
+    computed, design = model.linearised(model.first)
+    if not (np.isfinite(computed).all() and design.finite):
         raise DataError(
             "the equations give no finite numbers at the start values: give others in Model.first"
         )
-    if not isinstance(design, Circular):
-        _whole(model, weighted(design, 1.0 / model.std))
-    elif not _by_order(model, design.weighted(1.0 / model.std)):
-        _factored(model, design.dense() / model.std[:, None])
+    white = design.weighted(1.0 / model.std)
+    if _by_form(model, white) is None:
+        _whole(model, white)
 
 
-def _by_order(model: Model, design: Circular) -> Cofactors | None:
-    """Return the cofactors of a whitened design; None where they are not firm, or outputs felt it.
+def _by_form(model: Model, design: Design) -> Kernel | None:
+    """Return the kernel of the form of a whitened design; None where it has none that is firm.
 
-    Then the whole design shows which unknowns are at fault.
+    Or none of circles whose outputs feel what is open. Raises ObservabilityError where others do.
     """
-    found = Cofactors.of(design)
-    if found is None:
-        return None
-    directions = found.orders.directions
-    felt = np.abs(model.output_rows.times(directions))
-    return found if _are_small(felt, model.output_rows.lengths, directions) else None
+    found = design.kernel()
+    if found is None or not found.directions.shape[1]:
+        return found
+    if design.divided:
+        _require_unfelt(model, found)
+        return found
+    return None if _feels(model, found) else found
 
 
 def fitted(
@@ -423,40 +286,31 @@ def fitted(
     x[: min(len(start), len(x))] = start[: len(x)]
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
-    solver = _solver(model, weighted(jacobian, weight))
+    steps = _Steps.of(model, jacobian.weighted(weight))
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
-        step, left = _step(model, weighted(jacobian, weight), white, solver)
+        step, left = steps(white)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
             x = x + step  # no more matter, but digits
-            return Fit(
-                model, x, model.observed - _computed(model, x, extra)[0], std, used, jacobian
-            )
-        before = left
+            left_over = model.observed - _computed(model, x, extra)[0]
+            return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
+        before, solved = left, jacobian
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
-            if _finite(after, jacobian) and (left < NEARLY or float(after @ after) <= square):
+            finite = np.isfinite(after).all() and jacobian.finite
+            if finite and (left < NEARLY or float(after @ after) <= square):
                 break
             step = 0.5 * step
         else:
             break  # no step makes it better
         x = x + step
+        if jacobian is not solved:
+            steps = _Steps.of(model, jacobian.weighted(weight))
     raise _unsettled()
-
-
-Solver: TypeAlias = "Arrow | Cofactors | Eliminated | Iterated"
-"""What solves a design by its form."""
-
-
-def _solver(model: Model, design: Floats | FewEach) -> Solver | None:
-    """Return what solves a whitened ``design`` by its form; None where it has none."""
-    if isinstance(design, Circular):
-        return _by_order(model, design) or Iterated.of(design) or Eliminated.of(design)
-    return Arrow.of(design.few) if isinstance(design, FewEach) else None
 
 
 def _unsettled() -> DataError:
@@ -466,71 +320,72 @@ def _unsettled() -> DataError:
     )
 
 
-def _finite(computed: Floats, design: Design) -> bool:
-    entries = design.few if isinstance(design, FewEach) else design
-    entries = entries if isinstance(entries, np.ndarray) else entries.data
-    return bool(np.isfinite(computed).all() and np.isfinite(entries).all())
-
-
 def _computed(model: Model, x: Floats, extra: Floats) -> tuple[Floats, Design]:
     """Return computed observations (n,) and the design (n, p + q), effects included."""
     p = model.size[1]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        computed, jacobian = model.equations(x[:p])  # outside its domain a step is shortened
+        computed, jacobian = model.linearised(x[:p])  # outside its domain a step is shortened
     if not extra.shape[1]:
         return computed, jacobian
-    if isinstance(jacobian, Circular):
-        return computed + extra @ x[p:], jacobian.with_extra(extra)
-    return computed + extra @ x[p:], np.concatenate([dense(jacobian), extra], axis=1)
+    return computed + extra @ x[p:], jacobian.with_extra(extra)
 
 
-def _step(
-    model: Model,
-    design: Floats | FewEach,
-    white: Floats,
-    solver: Solver | None,
-) -> tuple[Floats, float]:
-    """Return the step (p + q,) that ``white`` (n,) asks for, and the square that it takes off.
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """What leads to the solution of a whitened ``design``, with the kernel of its form or without.
 
-    Block by block, or by the normal equations, which are quick, where these are firm.
+    Without, by what else its form has; or by the normal equations, which are quick, where these
+    are firm.
     """
-    step = None
-    if isinstance(design, FewEach) and solver is not None:
-        step = solver.solved(design, white)
-    if step is None and isinstance(solver, Iterated):
-        plain = Eliminated.of(solver.design)
-        step = None if plain is None else plain.solved(solver.design, white)
-    if step is not None:
-        felt = times(design, step)
+
+    model: Model
+    design: Design
+    by_form: Kernel | None
+
+    @classmethod
+    def of(cls, model: Model, design: Design) -> _Steps:
+        return cls(model, design, None if design.rough_first else _by_form(model, design))
+
+    def __call__(self, white: Floats) -> tuple[Floats, float]:
+        """Return the step (p + q,) that ``white`` (n,) asks for, and the square it takes off."""
+        step = self.by_form.solve(white) if self.by_form else self.design.roughly(white)
+        if step is None:
+            return self._by_normal_equations(white)
+        felt = self.design.times(step)
         return step, float(felt @ felt)
-    if isinstance(design, Circular):
+
+    def _by_normal_equations(self, white: Floats) -> tuple[Floats, float]:
+        model, design = self.model, self.design
         _require_told(model, design)
-        design = design.dense()
-    squares = normal(design)
-    scale = np.sqrt(np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0))
-    squares /= scale * scale[:, None]
-    moving = _moving(model, len(scale))
-    squares = squares[moving][:, moving]
-    root, failed = lapack.dpotrf(squares)
-    firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
-    if not firm or not _told_by_others(model, design, root, scale):
-        whole = _whole(model, design)
-        along = whole.along(white)
-        return times(whole.root, along), float(along @ along)
-    along = lapack.dtrtrs(root, (adjoint(design, white) / scale)[moving], trans=1)[0]
-    step = np.zeros(len(scale))
-    step[moving] = lapack.dtrtrs(root, along)[0]
-    return step / scale, float(along @ along)
+        squares = design.normal()
+        scale = np.sqrt(np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0))
+        squares /= scale * scale[:, None]
+        moving = _moving(model, len(scale))
+        squares = squares[moving][:, moving]
+        root, failed = lapack.dpotrf(squares)
+        firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
+        if not firm or not _told_by_others(model, design, root, scale):
+            whole = _whole(model, design)
+            along = whole.basis.T @ white
+            return whole.root @ along, float(along @ along)
+        along = lapack.dtrtrs(root, (design.adjoint(white) / scale)[moving], trans=1)[0]
+        step = np.zeros(len(scale))
+        step[moving] = lapack.dtrtrs(root, along)[0]
+        return step / scale, float(along @ along)
 
 
-def _require_told(model: Model, design: Circular) -> None:
-    """Raise ObservabilityError for unknowns of a weighted ``design`` that no observation feels."""
+def _require_told(model: Model, design: Design) -> None:
+    """Raise ObservabilityError for unknowns of circles that no observation feels, weighted.
+
+    And for too many unknowns for a whole matrix, where nothing else solves them.
+    """
+    if design.divided:
+        return
     felt = model.output_rows.felt
-    telling = np.asarray(abs(design.few).sum(axis=0))
-    unseen = np.flatnonzero(felt & (telling == 0.0))
+    unseen = np.flatnonzero(felt & (design.lengths[: len(felt)] == 0.0))
     if unseen.size:
         raise _untold(_in_words(model, unseen, np.zeros((model.size[0], len(felt)), np.bool_)))
-    if design.turns.size >= LARGE:  # no whole matrix of so many
+    if design.large:
         raise ObservabilityError(
             "the observations cannot separate the places of the circles: measure what joins them"
         )
@@ -549,7 +404,7 @@ def _moving(model: Model, unknowns: int) -> Ints | slice:
     return np.delete(np.arange(unknowns), model.held)
 
 
-def _told_by_others(model: Model, design: Floats | FewEach, root: Floats, scale: Floats) -> bool:
+def _told_by_others(model: Model, design: Design, root: Floats, scale: Floats) -> bool:
     """Whether columns of unknowns that stand still are combinations of those that move.
 
     ``root``: the upper Cholesky factor of the normal matrix of these, times ``scale`` (p + q,).
@@ -560,99 +415,51 @@ def _told_by_others(model: Model, design: Floats | FewEach, root: Floats, scale:
         return True
     unit = np.zeros((len(scale), len(held)))
     unit[held, np.arange(len(held))] = 1.0 / scale[held]
-    left, moving = times(design, unit), _moving(model, len(scale))
+    left, moving = design.times(unit), _moving(model, len(scale))
     for _ in range(2):
         part = np.zeros_like(unit)
-        part[moving] = lapack.dpotrs(root, (adjoint(design, left) / scale[:, None])[moving])[0]
-        left = left - times(design, part / scale[:, None])
+        part[moving] = lapack.dpotrs(root, (design.adjoint(left) / scale[:, None])[moving])[0]
+        left = left - design.times(part / scale[:, None])
     return bool((np.linalg.norm(left, axis=0) <= OPEN).all())
 
 
-def _whole(model: Model, design: Floats | FewEach) -> Whole:
-    """Return the cofactors of a whitened design, block by block where it is a firm arrow."""
-    if isinstance(design, FewEach) and not len(model.held):
-        arrow = Arrow.of(design.few)
-        found = None if arrow is None else arrow.factored(design)
-        if found is not None:
-            _require_unmoved(model, design, found[2])
-            return Whole(*found[:2])
-    return _factored(model, dense(design))
+def _whole(model: Model, design: Design) -> Whole:
+    """Return the kernel of a whitened design by the whole of it.
 
-
-def _require_unmoved(model: Model, design: FewEach, open_: Floats) -> None:
-    """Raise ObservabilityError where outputs feel directions ``open_`` (k, p) of a design."""
-    if not len(open_):
-        return
-    white = design.dense()
-    scale = np.linalg.norm(white, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    directions = np.linalg.qr((open_ * scale).T)[0]
-    _require_unfelt(model, scale, directions.T, white != 0.0)
-
-
-def _factored(model: Model, white: Floats) -> Whole:
-    """Return the cofactors of a whitened design (n, p).
-
-    Of columns that were brought to length one: by QR, or by SVD where that is not firm. What is
-    open is shown by small singular values, whatever the units of the unknowns.
+    Raises ObservabilityError where outputs feel what is open.
     """
-    scale = np.linalg.norm(white, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    unit, moving = white / scale, _moving(model, len(scale))
-    if len(unit) >= len(scale) - len(model.held) and np.isfinite(unit).all():
-        basis, upper = np.linalg.qr(unit[:, moving])
-        if lapack.dtrcon(upper)[0] > FIRM and _is_open(model, scale, unit, basis, upper):
-            root = np.zeros((len(scale), len(upper)))
-            root[moving] = lapack.dtrtri(upper)[0]
-            return Whole(basis, root / scale[:, None])
     try:
-        u, s, vt = np.linalg.svd(unit, full_matrices=False)
+        found = Whole.of(design, model.held)
     except np.linalg.LinAlgError as error:  # the unknowns have run away
         raise _unsettled() from error
-    determined = s > OPEN * s[0]
-    if not determined.all() or len(s) < len(scale):
-        full = vt if len(vt) == len(scale) else np.linalg.svd(unit)[2]
-        _require_unfelt(model, scale, full[int(determined.sum()) :], white != 0.0)
-    return Whole(u[:, determined], vt[determined].T / s[determined] / scale[:, None])
+    _require_unfelt(model, found)
+    return found
 
 
-def _is_open(model: Model, scale: Floats, unit: Floats, basis: Floats, upper: Floats) -> bool:
-    """Whether the unknowns that stand still are determined by nothing, and felt by no output.
+def _scale(design: Design) -> Floats:
+    """Return the length (p + q,) of each column, 1 where that is none."""
+    lengths = design.lengths
+    return np.where(lengths > 0.0, lengths, 1.0)
 
-    ``unit`` (n, p + q) of unknowns times ``scale`` (p + q,); ``basis`` and ``upper``: the QR
-    decomposition of those that move.
+
+def _feels(model: Model, kernel: Kernel) -> bool:
+    """Whether an output feels a direction that nothing determines, by more than rounding."""
+    outputs, open_, scale = model.output_rows, kernel.directions, _scale(kernel.design)
+    felt, lengths = np.abs(outputs.times(open_)), np.linalg.norm(open_ * scale[:, None], axis=0)
+    return bool((felt > FREE * outputs.lengths(scale)[:, None] * lengths).any())
+
+
+def _require_unfelt(model: Model, kernel: Kernel) -> None:
+    """Raise ObservabilityError where an output feels a direction that nothing determines.
+
+    What is open else, such as a zero that all readings share, is no matter.
     """
-    held = unit[:, model.held]
-    along = basis.T @ held
-    if (np.linalg.norm(held - basis @ along, axis=0) > OPEN).any():
-        return False
-    directions = np.zeros((len(scale), len(model.held)))
-    directions[_moving(model, len(scale))] = -lapack.dtrtrs(upper, along)[0]
-    directions[model.held, np.arange(len(model.held))] = 1.0
-    return _is_unfelt(_padded(model.every_output, len(scale)) / scale, directions)
-
-
-def _is_unfelt(outputs: Floats, directions: Floats) -> bool:
-    """Whether ``outputs`` (o, p + q) feel none of the ``directions`` (p + q, k)."""
-    felt = np.abs(outputs @ directions)
-    return _are_small(felt, np.linalg.norm(outputs, axis=1), directions)
-
-
-def _are_small(felt: Floats, outputs: Floats, directions: Floats) -> bool:
-    """Whether what outputs of these lengths (o,) have ``felt`` (o, k) is nothing but rounding."""
-    lengths = np.linalg.norm(directions, axis=0)
-    return bool((felt <= FREE * outputs[:, None] * lengths).all())
-
-
-def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) -> None:
-    """Raise ObservabilityError where an output feels one of the ``open_`` directions (k, p + q).
-
-    Both in unknowns times ``scale`` (p + q,); ``telling`` (n, p + q): which observations depend on
-    which. What is open else, such as a zero that all readings share, is no matter.
-    """
-    outputs = _padded(model.every_output, len(scale)) / scale
-    if _is_unfelt(outputs, open_.T):
+    if not kernel.directions.shape[1] or not _feels(model, kernel):
         return
+    scale, telling = _scale(kernel.design), kernel.design.dense() != 0.0
+    open_ = np.linalg.qr(kernel.directions * scale[:, None])[0].T
+    every = model.every_output
+    outputs = np.pad(every, ((0, 0), (0, len(scale) - every.shape[1]))) / scale
     felt = outputs @ open_.T
     size, ways = np.linalg.svd(felt, full_matrices=False)[1:]
     lost = ways[size > FREE * size[0]] @ open_  # what outputs feel of it
@@ -691,9 +498,3 @@ def _in_words(model: Model, unknowns: Ints, telling: Bools) -> str:
         if 0 < len(here) < min(len(every), most) and grouping.kind not in model.blocks:
             groups += [f"{grouping.kind} {k}" for k in sorted(here)]
     return ", ".join(names) + (f" ({', '.join(groups)})" if groups else "")
-
-
-def _padded(rows: Floats, unknowns: int) -> Floats:
-    """Return ``rows`` (k, p) of so many unknowns; they do not count the last ones."""
-    more = unknowns - rows.shape[1]
-    return np.pad(rows, ((0, 0), (0, more))) if more else rows

@@ -15,13 +15,12 @@ from typing import Final
 import numpy as np
 from scipy.special import gammaln
 
-from rotcal_ros.adjust.circles import Circular
 from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
 from rotcal_ros.adjust.distributions import t_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import judged
-from rotcal_ros.adjust.groups import Group, JudgedWhole, Undivided
+from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole, Undivided
 from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, Grouping, gathered_of, members_of
@@ -232,12 +231,15 @@ class Look:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole | Undivided]()
         for grouping in model.groupings:
+            if grouping.along is None and not fit.jacobian.divided:
+                found += self._together_each(grouping)
+                continue
             for number, members in members_of(grouping, model.may_go).items():
                 kept = members[fit.used[members]]
                 if not 1 < len(kept) < len(fit.used):
                     continue
                 name, lost = f"{grouping.kind} {number}", len(members) - len(kept)
-                if len(kept) > LARGEST_GROUP and isinstance(fit.jacobian, Circular):
+                if len(kept) > LARGEST_GROUP and not fit.jacobian.divided:
                     found.append(_as_a_whole(fit, grouping.kind, name, kept, lost))
                     continue
                 parts = parts_of(grouping, members)
@@ -248,14 +250,39 @@ class Look:
                         found.append(self._group(grouping, of, here, len(part) - len(here)))
         return found
 
+    def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
+        """Return groups of which it is not asked what gathers, those of one size at once."""
+        fit, model = self.fit, self.before.model
+        every = members_of(grouping, model.may_go)
+        kept = {number: rows[fit.used[rows]] for number, rows in every.items()}
+        kept = {number: rows for number, rows in kept.items() if 1 < len(rows) < len(fit.used)}
+        found = dict[int, JudgedWhole]()
+        for size in {len(rows) for rows in kept.values()}:
+            numbers = [number for number, rows in kept.items() if len(rows) == size]
+            rows = np.stack([kept[number] for number in numbers])
+            values, vectors = np.linalg.eigh(np.eye(size) - fit.kernel.among_each(rows))
+            along, seen = (fit.white[rows][:, None] @ vectors)[:, 0], values > CHECKED
+            squares = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+            checked = np.clip(values, 0.0, 1.0).sum(axis=1)
+            each = zip(numbers, squares.tolist(), seen.sum(axis=1).tolist(), checked.tolist(),
+                       strict=True)  # fmt: skip
+            for number, square, rank, share in each:
+                found[number] = JudgedWhole(
+                    grouping.kind, f"{grouping.kind} {number}", size, (square, rank),
+                    (share, size), len(every[number]) - size,
+                )  # fmt: skip
+        return [found[number] for number in kept]
+
     def _group(self, grouping: Grouping, name: str, rows: Ints, lost: int) -> Group:
         """Return the group of ``rows`` (e,) that are used, of which ``lost`` ones are not."""
         fit, gathered = self.fit, gathered_of(grouping, rows)
         # of others it is not asked what gathers, nor what that would do
-        felt = fit.response_of(rows) if len(gathered) else np.zeros((0, len(rows)))
+        felt = Sensitivity.whole(np.zeros((0, len(rows))))
+        if len(gathered):
+            felt = fit.sensitivity(rows)
         return Group.of(
             grouping.kind, name, rows, fit.white[rows][:, None], 1.0 / fit.std[rows][:, None],
-            fit.cofactors.among(rows), Sensitivity.whole(felt), gathered, lost,
+            fit.kernel.among(rows), felt, gathered, lost,
         )  # fmt: skip
 
 
@@ -279,9 +306,9 @@ def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> Judged
     """
     rest = fit.without(rows)
     if rest is None:
-        cofactor = LowRank.whole(np.eye(len(rows)) - fit.cofactors.among(rows))
+        cofactor = LowRank.whole(np.eye(len(rows)) - fit.kernel.among(rows))
         return Undivided(kind, name, fit.white[rows], cofactor, lost)
-    rank = len(rows) - (fit.cofactors.rank - rest[1])
+    rank = len(rows) - (fit.kernel.rank - rest[1])
     checked = float(fit.redundancy[rows].sum())
     together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
     return JudgedWhole(kind, name, len(rows), together, checks, lost)

@@ -17,33 +17,26 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.sparse import csc_array, csr_array
 
-from rotcal_ros.adjust.arrow import (
-    Design,
-    beside,
-    dense,
-    normal,
-    times,
-    weighted,
-)
-from rotcal_ros.adjust.circles import Outputs
+from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.designs import Derivatives, dense, design_of
 from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.kernels import FIRM, Design
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.subsets import runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import Effect
 from rotcal_ros.foundation.units import ARCSEC, TURN
 
-FIRM: Final = 1e-6
-"""Reciprocal condition number from which on a design needs no singular values."""
 MOST_MOMENTS: Final = 1000
 """Moments at which a move is looked for in each of several ways."""
 
-Equations = Callable[[Floats], tuple[Floats, Design]]
+Equations = Callable[[Floats], tuple[Floats, Derivatives]]
 """Takes the unknowns (p,) to the computed observations (n,) and their derivatives (n, p).
 
 As scipy's ``csr_array`` of those entries that can be other than zero, the same at all unknowns,
-they are solved block by block where they fall into blocks (:mod:`.arrow`).
+they are solved block by block where they fall into blocks (:mod:`.bordered`).
 """
 
 
@@ -173,9 +166,10 @@ class Disturbing:
         return replace(self, columns=to(self.whole(np.zeros(0))))
 
 
-def linear(design: Design) -> Equations:
+def linear(design: Derivatives) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
-    return lambda x: (times(design, x), design)
+    form = design_of(design)
+    return lambda x: (form.times(x), design)
 
 
 def indicators(*blocks: tuple[Ints, int]) -> Floats:
@@ -321,11 +315,11 @@ class Model:
     observed: Floats
     std: Floats
     equations: Equations
-    outputs: Floats
+    outputs: Floats | Outputs
     words: Words
     unit: Unit = SECONDS
     start: Floats | None = None
-    also: Mapping[str, Floats] = field(default_factory=dict)
+    also: Mapping[str, Floats | Outputs] = field(default_factory=dict)
     components: Sequence[str] = ("the observations",)
     component: Ints | None = None
     judged: Bools | None = None
@@ -362,7 +356,7 @@ class Model:
                 raise DataError(
                     f"{name} of the model: shape {found}, expected {wanted or (n, 'k')}"
                 )
-            if not (isinstance(values, Steps) or np.isfinite(values).all()):
+            if not (isinstance(values, Steps | Outputs) or np.isfinite(values).all()):
                 raise DataError(f"{name} of the model: expected finite numbers")
         if not (self.std > 0.0).all():
             raise DataError("std of the model: expected positive numbers")
@@ -397,6 +391,11 @@ class Model:
         return np.concatenate([self.outputs, *self.also.values()])
 
     @cached_property
+    def counting_outputs(self) -> Outputs:
+        """``outputs`` alone by what they have in common."""
+        return self.output_rows.first(len(self.outputs))
+
+    @cached_property
     def output_rows(self) -> Outputs:
         """The same by what they have in common."""
         return Outputs.of([self.outputs, *self.also.values()])
@@ -408,8 +407,7 @@ class Model:
         Those that pivoted Cholesky finds last at the start values. Who leaves them out must check
         that nothing is lost: it takes what is weak for open, too.
         """
-        _, jacobian = self.equations(self.first)
-        squares = normal(weighted(jacobian, 1.0 / self.std))
+        squares = self.linearised(self.first)[1].weighted(1.0 / self.std).normal()
         length = np.sqrt(np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0))
         _, pivots, rank, _ = lapack.dpstrf(squares / length / length[:, None], tol=FIRM**2)
         return np.sort(pivots[rank:] - 1) if rank else np.zeros(0, dtype=np.int64)
@@ -431,6 +429,17 @@ class Model:
             found.append(f"{name} ({seen[name]} of {whole[name]})" if whole[name] > 1 else name)
         return found
 
+    def linearised(self, x: Floats) -> tuple[Floats, Design]:
+        """Return the computed observations (n,) and their design at ``x`` (p,)."""
+        computed, found = self.equations(x)
+        return computed, design_of(found, self._groups)
+
+    @cached_property
+    def _groups(self) -> Groups | None:
+        """Into which groups the unknowns fall, which is asked once."""
+        design = design_of(self.equations(self.first)[1])
+        return design.structure if isinstance(design, FewEach) else None
+
     def at(self, unknowns: Floats) -> Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
         return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
@@ -444,9 +453,9 @@ class Model:
         """
         n, k = len(self.observed), len(values)
 
-        def equations(x: Floats) -> tuple[Floats, Design]:
+        def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
-            return np.append(computed, rows @ x), beside(design, rows)
+            return np.append(computed, rows @ x), design_of(design).beside(rows)
 
         def spared(effect: Disturbing) -> Disturbing:
             if isinstance(effect.columns, Steps):
@@ -488,7 +497,7 @@ class Model:
         def freed(values: Floats) -> Floats:
             return changed(values, 1.0 / root)
 
-        def equations(x: Floats) -> tuple[Floats, Design]:
+        def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
             return freed(computed), freed(dense(design))
 

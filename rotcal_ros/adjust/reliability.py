@@ -152,13 +152,17 @@ class _Reach:
         sensitivity = unseen.found.sensitivity
         if self.root is None or sensitivity.common is None:
             return np.inf
-        mix = unseen.found.mixing()
-        flat = mix.reshape(len(mix), -1)
-        along = sensitivity.along @ flat
+        times = unseen.found.times
+        if times is None:
+            mix = unseen.found.mixing()
+            flat = mix.reshape(len(mix), -1)
+            along, own = sensitivity.along @ flat, sensitivity.own @ flat
+        else:  # runs, by differences of leading sums
+            along, own = (times(part)[:, :, 0] for part in (sensitivity.along, sensitivity.own))
         share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
-        at = sensitivity.at[self.std[sensitivity.at] > 0.0]
+        counted = self.std[sensitivity.at] > 0.0
+        at = sensitivity.at[counted]
         if len(at):
-            own = sensitivity.common[sensitivity.at] @ along + sensitivity.own @ flat
-            own = np.abs(own[self.std[sensitivity.at] > 0.0]) / self.std[at, None]
-            share = np.maximum(share, SAFELY * own.max(axis=0))
+            felt = np.abs(sensitivity.common[at] @ along + own[counted]) / self.std[at, None]
+            share = np.maximum(share, SAFELY * felt.max(axis=0))
         return float((share * unseen.size.ravel()).max())

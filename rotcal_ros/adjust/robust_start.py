@@ -41,6 +41,8 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     every = np.ones(n, dtype=np.bool_)
     # at first each by what it misses the start values by: a gross error cannot pull them away
     miss = np.maximum(np.abs(model.observed - model.equations(model.first)[0]) / model.std, 1.0)
+    if model.linearised(model.first)[1].large:
+        miss = np.sqrt(miss)  # no more, for what is iterated
     fit = fitted(model, every, model.std * miss, model.first)
     for _ in range(ROUNDS):
         # weights of least absolute deviations, which are those of least squares for small ones

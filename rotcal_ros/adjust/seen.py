@@ -7,18 +7,17 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import diags_array
 
-from rotcal_ros.adjust.arrow import dense
 from rotcal_ros.adjust.effects import Seen
-from rotcal_ros.adjust.fit import Fit, Whole
+from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Steps
 from rotcal_ros.foundation.arrays import Floats, Ints
 
+AT_A_TIME, FEW = 128, 64
+"""Steps that are summed up at once, of themselves and of what they do to all outputs."""
 WEAK: Final = 1e-4
 """Information of a size, per that of its errors without the unknowns, below which digits go."""
-FEW: Final = 0.1
-"""Share of entries that are not zero below which columns are sparse."""
 
 
 def columns_of(columns: Floats | Steps, which: slice) -> Floats:
@@ -32,36 +31,28 @@ def seen_by(fit: Fit, columns: Floats | Steps, *, family: bool = False) -> Seen:
     Of a family, which may have as many columns as there are observations, neighbours alone.
     """
     if isinstance(columns, Steps):
-        if not isinstance(fit.cofactors, Whole):
-            return _steps_seen_by(fit, columns)
-        white = columns.few()
-        white.data /= np.repeat(np.where(fit.used, fit.std, np.inf), np.diff(white.indptr))
-        white.eliminate_zeros()
-        return _family_seen_by(fit, fit.cofactors, white)
+        return _steps_seen_by(fit, columns)
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    if family and isinstance(fit.cofactors, Whole):
-        few = np.count_nonzero(white) < FEW * white.size
-        return _family_seen_by(fit, fit.cofactors, csr_array(white) if few else white)
+    if family:
+        return _family_seen_by(fit, white)
     left = fit.left_of(white)
     return Seen(fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0))
 
 
-def _family_seen_by(fit: Fit, cofactors: Whole, white: Floats | csr_array) -> Seen:
-    """Return what a solution makes of whitened columns (n, k), sparse if most of them is zeros."""
-    taken = cofactors.along(white).T  # (k, rank): what the unknowns take up of them
-    whole = np.asarray((white * white).sum(axis=0))
-    beside = np.asarray((white[:, :-1] * white[:, 1:]).sum(axis=0))
-    beside = beside - (taken[:-1] * taken[1:]).sum(axis=1)
-    own = whole - (taken**2).sum(axis=1)
-    weak = np.flatnonzero(own < WEAK * whole)  # a small difference of large numbers
-    own[weak] = (fit.left_of(dense(white[:, weak])) ** 2).sum(axis=0)
+def _family_seen_by(fit: Fit, white: Floats) -> Seen:
+    """Return what a solution makes of whitened columns (n, k), each beside the next."""
+    gain, felt = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
+    whole = (white**2).sum(axis=0)
+    own = whole - (felt * gain).sum(axis=0)
+    beside = (white[:, :-1] * white[:, 1:]).sum(axis=0) - (felt[:, :-1] * gain[:, 1:]).sum(axis=0)
+    for k in np.flatnonzero(own < WEAK * whole).tolist():  # a small difference of large numbers
+        own[k] = (fit.left_of(white[:, k : k + 1]) ** 2).sum()
     information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
-    moved = taken @ cofactors.felt_by(fit.outputs).T
-    return Seen(moved, information, np.asarray(white.T @ fit.white), whole)
+    return Seen(fit.model.output_rows.times(gain).T, information, white.T @ fit.white, whole)
 
 
 def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:
-    """Return what a solution order by order makes of steps, by running sums along each run."""
+    """Return what a solution makes of steps, by running sums along each run."""
     moves = StepMoves(fit, steps)
     parts = [np.zeros((4, 0)), *(_run_seen_by(fit, moves.root, *run) for run in steps.runs)]
     own, beside, score, whole = np.concatenate(parts, axis=1)
@@ -77,13 +68,32 @@ def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:
 
 
 def _run_seen_by(fit: Fit, root: Floats, rows: Ints, first: Ints) -> Floats:
-    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m)."""
-    mine = root[rows]
-    taken = _later(_later(mine[:, None] * fit.cofactors.among(rows) * mine).T)
+    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m).
+
+    In blocks: of a step, what all later blocks have in common with it is asked of the kernel.
+    """
+    mine, own, beside = root[rows], np.zeros(len(first)), np.zeros(len(first))
+    ends = [*first[AT_A_TIME::AT_A_TIME].tolist(), len(rows)]
+    later = np.zeros((len(root), len(ends)))
+    for k, end in enumerate(ends):
+        later[rows[end:], k] = mine[end:]
+    taken = mine[:, None] * fit.kernel.taken_in(later, rows)
+    for k, end in enumerate(ends):
+        of = slice(k * AT_A_TIME, (k + 1) * AT_A_TIME)
+        begin, here = int(first[of][0]) if len(first) else 0, first[of]
+        among = fit.kernel.among(rows[begin:end])
+        within = _later(_later(mine[begin:end, None] * among * mine[begin:end]).T)
+        within = np.pad(within, ((0, 1), (0, 1)))
+        shared = np.append(_later(taken[begin:end, k]), 0.0)
+        apart = float(taken[end:, k].sum())
+        at = here - begin
+        after = np.append(at[1:], end - begin)[: len(at)]
+        own[of] = within[at, at] + 2.0 * shared[at] + apart
+        beside[of] = within[at, after] + shared[at] + shared[after] + apart
     square = _later(mine**2)[first]
-    own = square - taken[first, first]
-    beside = np.append(square[1:] - taken[first[:-1], first[1:]], [0.0] * (len(first) > 0))
-    return np.stack([own, beside, _later(mine * fit.white[rows])[first], square])
+    if len(first):
+        beside[:-1], beside[-1] = square[1:] - beside[:-1], 0.0
+    return np.stack([square - own, beside, _later(mine * fit.white[rows])[first], square])
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +118,21 @@ class StepMoves:
 
     def worst(self, std: Floats) -> Floats:
         """Return the most (k,) that each does to an output, in their ``std`` (o + a,)."""
-        counts = np.isfinite(std) & (std > 0.0)
+        counts, outputs = np.isfinite(std) & (std > 0.0), self.fit.model.counting_outputs
+        unit = np.where(counts, 1.0 / np.where(counts, std, 1.0), 0.0)[: len(outputs)]
         found = [np.zeros(0)]
         for rows, first in self.steps.runs:
-            felt = self.fit.response_of(rows)[counts] * self.root[rows] / std[counts, None]
-            found.append(np.abs(_later(felt.T)[first]).max(axis=1, initial=0.0))
+            most, carried = np.zeros(len(rows)), np.zeros(len(outputs))
+            for end in range(len(rows), 0, -FEW):
+                part = slice(max(end - FEW, 0), end)
+                felt = self.fit.response_of(rows[part], outputs).T[::-1]
+                felt *= self.root[rows[part], None][::-1]
+                felt[0] += carried
+                felt = np.cumsum(felt, axis=0, out=felt)
+                carried = felt[-1].copy()
+                felt *= unit
+                most[part] = np.maximum(felt.max(axis=1), -felt.min(axis=1))[::-1]
+            found.append(most[first])
         return np.concatenate(found)
 
 

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.arrow import Design, dense
+from rotcal_ros.adjust.designs import Derivatives, dense
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit
 from rotcal_ros.foundation.arrays import Floats
@@ -27,7 +27,7 @@ IN_NOISE: Final = Unit("standard deviations", 1.0)
 def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model:
     """Return the model of unknowns in ``blocks`` (q,) that ``to`` (p, q) takes to its own."""
 
-    def equations(x: Floats) -> tuple[Floats, Design]:
+    def equations(x: Floats) -> tuple[Floats, Derivatives]:
         computed, design = model.equations(to @ x)
         return computed, dense(design) @ to
 
@@ -45,7 +45,7 @@ def whitened(model: Model) -> Model:
     """Return the model of observations that are divided by their stated noise."""
     std = model.std
 
-    def equations(x: Floats) -> tuple[Floats, Design]:
+    def equations(x: Floats) -> tuple[Floats, Derivatives]:
         computed, design = model.equations(x)
         return computed / std, dense(design) / std[:, None]
 
@@ -97,7 +97,7 @@ def stacked(
         unit=IN_NOISE,
         start=start,
         also={
-            f"{what} of {name}": _spread(further, mine, p)
+            f"{what} of {name}": _spread(np.asarray(further), mine, p)
             for (name, model), _, mine in every
             for what, further in model.also.items()
         },
@@ -127,11 +127,11 @@ def stacked(
 
 def _together(
     models: Sequence[Model], rows: Sequence[slice], columns: Sequence[Floats], unknowns: int
-) -> Callable[[Floats], tuple[Floats, Design]]:
+) -> Callable[[Floats], tuple[Floats, Derivatives]]:
     """Return the equations of all models: their ``rows``, of their ``columns`` of the unknowns."""
     n = rows[-1].stop
 
-    def equations(x: Floats) -> tuple[Floats, Design]:
+    def equations(x: Floats) -> tuple[Floats, Derivatives]:
         computed, design = np.zeros(n), np.zeros((n, unknowns))
         for model, at, mine in zip(models, rows, columns, strict=True):
             computed[at], derivatives = model.equations(x[mine])

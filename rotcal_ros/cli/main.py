@@ -15,7 +15,7 @@ from rotcal_ros import __version__
 from rotcal_ros.cli.console import INTERRUPTED, in_lines
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.url_secrets import masked
+from rotcal_ros.foundation.url_secrets import has_secret, in_words, masked
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.plugins import Verb
@@ -76,6 +76,13 @@ def verbs() -> Mapping[str, Verb]:
 
 class LazyGroup(click.Group):
     """A group that lists :func:`verbs` and imports a verb's module only when it is called."""
+
+    def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
+        """Refuse a secret in a URL, which outputs, names of files and logs would repeat."""
+        for number, text in enumerate(args, 1):
+            if has_secret(text):
+                context.fail(in_words(f"argument {number}"))
+        return super().parse_args(context, args)
 
     def list_commands(self, _context: click.Context) -> list[str]:
         """Return the verbs in the order in which they are used."""

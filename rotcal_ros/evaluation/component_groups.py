@@ -519,9 +519,11 @@ def _together(
             at, to = ends[i] + mine.place[c], ends[j] + other.place[c]
             covariance[at : at + len(block), to : to + block.shape[1]] = block
             covariance[to : to + block.shape[1], at : at + len(block)] = block.T
+    mean = float(np.mean(covariance.diagonal()))
+    rounded = np.clip(-np.linalg.eigvalsh(covariance)[0], 0.0, ROUNDED * mean)
     return ComponentInput(
         values=np.concatenate([own.part.values for own in seen]),
-        covariance=covariance + floor(covariance),
+        covariance=covariance + floor(covariance) + rounded * np.eye(len(covariance)),
         design=np.concatenate([own.part.design for own in seen]),
         free=block_diag(*(own.part.free for own in seen)),
     )
@@ -578,6 +580,8 @@ def _turning(angles: Mapping[str, Floats], values: Mapping[str, Floats]) -> dict
 
 WEAK: Final = 1e-9
 """Directions with a singular value below this share of the largest are not determined."""
+ROUNDED: Final = 1e-6
+"""Variance, in mean variances, by which influences that a file rounds may miss a covariance."""
 FLOOR: Final = 1e-12
 """Smallest variance of any direction, in mean variances; keeps exact combinations finite."""
 

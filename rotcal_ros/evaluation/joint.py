@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 from threadpoolctl import threadpool_limits
 
-from rotcal_ros.adjust.arrow import dense
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.fit import Fit
@@ -330,6 +330,7 @@ class _Views:
         design, width = fit.design[rows, :unknowns], self.shared.basis.shape[1]
         known = _determined(design, width)
         outputs = self.shared.basis @ known.T @ known
+        outputs[np.abs(outputs) < NONE] = 0.0  # rounding is no part of a deviation
         return replace(
             model,
             blocks=self.whole.blocks,

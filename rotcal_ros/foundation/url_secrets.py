@@ -15,6 +15,8 @@ MASK: Final = "***"
 _SCHEME: Final = r"[A-Za-z][\w+.-]+:/+"
 """With one slash, too, to which a path shortens two."""
 _URL: Final = re.compile(rf"({_SCHEME})(\S*)")
+_BARE: Final = re.compile(r"(?<![\w/@:.%])((?!mailto:)[A-Za-z][\w.+-]*:)([^\s/@:'\"]+)(?=@\w)")
+"""User and password where :// was forgotten."""
 _PASSWORD: Final = re.compile(r"([^/?#:@]*:)(.+)@", re.DOTALL)
 """User and password behind :// as libraries find them, which take even a slash into the latter."""
 _PORT_AND_QUERY: Final = re.compile(r"[^/?#:@]*:\d+(/[^?#@]*)?[?#]")
@@ -55,7 +57,7 @@ def masked(text: str) -> str:
     """
     if ":/" in text:
         text = _URL.sub(lambda url: url[1] + _rest_masked(url[2]), text)
-    text = _PAIR.sub(rf"\1{MASK}", text)
+    text = _BARE.sub(rf"\1{MASK}", _PAIR.sub(rf"\1{MASK}", text))
     if ":/" in text:
         return text
     if "%" in text and ":/" in (decoded := unquote(text)) and masked(decoded) != decoded:

@@ -91,7 +91,8 @@ class ByModel:
     each. Its outputs are the deviations at the first table positions of the plan, one of the
     ``components`` after the other; ``further`` outputs below them count in every test. Rows of
     ``untold`` deviations are of those that the model has, and other instruments may determine.
-    ``states`` says what the engine cannot know; all that every method lists has to be said.
+    ``states`` says what the engine cannot know, last of a configuration before it was
+    ``restated``; all that every method lists has to be said.
     ``counts_from``: what they count from, see :class:`~rotcal_ros.foundation.results.Zeros`.
     ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
     the result, and the curves from each side. ``nominal``: what is read at a step where nothing is
@@ -104,7 +105,7 @@ class ByModel:
 
     name: str
     model: Callable[[Configuration, Readings], Model]
-    states: Callable[[Configuration, Readings, Adjusted], Statement]
+    states: Callable[[Configuration, Readings, Adjusted, Configuration], Statement]
     components: Callable[[Configuration], tuple[str, ...]] = lambda _configuration: ("ECC",)
     arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
     nominal: Callable[[Configuration, Plan], See] = lambda _configuration, _plan: (
@@ -128,8 +129,9 @@ class ByModel:
     ) -> Result:
         """Return the result of accepted observations."""
         found, restated = self._adjusted(configuration, observations)
-        configuration, read = restated.configuration, Readings.of(observations)
-        statement = self.states(configuration, read, found)
+        stated, read = configuration, Readings.of(observations)
+        configuration = restated.configuration
+        statement = self.states(configuration, read, found, stated)
         parts, count = self._parts(configuration, found.model)
         arrivals = self.arrivals(configuration)
         result = found.result(

@@ -188,7 +188,7 @@ def _per_turn(model: Model) -> Floats:
     """Return what the observations (n,) of a model do per radian by which the table turns."""
     if "ECC" not in model.blocks:
         return np.ones(len(model.observed))  # they are angles themselves
-    from rotcal_ros.adjust.arrow import dense
+    from rotcal_ros.adjust.designs import dense
     from rotcal_ros.adjust.model import block_rows
 
     jacobian = dense(model.equations(model.first)[1])

@@ -5,22 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from rotcal_ros.adjust import circles
-from rotcal_ros.adjust.arrow import FewEach, beside, dense
-from rotcal_ros.adjust.circles import (
-    ByOrder,
-    Circular,
-    Cofactors,
-    Eliminated,
-    Iterated,
-    Outputs,
-    Turns,
-)
+from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.circles import ByOrder, Circular, Eliminated, Iterated, Turns
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import adjust, predicted
-from rotcal_ros.adjust.fit import Whole, fitted
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.kernels import Updated
 from rotcal_ros.adjust.model import (
     Grouping,
     Model,
@@ -32,6 +28,7 @@ from rotcal_ros.adjust.model import (
     knocks,
     linear,
 )
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.errors import ObservabilityError
 
 SIGMA = 2e-7
@@ -161,8 +158,8 @@ def test_order_by_order_says_what_the_whole_matrix_says(name):
     """Values within 1e-9 of their uncertainty, and every word of the verdict."""
     model = CASES[name]()
     found, expected = adjust(model), adjust(generally(model))
-    assert isinstance(found.fit.cofactors, Cofactors)
-    assert isinstance(expected.fit.cofactors, Whole)
+    assert isinstance(found.fit.kernel, Updated)
+    assert not isinstance(expected.fit.kernel, Updated)
     std = np.where(expected.std > 0.0, expected.std, SIGMA)
     assert np.abs((found.value - expected.value) / std).max() < 1e-9
     assert found.covariance == pytest.approx(expected.covariance, abs=1e-9 * std.max() ** 2)
@@ -230,6 +227,37 @@ def test_the_variance_of_each_order_is_that_of_the_closed_form(size):
     ] == pytest.approx(sums / left)
 
 
+@given(size=st.integers(5, 40), steps=st.sets(st.integers(1, 39), min_size=1, max_size=5))
+@settings(max_examples=40, deadline=None)
+def test_the_closed_form_of_a_complete_grid_is_the_pseudo_inverse(size, steps):
+    """Values, variances and what each reading does, where all orders are told: to 1e-12."""
+    shifts = sorted({0, 1, *(step % size for step in steps)})
+    design = Circular.of(
+        design_of(size, rows_of(size, shifts, closed=False), len(shifts)), 2, size
+    )
+    blocks = {"table": size, "mark": size, "setting": len(shifts)}
+    parts = [from_first(blocks, "table"), from_mean(blocks, "mark")]
+    found, outputs, inverse = design.kernel(), Outputs.of(parts), np.linalg.pinv(design.dense())
+    assume(found is not None and found.rank == 2 * size + len(shifts) - 2)
+    response = np.concatenate(parts) @ inverse
+    scale = np.abs(response).max()
+    every = np.arange(size * len(shifts))
+    assert found.response(outputs, every) == pytest.approx(response, abs=1e-12 * scale)
+    mine = outputs.first(size)
+    assert found.response(mine, every[:size]) == pytest.approx(
+        response[:size, :size], abs=1e-12 * scale
+    )
+    variance = (response**2).sum(axis=1)
+    assert found.variances_of(outputs) == pytest.approx(variance, abs=1e-12 * variance.max())
+    read = np.random.default_rng(size).standard_normal(len(every))
+    solved = outputs.times(found.solve(read))
+    assert solved == pytest.approx(response @ read, abs=1e-12 * np.abs(solved).max())
+    groups = every.reshape(-1, len(shifts))
+    among = design.dense() @ inverse
+    for rows, each in zip(groups, found.among_each(groups), strict=True):
+        assert each == pytest.approx(among[np.ix_(rows, rows)], abs=1e-12)
+
+
 def test_trials_of_the_noise_scatter_by_order_as_is_said():
     """Amplitudes of 4000 solutions of drawn readings, each by numpy alone."""
     size, shifts = 12, (0, 1, 5)
@@ -238,7 +266,7 @@ def test_trials_of_the_noise_scatter_by_order_as_is_said():
     noise = np.random.default_rng(3).standard_normal((4000, len(design)))
     x = noise @ np.linalg.pinv(design).T
     orders = np.fft.rfft(x[:, :size], axis=1)[:, 1:] / size
-    told = Cofactors.of(model.equations(model.first)[1]).orders.inverse[1:, 0, 0].real / size
+    told = model.equations(model.first)[1].kernel().base.inverse[1:, 0, 0].real / size
     # of 4000 the mean square scatters by 1.6 %, of the last order, which is real, by 2.2 %
     assert (np.abs(orders) ** 2).mean(axis=0) == pytest.approx(told, rel=0.1)
 
@@ -249,7 +277,7 @@ def test_trials_of_the_noise_scatter_by_order_as_is_said():
 )
 def test_orders_that_are_lost_are_refused_in_the_same_words(shifts, words):
     model = model_of(12, shifts)
-    assert Cofactors.of(model.equations(model.first)[1]) is None
+    assert model.equations(model.first)[1].kernel().directions.shape[1] > 2
     said = []
     for each in (model, generally(model)):
         for solve in (adjust, predicted):
@@ -301,7 +329,7 @@ def test_eliminated_circles_are_not_taken_where_two_are_read_at_once():
     rows = csr_array((np.tile([1.0, -1.0, 2.0], len(place)), column.T.ravel(), begin))
     design = Circular.of(rows, 3, size)
     assert Eliminated.of(design) is None
-    found = Cofactors.of(design)
+    found = design.kernel()
     errors = random.standard_normal((len(place), 2))
     plain = rows.toarray() @ (np.linalg.pinv(rows.toarray()) @ errors)
     assert found.taken(errors) == pytest.approx(plain, abs=1e-12)
@@ -320,8 +348,8 @@ def test_a_design_of_other_form_stays_as_it_is():
     free = np.zeros((1, 27))
     free[0, 24] = 1.0
     design = Circular.of(whole, 2, 12)
-    assert type(beside(design, free)) is FewEach
-    assert dense(beside(design, free)) == pytest.approx(np.vstack([rows.toarray(), free]))
+    assert type(design.beside(free)) is FewEach
+    assert dense(design.beside(free)) == pytest.approx(np.vstack([rows.toarray(), free]))
 
 
 def errors_of(found):
@@ -344,7 +372,8 @@ def test_a_large_group_is_judged_by_running_sums(monkeypatch):
 def test_columns_are_worked_out_in_parts(monkeypatch):
     model = spoiled(model_of(24, (0, 1, 5, 2)), np.arange(59, 75), 12.0)
     whole = adjust(model)
-    monkeypatch.setattr(circles, "AT_ONCE", 7)
+    for module in ("kernels", "outputs", "fit"):
+        monkeypatch.setattr(f"rotcal_ros.adjust.{module}.AT_ONCE", 7)
     parts = adjust(model)
     assert parts.doubts == whole.doubts
     assert parts.value == pytest.approx(whole.value, abs=1e-12 * SIGMA)
@@ -354,8 +383,7 @@ def test_columns_are_worked_out_in_parts(monkeypatch):
 @pytest.fixture
 def large(monkeypatch):
     """Take any circle for a large one, of which no whole matrix is made."""
-    for module in ("circles", "fit"):
-        monkeypatch.setattr(f"rotcal_ros.adjust.{module}.LARGE", 3)
+    monkeypatch.setattr(circles, "LARGE", 3)
 
 
 @pytest.mark.parametrize(
@@ -465,7 +493,8 @@ def test_outputs_are_kept_by_what_they_have_in_common():
     x = np.random.default_rng(1).standard_normal((53, 4))
     assert found.few.nnz < 3 * len(whole)
     assert found.times(x) == pytest.approx(whole @ x, abs=1e-14)
-    assert found.lengths == pytest.approx(np.linalg.norm(whole, axis=1))
+    scale = np.arange(1.0, whole.shape[1] + 1.0)
+    assert found.lengths(scale) == pytest.approx(np.linalg.norm(whole / scale, axis=1))
     assert found.felt.tolist() == (whole != 0.0).any(axis=0).tolist()
     assert np.concatenate([rows for _, rows in found.first(7).parts(55)])[:, :53] == pytest.approx(
         whole[:7], abs=1e-16

@@ -700,7 +700,7 @@ def test_a_family_is_seen_as_its_columns_one_by_one_are():
 def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
     nothing, noise = np.zeros((5, 2)), np.arange(5.0)
     assert adjust(ready(nothing, np.zeros((1, 2)), noise)).value == [0.0]
-    for solved in (adjust, lambda m: fitted(m, np.ones(5, dtype=bool), m.std, m.first).cofactors):
+    for solved in (adjust, lambda m: fitted(m, np.ones(5, dtype=bool), m.std, m.first).kernel):
         with pytest.raises(ObservabilityError, match="no observation determines unknown 0, unk"):
             solved(ready(nothing, np.eye(2), noise))
 

@@ -103,6 +103,12 @@ COMMANDS = [
     ["reprocess", "nothing", "--setup", SETUP, "--scheduler", f"tcp://me:{SECRET}@host:1"],
     ["reprocess", "nothing", "--setup", SETUP, "--history", URL],
     ["plan", "check", "12", "--from-history", URL],
+    *(["history", "page", "-o", url] for url in URLS),
+    ["export", RESULT, "--to", "linuxcnc", "--replace", "-o", URL],
+    ["export", RESULT, "--to", "linuxcnc", "--replace", "-o", f"me:{SECRET}@host"],
+    ["report", RESULT, "-o", URL],
+    ["combine", RESULT, RESULT, f"--output={URL}"],
+    ["history", "export", URL],
     [URL],
 ]
 

@@ -11,6 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chances import LONG
+from circle_world import NOISE, THREE, CircleWorld
+from circle_world import solved as solved_circles
+from circle_world import stated as stated_circles
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -403,6 +406,21 @@ def test_evaluations_of_the_same_data_gain_nothing(tracer, changes):
     )
     assert found.result.std["ECC"] == pytest.approx(found.groups[0].factor * sure, rel=1e-6)
     assert found.groups[0].dof == len(first.angles) - 1  # that they agree is tested as ever
+
+
+def test_evaluations_of_the_same_circles_are_combined_from_their_files(tmp_path):
+    """A file rounds what readings do to a result: to 1e-8, not to a damaged covariance."""
+    world = CircleWorld(3)
+    readings, found = world.read(THREE), []
+    for sigma in (NOISE, 1.25 * NOISE):
+        one = prepare(
+            changed(stated_circles(THREE).configuration, [f"solver.sigma_arcsec={sigma}"])
+        )
+        path = tmp_path / f"{sigma}.json"
+        path.write_text(solved_circles(one, readings).to_json())
+        found.append(CombinationInput.of(path.stem, rc.read_result(path)))
+    both = combine(found)
+    assert both.result.std["ECC"] == pytest.approx(combine(found[:1]).result.std["ECC"], rel=1e-3)
 
 
 def test_evaluations_of_the_same_data_weigh_as_much_as_the_surest_of_them(tracer):

@@ -265,7 +265,7 @@ def test_what_missing_readings_leave_open_is_named():
 def test_all_nine_effects_are_stated_and_what_the_readings_cannot_show_is_named(settings, more):
     world = World(LevelPlanSettings(**settings))
     found = engine.adjust(world.model(world.noisy(np.random.default_rng(1))))
-    said = states(configured(world.settings), None, found).protections
+    said = states(configured(world.settings), None, found, None).protections
     result = found.result(
         "level", world.angles, {"EAC": slice(12), "EBC": slice(12, 24)},
         (world.position, world.level), counts_from="mean", protections=said,

@@ -31,11 +31,13 @@ CARRYING = [
     f"postgresql://host/db?ssl_key={SECRET}",
     f"host=127.0.0.1 port=5432 password={SECRET}",
     f"host=db PASSWORD = 'a {SECRET}' user=me",
+    f"me:{SECRET}@host/db",
     f"Server=db;Uid=me;Pwd={SECRET};",
 ]
 FREE_OF_IT = [
     "history.db",
     "C:/history@work.db",
+    "mailto:me@host",
     "me@host:folder/history.db",
     "100 % of 3://",
     "postgresql://me@host/db",

@@ -71,7 +71,7 @@ def model(_configuration, read):
 OTHERS = ("error motion", "repeatability", "refraction", "tilt", "gauge")
 
 
-def states(_configuration, _read, found):
+def states(_configuration, _read, found, _stated):
     said = [Protection(effect, "harmless", "there is none") for effect in OTHERS]
     return Statement(("it is a test",), said, {"largest": float(np.abs(found.value).max())})
 

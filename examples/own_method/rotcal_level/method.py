@@ -81,7 +81,9 @@ def model(configuration: Configuration, read: Readings) -> Model:
     return model_of(configuration.plan, configuration.solver, read)
 
 
-def states(configuration: Configuration, _read: Readings, found: Adjusted) -> Statement:
+def states(
+    configuration: Configuration, _read: Readings, found: Adjusted, _stated: Configuration
+) -> Statement:
     """Return what is done about effects that no reading can show."""
     seen = "mean values, and what turns with the table, are no part of the curves"
     wrong = "readings that count the other way round fit as well, and turn the sign of the result"

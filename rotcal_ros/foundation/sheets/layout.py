@@ -34,6 +34,7 @@ from rotcal_ros.foundation.sheets.words import (
     is_direction,
     label_of,
     meaning,
+    of_quantity,
     plain,
     quantity_of,
     undecided,
@@ -48,6 +49,10 @@ BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 DIFFERENCE: Final = frozenset({ACTUAL, REFERENCE, REVERSED})
 """What may stand for a deviation: measured angles, or a difference of another sign."""
 _ARROW: Final = re.compile(r"([↑↓←→↻↺⟳⟲])|[_/]")
+_SIGNED: Final = re.compile(r"(?<!\S)([+-])(?=\d)")
+"""A direction before the number of a run."""
+_LETTER: Final = r"[\s_\-:.]+|(?<=\b[^\W\d_])(?=\d)"
+"""What parts words at the head of a matrix, and the letter of X1 from its number."""
 _COARSE: Final = ("deg", "gon", "dms")
 """Units of table angles rather than of deviations."""
 CORNER: Final = re.compile(r"[\\|/]")
@@ -302,12 +307,14 @@ def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
         above, joined, both = -1, dict[int, Heading](), dict[int, tuple[str, ...]]()
         for place in range(len(below)):
             above = place if place in heads else above
-            parts = [
-                head for head in (heads.get(above), Heading.of(second.get(place, ""))) if head
-            ]
-            both[place] = tuple(part.text for part in parts if part.text)
-            name, units = " ".join(p.name for p in parts), [p.units for p in parts if p.units]
-            joined[place] = Heading("", name.strip(), units[-1] if units else ())
+            text = second.get(place, "")
+            alone = units_of(text.strip("[]() "))
+            own = Heading(text, "", alone) if alone else Heading.of(text)
+            upper = heads.get(above, Heading(""))
+            both[place] = tuple(part.text for part in (upper, own) if part.text)
+            joined[place] = Heading(
+                "", f"{upper.name} {own.name}".strip(), own.units or upper.units
+            )
         joined = {place: head for place, head in joined.items() if both[place]}
         yield _with_units(joined, both, rows, 2)
 
@@ -368,8 +375,9 @@ def _of_heads(
     corner = _corner(heads, wanted, named) if alone else None
     for place, head in (others if corner else heads).items():
         meant = _meant(head, place, wanted, named)
-        use = Use(place, head.text, head.units)
         name = next((name for name in meant if name not in uses), "")
+        measures = wanted[name].quantity if name in wanted else ANGLE
+        use = Use(place, head.text, of_quantity(head.units, measures))
         if name:
             uses[name] = use
         elif meant and meant[0] not in (DIRECTION, RUN):
@@ -532,7 +540,8 @@ def _matrix(
         word, labels = _labels(text, keys[0], label_units or head.units, values, head.units)
         if not (name and labels):
             continue
-        own = () if " " in str(labels.get(TABLE_ANGLE, "")) else head.units
+        units = of_quantity(head.units, kinds[name])
+        own = () if " " in str(labels.get(TABLE_ANGLE, "")) else units
         if any(quantity_of(unit) != kinds[name] for unit in own):
             continue
         groups, key = words.setdefault(folded(word), {}), tuple(labels.items())
@@ -565,7 +574,7 @@ def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
     """Return which of the values the head of a matrix's column names, and the label beside it."""
     if len(values) == 1:
         return values[0].name, head.name
-    words = [word for word in re.split(r"[\s_\-:.]+", head.name) if word]
+    words = [word for word in re.split(_LETTER, head.name) if word]
     found = [word for word in words if any(folded(word) == value.name for value in values)]
     rest = " ".join(word for word in words if word not in found)
     return (folded(found[0]), rest) if len(found) == 1 else ("", "")
@@ -582,6 +591,8 @@ def _labels(
 
     That is a number behind any word, or a table angle, and perhaps a direction.
     """
+    if key == RUN:
+        text = _SIGNED.sub(r"\1 ", text)
     parts = [part.strip("()[],;") for part in _ARROW.sub(r" \1 ", text).split()]
     way, rest = dict[str, Cell](), " ".join(parts)
     spans = [

@@ -13,7 +13,15 @@ from decimal import Decimal
 from typing import Final
 
 from rotcal_ros.foundation.sheets.files import Cell
-from rotcal_ros.foundation.sheets.words import ANGLE, TIME, UNITS, plain, quantity_of, units_of
+from rotcal_ros.foundation.sheets.words import (
+    ANGLE,
+    TIME,
+    UNITS,
+    of_quantity,
+    plain,
+    quantity_of,
+    units_of,
+)
 
 _SPACES: Final = " '’"
 _WHOLE: Final = rf"\d{{1,3}}(?:[{_SPACES}]\d{{3}})+|\d+"
@@ -65,7 +73,7 @@ def parse(cell: Cell, mark: str, quantity: str = "") -> Measure | None:
     if quantity == TIME and (value := _moment(text)) is not None:
         return Measure(value, "s")
     apart = _MEASURE.fullmatch(text)
-    units = units_of(apart[2]) if apart and quantity else ()
+    units = of_quantity(units_of(apart[2]), quantity) if apart and quantity else ()
     value = _decimal(apart[1], mark) if apart and len(units) == 1 else None
     if value is None or quantity_of(units[0]) != quantity:
         return None

@@ -21,6 +21,7 @@ from rotcal_ros.foundation.sheets.layout import (
 from rotcal_ros.foundation.sheets.numerals import parse
 from rotcal_ros.foundation.sheets.words import (
     ACTUAL,
+    ANGLE,
     REVERSED,
     TABLE_ANGLE,
     UNITS,
@@ -31,6 +32,7 @@ from rotcal_ros.foundation.sheets.words import (
     known_columns,
     meaning,
     option,
+    quantity_of,
 )
 from rotcal_ros.foundation.tables import Header
 
@@ -101,16 +103,24 @@ def not_understood(
     angles = layout.missing[0] == "position" and len(layout.header) == 2
     name = TABLE_ANGLE if angles else TableColumn.of(layout.missing[0]).name
     uses = [Use(place, text) for place, text in zip(layout.places, layout.head, strict=True)]
-    numbers = [use for use in uses if side_by_side(layout, [use])]
-    likely = [use.text for use in numbers if use.text in layout.aside] or [u.text for u in numbers]
-    angle = layout.uses.get(TABLE_ANGLE)
+    key = not TableColumn.of(layout.missing[0]).quantity and name != TABLE_ANGLE
+    numbers = [use.text for use in uses if key or side_by_side(layout, [use])]
+    likely = [text for text in numbers if text in layout.aside]
+    if not likely and key and layout.uses and name != "position":
+        return BagError(
+            f"{path}: no column {name}: found {found}: add one that says of which {name} a row is"
+        )
+    likely = likely or numbers
+    angle, of_angles = layout.uses.get(TABLE_ANGLE), {use.text for use in layout.others}
     same = {u.text for u in layout.others if angle and u.units == angle.units}
-    means = [(ACTUAL if name == "deviation" and t in same else name, t) for t in likely]
+    ours = dict.fromkeys(same, ACTUAL) if name == "deviation" else {}
+    ours |= dict.fromkeys(of_angles, TABLE_ANGLE) if name == "position" else {}
+    means = [(ours.get(text, name), text) for text in likely]
     ways = means[:_OFFERED] or [(name, "ITS NAME")]
     if len(same) == 1 and name == "deviation" and TABLE_ANGLE not in named:
         # the other may be the commanded one
         ways.append((TABLE_ANGLE, next(iter(same))))
-    advice = [answer(ours, text) for ours, text in ways]
+    advice = [answer(*way) for way in ways]
     runs = "; of runs, write the number and the direction at each head, as Run 1 up"
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
@@ -130,7 +140,11 @@ def _no_names(
     texts = list(row.values())
     plainest = min(headers, key=len)
     names = [TableColumn.of(name).name for name in plainest]
-    names = [TABLE_ANGLE if n == "position" and len(names) == 2 else n for n in names]
+    of_angles = (
+        any(quantity_of(unit) == ANGLE for unit in Heading.of(texts[0]).units) if texts else False
+    )
+    if names[0] == "position" and (of_angles or len(names) == 2):
+        names[0] = TABLE_ANGLE
     question = _which_column([(names[0], text) for text in texts])
     if sheet is None or len(texts) < len(names):
         return BagError(f"{found}add a line of names above the numbers", question=question)

@@ -272,6 +272,11 @@ def quantity_of(unit: str) -> str:
     return next(name for name, units in UNITS.items() if unit in units)
 
 
+def of_quantity(units: Sequence[str], quantity: str) -> tuple[str, ...]:
+    """Return those of the units that measure a quantity, as sec of angles; all where none does."""
+    return tuple(unit for unit in units if quantity_of(unit) == quantity) or tuple(units)
+
+
 def is_summary(text: str) -> bool:
     """Return whether a text begins a line about other lines, as Mean or Mittelwert do."""
     return folded(text) in _summaries()

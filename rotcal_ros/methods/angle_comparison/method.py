@@ -114,7 +114,9 @@ def model(configuration: Configuration, read: Readings) -> Model:
     return model_of(settings, solver, read)
 
 
-def states(configuration: Configuration, read: Readings, found: Adjusted) -> Statement:
+def states(
+    configuration: Configuration, read: Readings, found: Adjusted, _stated: Configuration
+) -> Statement:
     """Return what is doubted, and what is done about effects that no reading can show."""
     rival, doubts = rivalry(configuration.plan, configuration.solver, read, found), []
     if REFERENCE not in found.also:

@@ -30,10 +30,10 @@ from rotcal_ros.adjust.model import (
     Disturbing,
     Grouping,
     Model,
-    from_mean,
     instrument_effects,
     linear,
 )
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
@@ -51,6 +51,8 @@ LEANING: Final = "the reference leans"
 WORDS: Final = Words(
     "readings", "a draught, heat or a person", "at the reference", "at the reference"
 )
+NEAR_RAD: Final = 0.01 * DEGREE
+"""Difference by which angles of marks may be rounded where they are written."""
 SAME_DIGITS: Final = 9
 """Digits of a turn to which angles are compared: 1.3 milliarcsec."""
 LOST: Final = 1e-9
@@ -96,10 +98,20 @@ class Circles:
 
 
 def _marks(angles: Floats) -> tuple[Floats, Ints]:
-    """Return the different angles (m,) in one turn, and which of them each of ``angles`` is."""
+    """Return the different angles (m,) in one turn, and which of them each of ``angles`` is.
+
+    Faces of a polygon at 51.4286 degrees, as people write them, do not add up to a turn: what is
+    nearer than NEAR_RAD, and than a hundredth of the smallest step in a setting, is one mark.
+    """
     share = np.round(angles / TURN % 1.0, SAME_DIGITS) % 1.0
-    marks, number = np.unique(share, return_inverse=True)
-    return marks * TURN, number.reshape(angles.shape)
+    each, number = np.unique(share, return_inverse=True)
+    steps = np.diff(np.unique(share.reshape(-1, share.shape[-1])[:1]))
+    near = min(NEAR_RAD / TURN, 0.01 * steps.min(initial=1.0))
+    begins = np.diff(each, prepend=-1.0) > near
+    marks, mark = each[begins] * TURN, np.cumsum(begins) - 1
+    if len(marks) > 1 and each[0] + 1.0 - each[-1] <= near:  # just below a whole turn
+        marks, mark = marks[:-1], mark % (len(marks) - 1)
+    return marks, mark[number].reshape(angles.shape)
 
 
 def lost_orders(circles: Circles, shifts: Floats) -> tuple[int, ...]:
@@ -151,15 +163,18 @@ def model_of(
     }
     table, mark, _ = blocks.values()
     design = _design(circles, read, mark, sum(blocks.values()))
-    positions = np.eye(table, sum(blocks.values()))[circles.table]
-    reference = {REFERENCE: from_mean(blocks, "reference mark")} if mark else {}
+    unknowns = np.arange(sum(blocks.values()))
+    first = np.where(unknowns == circles.table[0], -1.0, 0.0)
+    of_mark = (unknowns >= table) & (unknowns < table + mark)
+    mean = np.where(of_mark, -1.0 / max(mark, 1), 0.0)
+    marks = Outputs.picked(unknowns[table : table + mark], mean)
     model = Model(
         blocks=blocks,
         observed=SIGNS[solver.readings_count] * read.value,
         std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
         equations=linear(design),
-        outputs=positions - positions[0],
-        also=reference,
+        outputs=Outputs.picked(circles.table, first),
+        also={REFERENCE: marks} if mark else {},
         words=WORDS,
         components=("the readings",),
         groupings=(

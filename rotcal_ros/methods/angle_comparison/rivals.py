@@ -171,7 +171,7 @@ def _solved(model: Model, found: Adjusted) -> Fit | None:
     columns = np.column_stack([np.zeros((model.size[0], 0)), *extra])
     try:
         fit = fitted(model, found.fit.used, found.fit.std, model.first, columns)
-        return fit if fit.cofactors.rank else None
+        return fit if fit.kernel.rank else None
     except RotcalError:
         return None
 

@@ -387,13 +387,15 @@ def _check_lengths(balls: BallsOnTable, read: Readings) -> None:
         )
 
 
-def states(configuration: Configuration, read: Readings, found: Adjusted) -> Statement:
+def states(
+    configuration: Configuration, read: Readings, found: Adjusted, stated: Configuration
+) -> Statement:
     """Return what is done about effects that the engine does not know, and the axis."""
     balls, ways = balls_of(configuration), trajectories(balls_of(configuration, read), found)
     details: dict[str, Any] = {"untold": [name for name in COMPONENTS if name not in balls.shown]}
     if balls.tilting is not None:
         details["tilts"] = np.array(balls.tilting.degrees) * DEGREE
-    every = set_up.compared(configuration, read, found.why, partial(model, whole=True))
+    every = set_up.compared(stated, read, found.why, partial(model, whole=True))
     protections = (*_protections(configuration, balls, found), *alternatives.protections(every))
     doubts = tuple(alternatives.doubts(every))
     axes = _axes(balls, found, configuration.plan.chain)

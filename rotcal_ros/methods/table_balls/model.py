@@ -37,8 +37,9 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.arrow import FewEach, beside, normal
+from rotcal_ros.adjust.designs import design_of
 from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.kernels import Design
 from rotcal_ros.adjust.model import (
     MOST_MOMENTS,
     Disturbing,
@@ -476,12 +477,12 @@ def _row(balls: BallsOnTable, sums: Mapping[str, Floats]) -> Floats:
     return row
 
 
-def defined(balls: BallsOnTable, telling: Floats | FewEach) -> Floats:
+def defined(balls: BallsOnTable, telling: Design) -> Floats:
     """Return rows (d, u) of the definitions that are needed beside the ``telling`` rows (n, u).
 
     Per standard deviation of each; without them the unknowns that they join would be open.
     """
-    together = normal(telling)
+    together = telling.normal()
     scale = np.sqrt(np.where(together.diagonal() > 0.0, together.diagonal(), 1.0))
     squares, ways = np.linalg.eigh(together / scale / scale[:, None])
     open_, chosen = ways.T[squares <= WEAK**2 * squares[-1]], np.zeros((0, len(scale)))
@@ -566,7 +567,7 @@ def model_of(
     design, places = balls(start)[1], start[4 : balls.first["EXC"]].reshape(-1, 3)
     motions = stated_motions(balls, places, whole=whole)
     known = np.concatenate([motions, _stated_beside(balls)])
-    known = np.concatenate([known, defined(balls, beside(design / balls.sigma, known))])
+    known = np.concatenate([known, defined(balls, design_of(design / balls.sigma).beside(known))])
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
@@ -597,7 +598,7 @@ def model_of(
         row_names=list(_names(balls, read)),
     )
     model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
-    if whole or not len(motions):
+    if not len(motions):
         return model
     rows, first = motions[:, balls.motions], balls.first["EXC"]
     together = correlated(rows, len(zero), balls.stated, moves(balls, solver), first, balls.angles)

@@ -41,7 +41,9 @@ def exceeded(
     row, worst = int(np.argmax(model.of_component == last)), dict[str, Unseen]()
 
     def share(rows: slice) -> Floats:
-        return np.asarray(fit.alone(rows)[:outputs][counts] / std[counts, None])
+        return np.asarray(
+            fit.alone(np.arange(rows.start, rows.stop))[:outputs][counts] / std[counts, None]
+        )
 
     for together in model.correlated:
         every = slice(row, row + len(together.rows))

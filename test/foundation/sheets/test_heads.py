@@ -74,6 +74,7 @@ def heads(form: str, up: str, down: str) -> list[list[str]]:
         "Run 1 CW": [f"Run {j} {w} [arcsec]" for j in "123" for w in (up, down)],
         "CW, CW": [f"{w} [arcsec]" for w in a],
         "CW 1, CW 2": [f"{w} {j} [arcsec]" for w in (up, down) for j in "123"],
+        "+1": [f"{w}{j} [sec]" for j in "123" for w in (up, down)],
     }
     if form == "merged runs":
         return [["Target [deg]", *merged], ["", *a]]
@@ -89,7 +90,7 @@ def require_runs(runs: BidirectionalRuns) -> None:
     np.testing.assert_allclose(runs.reverse / ARCSEC, DOWN, atol=1e-6)
 
 
-FORMS = ["CW 1", "1 CW", "Run 1 CW", "CW, CW", "CW 1, CW 2", "merged runs", "merged ways"]
+FORMS = ["CW 1", "1 CW", "Run 1 CW", "CW, CW", "CW 1, CW 2", "+1", "merged runs", "merged ways"]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -166,6 +167,52 @@ def test_symbols_of_deviations(tmp_path, symbols, units) -> None:
         head = [["Angle [deg]", "Deviation [arcsec]"], symbols]
     curve = read_deviations(file(tmp_path, below(head, ANGLES, OFF)), 1.0)
     np.testing.assert_allclose(curve.deviation / ARCSEC, OFF, atol=1e-9)
+
+
+@pytest.mark.parametrize("head", [
+    [f"{c}{ball} [mm]" for ball in "12" for c in "XYZ"],
+    [f"{c} {ball} [mm]" for c in "XYZ" for ball in "12"],
+    [f"Ball {ball} {c} [mm]" for ball in "12" for c in "XYZ"],
+])  # fmt: skip
+def test_letters_with_numbers_are_a_matrix_of_places(tmp_path, head) -> None:
+    value = {"X": X, "Y": Y, "Z": 0.0 * X + 80.0}
+    columns = [value[re.search("[XYZ]", h)[0]] + 10.0 * ("2" in h) for h in head]
+    path = file(tmp_path, below([["C [deg]", *head]], ANGLES, *columns))
+    found = read_any(path, (("position", "ball", "x_m", "y_m", "z_m"),), SheetSettings())
+    first, second = (
+        np.array([cells[2:] for _, cells in found.table.lines], float)
+        .reshape(8, 2, 3)
+        .swapaxes(0, 1)
+    )
+    np.testing.assert_allclose(first, np.c_[X, Y, value["Z"]] / 1000.0)
+    np.testing.assert_allclose(second, first + 0.01)
+
+
+@pytest.mark.parametrize(("head", "answers"), [
+    (["Angolo [°]", "Sfera", "X [mm]", "Y [mm]", "Z [mm]"], ["angle=Angolo [°]", "ball=Sfera"]),
+    (["Angle [deg]", "Feature", "X [mm]", "Y [mm]", "Z [mm]"], ["ball=Feature"]),
+])  # fmt: skip
+def test_of_a_missing_key_the_columns_that_may_be_it_are_offered(tmp_path, head, answers) -> None:
+    body = [
+        [f"{a:g}", f"SPHERE_{b}", *f"{x} {y} 80".split()]
+        for a, x, y in zip(ANGLES, X, Y, strict=True)
+        for b in "12"
+    ]
+    path, headers = file(tmp_path, [head, *body]), (("position", "ball", "x_m", "y_m", "z_m"),)
+    given: list[str] = []
+    for answer in answers:
+        with pytest.raises(BagError, match="no column") as asked:
+            read_any(path, headers, SheetSettings(columns=tuple(given)))
+        assert answer in [offered for offered, _ in asked.value.question.answers]
+        given.append(answer)
+    found = read_any(path, headers, SheetSettings(columns=tuple(given)))
+    assert [cells[1] for _, cells in found.table.lines[:2]] == ["1", "2"]
+
+
+def test_without_a_column_that_may_be_the_key_it_is_said_to_add_one(tmp_path) -> None:
+    path = file(tmp_path, below([WITH_UNITS], ANGLES, X, Y, X))
+    with pytest.raises(BagError, match="add one that says of which ball a row is"):
+        read_any(path, (("position", "ball", "x_m", "y_m", "z_m"),), SheetSettings())
 
 
 # Tables side by side.

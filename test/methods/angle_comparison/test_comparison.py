@@ -102,6 +102,29 @@ def test_exact_readings_give_the_truth(name):
     assert found.verdict == "ok"
 
 
+@pytest.mark.parametrize("turn", [360.0, 400.0])  # degrees, gon
+@pytest.mark.parametrize(("faces", "digits"), [(7, 4), (7, 3), (9, 4), (13, 4), (23, 5)])
+def test_angles_that_were_rounded_when_they_were_written_are_those_of_the_faces(
+    turn, faces, digits
+):
+    rng, shifts = np.random.default_rng(2), np.array([0, 1, 3])
+    table, reference = 3.0 * ARCSEC * rng.standard_normal((2, faces))
+    written = np.round(turn / faces * np.arange(faces), digits) * 360.0 / turn
+    plan = ComparisonPlanSettings(
+        table_angles_deg=tuple(written), shifts_deg=tuple(written[shifts])
+    )
+    shown = (np.arange(faces) - shifts[:, None]) % faces
+    assert (Circles.of(plan).shown == shown).all()
+    position, station = np.tile(np.arange(faces), 3), np.repeat(np.arange(3), faces)
+    read = Readings(
+        position, shown.ravel(), station, (table - reference[shown]).ravel(),
+        np.arange(3 * faces),
+    )  # fmt: skip
+    found = engine.adjust(model_of(plan, ComparisonSolverSettings(sigma_arcsec=0.05), read))
+    assert found.value == pytest.approx(table - table[0], rel=0, abs=1e-15)
+    assert found.verdict == "ok"
+
+
 def test_a_table_that_turns_too_far_reads_more_and_a_reference_that_does_reads_less():
     world = World(planned((0, 30, 150)), size=0.0)
     ahead = 4.0 * ARCSEC * (world.position == 5)
@@ -328,6 +351,10 @@ def test_one_shift_alone_takes_the_reference_for_perfect_and_says_so():
     assert result.warnings[0].startswith("the errors of the reference are in the result")
     assert result.deviations["ECC"] == pytest.approx(world.value - world.value[0], abs=1e-17)
     assert not result.details["also"]
+    world.value = world.noisy()  # which the closure shows
+    closed = solved(world, "plan.shifts_deg=[0.0]")
+    assert closed.verdict == "suspect"
+    assert closed.warnings[0] == result.warnings[0]
 
 
 def test_a_drift_that_a_turn_shows_is_taken_off_and_told():

@@ -1,14 +1,17 @@
 """Mistakes of set-up: found where readings can show them, else named in the verdict."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from ball_world import LEVEL, ONE, THREE, World, turned
+from ball_world import LEVEL, ONE, THREE, World, in_orders, turned
 
+from rotcal_ros.adjust.alternatives import doubts
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.methods.table_balls.method import model
+from rotcal_ros.methods.table_balls.set_up import compared
 
 SIGMA = 1e-6
 BALLS = {"ONE": ONE, "LEVEL": LEVEL, "THREE": THREE}
@@ -166,10 +169,21 @@ def test_centres_near_the_axis_do_not_show_their_numbering():
     assert treatment(result, "sense") == "tested"
 
 
+@pytest.mark.parametrize("seed", [6, 8, 9, 10])
+def test_motions_of_one_order_are_no_sign_of_exchanged_set_ups(seed):
+    """By chance large in one set-up and small in another: two numbers, not 24 of each."""
+    fine = ("plan.table_step_deg=15.0", "plan.table_positions=24", "plan.closing=false")
+    configuration = configured("ONE", BAR, *fine)
+    rng = np.random.default_rng(seed)
+    world = World.drawn(configuration.plan, rng, configuration.solver)
+    world.move(rng, (2,), (2,), (2,))
+    world.motions[5] = 1e-5 * in_orders((2,), world.angles, rng)
+    every = compared(configuration, world.readings(SIGMA, rng), (), partial(model, whole=True))
+    assert not list(doubts(every))
+
+
 def test_a_small_share_of_the_angles_is_compared():
     """360 angles cost no more than 24: the models of the comparison are of these alone."""
-    from rotcal_ros.methods.table_balls import set_up
-
     configuration = configured("ONE", NEST, "plan.table_step_deg=1.0", "plan.table_positions=360")
     read, sizes = measured(configuration), []
 
@@ -178,6 +192,6 @@ def test_a_small_share_of_the_angles_is_compared():
         sizes.append(len(found.observed))
         return found
 
-    every = set_up.compared(configuration, read, (), counted)
+    every = compared(configuration, read, (), counted)
     assert max(sizes) < 1000
     assert len(every) == len(sizes) - 1

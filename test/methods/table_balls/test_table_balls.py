@@ -11,7 +11,6 @@ from click.testing import CliRunner
 from scipy.optimize import brentq
 from scipy.stats import binom, chi2, ncx2
 
-from rotcal_ros.adjust.arrow import Arrow, weighted
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.look import LARGEST_GROUP, parts_of
@@ -153,15 +152,16 @@ def test_the_six_motions_of_an_angle_are_a_block_of_their_own(chain):
     model = modelled(world, world.readings(SIGMA, np.random.default_rng(3)))
     x = solved(model).x + 1e-7
     computed, design = model.equations(x)
-    arrow, balls = Arrow.of(design.few), BallsOnTable.of(world.plan, world.solver)
+    kernel = design.weighted(1.0 / model.std).kernel()
+    balls = BallsOnTable.of(world.plan, world.solver)
     motions = balls.first["EXC"] + np.arange(6 * 12 * balls.tilts).reshape(6, -1)
-    assert sorted(map(sorted, arrow.own.tolist())) == sorted(motions.T.tolist())
+    assert sorted(map(sorted, kernel.groups.own.tolist())) == sorted(motions.T.tolist())
     white = (model.observed - computed) / model.std
     whole = design.dense() / model.std[:, None]
     scale = np.linalg.norm(whole, axis=0)
     root = np.linalg.inv(np.linalg.qr(whole / scale)[1]) / scale[:, None]
     step = np.linalg.lstsq(whole / scale, white, rcond=None)[0] / scale
-    found = arrow.solved(weighted(design, 1.0 / model.std), white)
+    found = kernel.solve(white)
     assert np.abs((found - step) / np.linalg.norm(root, axis=1)).max() < 1e-12
 
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.arrow import Design
+from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit, steps
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
@@ -99,7 +99,7 @@ def _noise(problem: BallPlateProblem) -> Floats:
     return np.broadcast_to(stated, problem.centres.shape)
 
 
-def _equations(problem: BallPlateProblem) -> Callable[[Floats], tuple[Floats, Design]]:
+def _equations(problem: BallPlateProblem) -> Callable[[Floats], tuple[Floats, Derivatives]]:
     """Return the exact model with the derivatives at the nominal places, a drift behind them."""
     drift = drift_columns(problem.run_time, problem.drift).reshape(problem.centres.size, -1)
     design = np.hstack([model.design_matrix(problem), drift])
@@ -107,7 +107,7 @@ def _equations(problem: BallPlateProblem) -> Callable[[Floats], tuple[Floats, De
     cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
     size, first = model.n_unknowns(problem), _in_time(problem)
 
-    def equations(x: Floats) -> tuple[Floats, Design]:
+    def equations(x: Floats) -> tuple[Floats, Derivatives]:
         found = model.unpack(problem, x[:size])
         centres = computed(problem, found, found.plate[ball], found.cmm[cmm])
         return (centres.ravel() + drift @ x[size:])[first], design[first]

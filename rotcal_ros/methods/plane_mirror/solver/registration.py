@@ -22,6 +22,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.fit import Fit
+from rotcal_ros.adjust.kernels import WholeMatrix
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -208,7 +209,7 @@ def nest_fit(
     blocks = {"stations": by_pose.shape[2], "nests": by_nest.shape[2]}
     nothing = np.zeros((0, design.shape[1]))
     model = Model(blocks, white, ones, linear(design), nothing, WORDS)
-    fit = Fit(model, np.zeros(design.shape[1]), white, ones, model.may_go, design)
+    fit = Fit(model, np.zeros(design.shape[1]), white, ones, model.may_go, WholeMatrix(design))
     return NestFit(residual, root, fit, max(fit.dof - taken, 0))
 
 

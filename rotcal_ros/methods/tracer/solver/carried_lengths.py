@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.arrow import Design
+from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.model import (
     CurveModel,
@@ -178,7 +178,7 @@ class CarriedLengths:
         parts = [s for s in stated if len(s.rows)]
         known = np.concatenate([np.zeros((0, size)), *(s.rows for s in parts)])
 
-        def equations(x: Floats) -> tuple[Floats, Design]:
+        def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.computed(x)
             return np.append(computed, known @ x), np.concatenate([design, known])
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.arrow import Arrow, FewEach, beside, dense, weighted
+from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
@@ -41,15 +42,14 @@ def test_blocks_give_what_the_whole_matrix_gives(known, shared):
     """To 1e-12 of the uncertainty; what is known joins all groups, and holds far better."""
     random, few = np.random.default_rng(2), levels(shared=shared)
     rows = 1e3 * random.standard_normal((known, few.shape[1]))
-    design = beside(few, rows)
-    design = design if isinstance(design, FewEach) else FewEach(design, rows)
+    design = FewEach(few, rows)
     read = random.standard_normal(few.shape[0] + known)
-    arrow = Arrow.of(few)
-    assert arrow.own.shape == (30, 2)
-    assert arrow.shared.tolist() == list(range(60, 60 + shared))
+    kernel = design.kernel()
+    assert kernel.groups.own.shape == (30, 2)
+    assert kernel.groups.shared.tolist() == list(range(60, 60 + shared))
     whole = dense(design)
     std = np.sqrt(np.linalg.inv(whole.T @ whole).diagonal())
-    found = arrow.solved(design, read)
+    found = kernel.solve(read)
     assert np.abs((found - by_whole(whole, read)) / std).max() < 1e-12
     assert design.times(found) == pytest.approx(whole @ found, abs=1e-12)
 
@@ -59,24 +59,27 @@ def test_groups_may_differ_in_size_and_rows_be_left_out():
     few = csr_array(few[:, few.toarray().any(axis=0)])  # some stations have no slope
     design = FewEach(few, np.zeros((0, few.shape[1])))
     weight = random.uniform(0.5, 2.0, few.shape[0]) * (random.uniform(size=few.shape[0]) > 0.1)
-    read, arrow = random.standard_normal(few.shape[0]), Arrow.of(few)
-    assert (arrow.own < 0).sum() == 6
-    found = arrow.solved(weighted(design, weight), weight * read)
+    read, kernel = random.standard_normal(few.shape[0]), design.weighted(weight).kernel()
+    assert (kernel.groups.own < 0).sum() == 6
     wanted = by_whole(weight[:, None] * few.toarray(), weight * read)
-    assert found == pytest.approx(wanted, abs=1e-12)
+    assert kernel.solve(weight * read) == pytest.approx(wanted, abs=1e-12)
 
 
 def test_what_has_no_blocks_or_no_firm_ones_is_left_to_the_whole_matrix():
     whole = csr_array(np.random.default_rng(4).standard_normal((20, 5)))
-    assert Arrow.of(whole) is None
+    assert Groups.of(whole) is None
     few = levels(groups=4, each=1)
-    nothing = np.zeros((0, few.shape[1]))
-    assert Arrow.of(few).solved(FewEach(few, nothing), np.ones(few.shape[0])) is None
-    few = levels(groups=4)
-    open_ = few.toarray()
-    open_[:, -1] = open_[:, -2]
-    twice = csr_array(open_)
-    assert Arrow.of(twice).solved(FewEach(twice, nothing), np.ones(few.shape[0])) is None
+    assert FewEach(few, np.zeros((0, few.shape[1]))).kernel() is None
+
+
+def test_a_border_of_which_rounding_is_left_is_open():
+    """Angles, one read twice, and a zero that all have in common: an angle and the zero."""
+    angles = np.append(np.arange(12), 0)
+    few = csr_array(np.column_stack([1e7 * np.eye(12)[angles], np.full(13, 1e7 / 3.0)]))
+    read, kernel = np.random.default_rng(2).standard_normal(13), FewEach(few, np.zeros((0, 13)))
+    kernel = kernel.kernel()
+    assert kernel.directions.shape[1] == 1
+    assert few @ kernel.solve(read) == pytest.approx(few @ by_whole(few.toarray(), read))
 
 
 def stations(sparse):
@@ -114,41 +117,12 @@ def test_what_nothing_tells_is_refused_in_both_forms():
             fitted(model, used, model.std, model.first)
 
 
-@pytest.mark.parametrize("known", [0, 5])
-@pytest.mark.parametrize("lost", [(), range(3, 6), range(60, 66), range(1, 6)])
-def test_cofactors_by_blocks_are_those_of_the_whole_matrix(known, lost):
-    """By LAPACK's least squares; a station that keeps one reading or none joins what all share."""
-    random, few = np.random.default_rng(4), levels()
-    rows = random.standard_normal((known, few.shape[1]))
-    weight = np.ones(few.shape[0] + known)
-    weight[list(lost)] = 0.0
-    design = FewEach(few, rows).weighted(weight)
-    spanned, root, nothing = Arrow.of(few).factored(design)
-    whole, unit = dense(design), np.eye(spanned.below.shape[1])
-    inverse, rank = np.linalg.pinv(whole.T @ whole, rcond=1e-11), np.linalg.matrix_rank(whole)
-    basis = spanned.times(unit)
-    assert len(unit) == rank
-    assert len(nothing) == whole.shape[1] - rank
-    assert np.abs(whole @ nothing.T).max(initial=0.0) < 1e-12
-    assert basis.T @ basis == pytest.approx(unit, abs=1e-11)
-    assert whole @ root.times(unit) == pytest.approx(basis, abs=1e-11)
-    assert basis @ basis.T == pytest.approx(whole @ inverse @ whole.T, abs=1e-9)
-    some = np.arange(2, len(whole), 3)
-    assert spanned.rows(some) == pytest.approx(basis[some], abs=1e-12)
-    assert spanned.among(some) == pytest.approx(basis[some] @ basis[some].T, abs=1e-12)
-    assert spanned.squares == pytest.approx((basis**2).sum(axis=1), abs=1e-12)
-    right = random.standard_normal((len(whole), 2))
-    assert spanned.adjoint(right) == pytest.approx(basis.T @ right, abs=1e-12)
-    assert spanned.adjoint(right[:, 0]) == pytest.approx(basis.T @ right[:, 0], abs=1e-12)
-    assert spanned.times(unit[0]) == pytest.approx(basis[:, 0], abs=1e-12)
-
-
-def test_cofactors_by_blocks_are_kept_in_few_numbers():
+def test_the_kernel_is_kept_in_few_numbers():
     """Ten times as many stations take ten times as many numbers, not a hundred times."""
 
     def kept(groups):
         few = levels(groups)
-        parts = Arrow.of(few).factored(FewEach(few, np.zeros((0, few.shape[1]))))[:2]
-        return sum(part.few.nnz + part.ways.size + part.others.size for part in parts)
+        kernel = FewEach(few, np.zeros((0, few.shape[1]))).kernel()
+        return sum(part.size for part in vars(kernel).values() if isinstance(part, np.ndarray))
 
     assert kept(300) <= 10 * kept(30)

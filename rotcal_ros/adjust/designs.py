@@ -1,0 +1,30 @@
+"""Derivatives in whatever form a method hands over, as a :class:`~.kernels.Design`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.kernels import Design, WholeMatrix
+from rotcal_ros.foundation.arrays import Floats
+
+Derivatives: TypeAlias = "Floats | csr_array | Design"
+"""Derivatives (n, p), whole or only those that may not be zero."""
+
+
+def design_of(found: Derivatives, groups: Groups | None = None) -> Design:
+    """Return the design of derivatives; ``groups``: into which they fall, if they are those."""
+    if isinstance(found, csr_array):
+        found = FewEach(found, np.zeros((0, found.shape[1])))
+    if isinstance(found, FewEach):
+        return replace(found, groups=groups)
+    return found if isinstance(found, Design) else WholeMatrix(np.asarray(found))
+
+
+def dense(found: Derivatives) -> Floats:
+    """Return derivatives as a whole matrix (n, p)."""
+    return design_of(found).dense()

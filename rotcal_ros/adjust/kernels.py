@@ -1,0 +1,453 @@
+"""The inverse normal matrix of a design, in whatever form it is least: what all that follows asks.
+
+A :class:`Design` is the derivatives J (n, p) of observations, whitened or not; a :class:`Kernel`
+answers for N^-1, N = J'J: the whole of it (:class:`Whole`, the reference), block by block
+(:mod:`.bordered`), order by order (:mod:`.circles`), and beside any of them the low rank of rows
+that were changed and of effects that became unknowns (:class:`Updated`). docs/engine.md has the
+equations.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.linalg import block_diag, lapack
+from scipy.sparse import csr_array
+
+from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
+from rotcal_ros.adjust.sensitivity import Sensitivity
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+
+OPEN: Final = 1e-9
+"""Singular values below this share of the largest are directions that nothing determines."""
+FIRM: Final = 1e-6
+"""Reciprocal condition number from which on a design needs no singular values, and least
+eigenvalue of normal equations of unit diagonal whose inverse keeps nine digits."""
+
+
+class Design(ABC):
+    """Derivatives (n, p) of observations."""
+
+    rough_first: bool = False
+    """Whether steps are quicker without its kernel."""
+    divided: bool = True
+    """Whether large groups of its observations are judged in parts."""
+    large: bool = False
+    """Whether its whole matrix would be too large."""
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """Numbers n of observations and p of unknowns."""
+
+    @property
+    @abstractmethod
+    def finite(self) -> bool:
+        """Whether all derivatives are finite."""
+
+    @abstractmethod
+    def dense(self) -> Floats:
+        """Return the whole design."""
+
+    @abstractmethod
+    def weighted(self, weight: Floats) -> Design:
+        """Return the same, its rows times ``weight`` (n,)."""
+
+    @abstractmethod
+    def times(self, x: Floats) -> Floats:
+        """Return the design times ``x`` (p,) or (p, k)."""
+
+    @abstractmethod
+    def adjoint(self, y: Floats) -> Floats:
+        """Return the transposed design times ``y`` (n,) or (n, k)."""
+
+    @abstractmethod
+    def rows(self, which: Ints) -> Floats:
+        """Return some rows (k, p)."""
+
+    @abstractmethod
+    def beside(self, rows: Floats) -> Design:
+        """Return the design with further ``rows`` (k, p) at its end."""
+
+    @abstractmethod
+    def with_extra(self, columns: Floats) -> Design:
+        """Return the design with the ``columns`` (n, q) of further unknowns."""
+
+    def some_times(self, which: Ints, x: Floats) -> Floats:
+        """Return some rows times ``x`` (p, k)."""
+        return np.asarray(self.rows(which) @ x)
+
+    def normal(self) -> Floats:
+        """Return the normal matrix (p, p)."""
+        whole = self.dense()
+        return np.asarray(whole.T @ whole)
+
+    @property
+    def lengths(self) -> Floats:
+        """The length (p,) of each column."""
+        return np.asarray(np.linalg.norm(self.dense(), axis=0))
+
+    def kernel(self) -> Kernel | None:
+        """Return the kernel of its form; None where it has none, or that is not firm."""
+        return None
+
+    def roughly(self, white: Floats) -> Floats | None:
+        """Return the unknowns (p,) of least squares where no kernel does; None: nothing does."""
+        return None
+
+    def variances(self, outputs: Outputs) -> Floats | None:
+        """Return variances (o,) of ``outputs`` where no kernel does; None: nothing does."""
+        return None
+
+    def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
+        """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
+        return False
+
+    def without_idle(self) -> Design:
+        """Return it without further unknowns that no row feels, where its kernel asks for that."""
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class WholeMatrix(Design):
+    """A design that is one ``matrix`` (n, p)."""
+
+    matrix: Floats
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers n of observations and p of unknowns."""
+        return len(self.matrix), self.matrix.shape[1]
+
+    @property
+    def finite(self) -> bool:
+        """Whether all derivatives are finite."""
+        return bool(np.isfinite(self.matrix).all())
+
+    def dense(self) -> Floats:
+        """Return the whole design."""
+        return self.matrix
+
+    def weighted(self, weight: Floats) -> WholeMatrix:
+        """Return the same, its rows times ``weight`` (n,)."""
+        return WholeMatrix(self.matrix * weight[:, None])
+
+    def times(self, x: Floats) -> Floats:
+        """Return the design times ``x`` (p,) or (p, k)."""
+        return np.asarray(self.matrix @ x)
+
+    def adjoint(self, y: Floats) -> Floats:
+        """Return the transposed design times ``y`` (n,) or (n, k)."""
+        return np.asarray(self.matrix.T @ y)
+
+    def rows(self, which: Ints) -> Floats:
+        """Return some rows (k, p)."""
+        return self.matrix[which]
+
+    def beside(self, rows: Floats) -> WholeMatrix:
+        """Return the design with further ``rows`` (k, p) at its end."""
+        return WholeMatrix(np.concatenate([self.matrix, rows]))
+
+    def with_extra(self, columns: Floats) -> WholeMatrix:
+        """Return the design with the ``columns`` (n, q) of further unknowns."""
+        return WholeMatrix(np.concatenate([self.matrix, columns], axis=1))
+
+
+class Kernel(ABC):
+    """N^-1 of a whitened ``design`` J (n, p), N = J'J.
+
+    ``directions`` (p, k): what nothing determines; these stand still in some way, which outputs
+    must not feel.
+    """
+
+    design: Design
+    directions: Floats
+
+    @property
+    def rank(self) -> int:
+        """How many unknowns are determined."""
+        return self.design.shape[1] - int(self.directions.shape[1])
+
+    @abstractmethod
+    def times(self, columns: Floats) -> Floats:
+        """Return N^-1 times ``columns`` (p, k)."""
+
+    @abstractmethod
+    def among(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        return np.stack([self.among(each) for each in rows])
+
+    @property
+    @abstractmethod
+    def leverage(self) -> Floats:
+        """The diagonal (n,) of J N^-1 J'."""
+
+    def solve(self, white: Floats) -> Floats:
+        """Return the unknowns (p,) or (p, k) of least squares from what is read, whitened."""
+        found = self.times(self.design.adjoint(white.reshape(len(white), -1)))
+        return found.reshape(-1, *white.shape[1:])
+
+    def gains(self, rows: Ints) -> Floats:
+        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
+        return self.times(self.design.rows(rows).T)
+
+    def adjusted(self, columns: Floats) -> Floats:
+        """Return J N^-1 times ``columns`` (p, k), (n, k)."""
+        return self.design.times(self.times(columns))
+
+    def taken(self, white: Floats) -> Floats:
+        """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
+        return self.design.times(self.solve(white))
+
+    def taken_in(self, white: Floats, rows: Ints) -> Floats:
+        """Return the same of some ``rows`` (r,) alone, (r, k)."""
+        return self.design.some_times(rows, self.solve(white))
+
+    def variances(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
+        return np.asarray((rows * self.times(rows.T).T).sum(axis=1))
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        parts = outputs.parts(self.design.shape[1])
+        return np.concatenate([self.variances(rows) for _, rows in parts])
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        parts = np.array_split(rows, len(rows) // AT_ONCE + 1)
+        return np.hstack([outputs.times(self.gains(part)) for part in parts])
+
+    def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
+        """Return the same in parts that are few, where they are."""
+        return Sensitivity.whole(self.response(outputs, rows))
+
+    def shared(self, parts: Bools) -> Floats:
+        """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows.
+
+        These are all rows in use: as J N^-1 J' is a projection, those of the largest part follow.
+        """
+        total, found = parts @ self.leverage, np.zeros((len(parts), len(parts)))
+        most = int(parts.sum(axis=1).argmax())
+        others = np.delete(np.arange(len(parts)), most)
+        rows = np.flatnonzero(parts[others].any(axis=0))
+        mine = parts[np.ix_(others, rows)].astype(np.float64)
+        found[np.ix_(others, others)] = mine @ self.among(rows) ** 2 @ mine.T
+        found[most, others] = found[others, most] = (total - found.sum(axis=1))[others]
+        found[most, most] = total[most] - found[most].sum()
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Whole(Kernel):
+    """By the whole of a design: the reference.
+
+    ``basis``: orthonormal columns (n, rank) that span J; ``root`` (p, rank) times its transposed
+    is N^-1.
+    """
+
+    design: Design
+    directions: Floats
+    basis: Floats
+    root: Floats
+
+    @classmethod
+    def of(cls, design: Design, held: Ints) -> Whole:
+        """Return that of any ``design``; unknowns that may be ``held`` (k,) stand still.
+
+        Of columns that were brought to length one: by QR, or by SVD where that is not firm. What
+        is open is shown by small singular values, whatever the units of the unknowns. Raises
+        LinAlgError for what is not finite.
+        """
+        white = design.dense()
+        scale = np.linalg.norm(white, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        unit = white / scale
+        moving: Ints | slice = np.delete(np.arange(len(scale)), held) if len(held) else slice(None)
+        if len(unit) >= len(scale) - len(held) and np.isfinite(unit).all():
+            basis, upper = np.linalg.qr(unit[:, moving])
+            along = basis.T @ unit[:, held]
+            left = np.linalg.norm(unit[:, held] - basis @ along, axis=0)
+            if lapack.dtrcon(upper)[0] > FIRM and not (left > OPEN).any():
+                root, open_ = np.zeros((len(scale), len(upper))), np.zeros((len(scale), len(held)))
+                root[moving] = lapack.dtrtri(upper)[0]
+                open_[moving] = -lapack.dtrtrs(upper, along)[0] if len(held) else 0.0
+                open_[held, np.arange(len(held))] = 1.0
+                return cls(design, open_ / scale[:, None], basis, root / scale[:, None])
+        u, s, vt = np.linalg.svd(unit, full_matrices=False)
+        determined = s > OPEN * s[0]
+        full = vt if len(vt) == len(scale) else np.linalg.svd(unit)[2]
+        open_ = full[int(determined.sum()) :].T / scale[:, None]
+        root = vt[determined].T / s[determined] / scale[:, None]
+        return cls(design, open_, u[:, determined], root)
+
+    @property
+    def rank(self) -> int:
+        """How many unknowns are determined."""
+        return int(self.basis.shape[1])
+
+    def times(self, columns: Floats) -> Floats:
+        """Return N^-1 times ``columns`` (p, k)."""
+        return np.asarray(self.root @ (self.root.T @ columns))
+
+    def among(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+        return np.asarray(self.basis[rows] @ self.basis[rows].T)
+
+    @property
+    def leverage(self) -> Floats:
+        """The diagonal (n,) of J N^-1 J'."""
+        return np.asarray((self.basis**2).sum(axis=1))
+
+    def solve(self, white: Floats) -> Floats:
+        """Return the unknowns (p,) or (p, k) of least squares from what is read, whitened."""
+        return np.asarray(self.root @ (self.basis.T @ white))
+
+    def gains(self, rows: Ints) -> Floats:
+        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
+        return np.asarray(self.root @ self.basis[rows].T)
+
+    def adjusted(self, columns: Floats) -> Floats:
+        """Return J N^-1 times ``columns`` (p, k), (n, k)."""
+        return np.asarray(self.basis @ (self.root.T @ columns))
+
+    def taken(self, white: Floats) -> Floats:
+        """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
+        return np.asarray(self.basis @ (self.basis.T @ white))
+
+    def variances(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
+        return np.asarray(((rows @ self.root) ** 2).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Updated(Kernel):
+    """A ``base`` of which rows were changed, and to which unknowns came: a low rank beside it.
+
+    Its N^-1 is that of the base, zero for further unknowns, and ``columns`` (p + q, r) times
+    ``core`` (r, r) times their transposed (Woodbury). The rows of the ``design`` (n, p + q) are
+    ``share`` (n,) times those of the base.
+    """
+
+    design: Design
+    base: Kernel
+    share: Floats
+    columns: Floats
+    core: Floats
+
+    @classmethod
+    def of(
+        cls,
+        base: Kernel,
+        design: Design,
+        share: Floats,
+        changed: tuple[Floats | csr_array, Floats],
+        extra: Floats,
+    ) -> Updated | None:
+        """Return that of a ``design`` with ``extra`` columns (n, q); None where it is not firm.
+
+        ``changed``: rows (k, p), and by how much (k,) their squared weight differs from that in
+        the ``base``, -1 for what is left out.
+        """
+        rows, more = changed
+        felt, lengths = np.abs(rows @ base.directions), np.linalg.norm(base.directions, axis=0)
+        if (felt > OPEN * lengths * np.abs(dense(rows)).max(initial=0.0)).any():
+            return None  # they determine what the base leaves open
+        columns = base.times(dense(rows).T)
+        size = np.sqrt(np.abs(more))
+        core = _inverse(np.diag(np.sign(more)) + size[:, None] * (rows @ columns) * size)
+        if core is None:
+            return None
+        alone = cls(design, base, share, columns * size, -core)
+        return alone._with_extra(extra)
+
+    def _with_extra(self, extra: Floats) -> Updated | None:
+        """Return the same with ``extra`` columns (n, q); None where they are not firm."""
+        felt = self.design.adjoint(extra)
+        gain = self.times(felt)
+        squares, whole = extra.T @ extra - felt.T @ gain, (extra**2).sum(axis=0)
+        length = np.sqrt(np.where(whole > 0.0, whole, 1.0))
+        inverse = _inverse(squares / length / length[:, None])
+        if inverse is None:
+            return None
+        q = extra.shape[1]
+        columns = np.block([[self.columns, -gain / length], [np.zeros((q, len(self.core))),
+                                                            np.diag(1.0 / length)]])  # fmt: skip
+        core = np.asarray(block_diag(self.core, inverse))
+        return Updated(self.design.with_extra(extra), self.base, self.share, columns, core)
+
+    @property
+    def directions(self) -> Floats:  # type: ignore[override]
+        """What nothing determines (p + q, k): of the base alone."""
+        below = len(self.columns) - len(self.base.directions)
+        return np.pad(self.base.directions, ((0, below), (0, 0)))
+
+    def times(self, columns: Floats) -> Floats:
+        """Return N^-1 times ``columns`` (p + q, k)."""
+        p = self.base.directions.shape[0]
+        found = self.columns @ (self.core @ (self.columns.T @ columns))
+        found[:p] += self.base.times(columns[:p])
+        return np.asarray(found)
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        if outputs.shape[1] > len(self.base.directions):
+            return super().variances_of(outputs)  # of further unknowns, too
+        low = outputs.times(self.columns)
+        return np.asarray(self.base.variances_of(outputs) + ((low @ self.core) * low).sum(axis=1))
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        if outputs.shape[1] > len(self.base.directions):
+            return super().response(outputs, rows)
+        found = self.base.response(outputs, rows)
+        found *= self.share[rows]
+        if self.columns.shape[1]:
+            low = self.design.some_times(rows, self.columns)
+            found += (outputs.times(self.columns) @ self.core) @ low.T
+        found[outputs.idle] = 0.0
+        return found
+
+    def among(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+        found, share = self.base.among(rows), self.share[rows]
+        found *= share[:, None]
+        found *= share
+        low = self.design.some_times(rows, self.columns)
+        found += low @ self.core @ low.T
+        return np.asarray(found)
+
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        share = self.share[rows]
+        found = self.base.among_each(rows) * share[:, :, None] * share[:, None]
+        if self.columns.shape[1]:
+            low = self.design.some_times(rows.ravel(), self.columns).reshape(*rows.shape, -1)
+            found += (low @ self.core) @ low.swapaxes(1, 2)
+        return np.asarray(found)
+
+    @property
+    def leverage(self) -> Floats:
+        """The diagonal (n,) of J N^-1 J'."""
+        low = self.design.times(self.columns)
+        return np.asarray(
+            self.base.leverage * self.share**2 + ((low @ self.core) * low).sum(axis=1)
+        )
+
+
+def _inverse(square: Floats) -> Floats | None:
+    """Return the inverse of a symmetric matrix of entries of order one; None if it is not firm."""
+    values, vectors = np.linalg.eigh(square)
+    if len(values) and np.abs(values).min() < FIRM:
+        return None
+    return np.asarray((vectors / values) @ vectors.T)
+
+
+def dense(matrix: Floats | csr_array) -> Floats:
+    """Return a matrix written out."""
+    return matrix if isinstance(matrix, np.ndarray) else np.asarray(matrix.toarray())

@@ -1,0 +1,137 @@
+"""What is asked of the unknowns: rows that differ little from one that they share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import DTypeLike
+from scipy.sparse import csr_array, vstack
+
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+
+AT_ONCE: Final = 1024
+"""Rows or columns that are worked out at once: what is dense of them stays small."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """Rows C (o, p) that differ little from one that they share: of many, little is kept.
+
+    ``few`` (o, p) beside the row of ``common`` (g, p) that each belongs to, by ``part`` (o,).
+    """
+
+    few: csr_array
+    common: Floats
+    part: Ints
+
+    @classmethod
+    def of(cls, parts: Sequence[Floats | Outputs]) -> Outputs:
+        """Return those of ``parts`` (o, p), one below the other, that share a row each."""
+        found = [rows if isinstance(rows, Outputs) else cls._sharing(rows) for rows in parts]
+        before = np.cumsum([0, *(len(each.common) for each in found)])
+        part = [each.part + first for each, first in zip(found, before, strict=False)]
+        return cls(
+            csr_array(vstack([each.few for each in found], format="csr")),
+            np.concatenate([each.common for each in found]),
+            np.concatenate(part),
+        )
+
+    @classmethod
+    def _sharing(cls, rows: Floats) -> Outputs:
+        common = np.zeros((1, rows.shape[1]))
+        if len(rows):  # what two of three rows share
+            common[0] = np.median(rows[[0, len(rows) // 2, -1]], axis=0)
+        return cls(csr_array(rows - common), common, np.zeros(len(rows), dtype=np.int64))
+
+    @classmethod
+    def picked(cls, unknowns: Ints, common: Floats) -> Outputs:
+        """Return some ``unknowns`` (o,) of p, each beside the row ``common`` (p,)."""
+        o = len(unknowns)
+        few = csr_array((np.ones(o), unknowns, np.arange(o + 1)), shape=(o, len(common)))
+        return cls(few, common[None], np.zeros(o, dtype=np.int64))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers o of outputs and p of unknowns."""
+        return len(self.part), int(self.common.shape[1])
+
+    def __len__(self) -> int:
+        """Return their number o."""
+        return len(self.part)
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Floats:
+        """Return all of them, written out."""
+        return np.asarray(self[:], dtype=dtype)
+
+    def __getitem__(self, which: slice) -> Floats:
+        """Return some of them, written out."""
+        return np.asarray(self.few[which].toarray() + self.common[self.part[which]])
+
+    def __matmul__(self, x: Floats) -> Floats:
+        """Return C times ``x`` (p,) or (p, k)."""
+        return self.times(x)
+
+    @cached_property
+    def each(self) -> int:
+        """The most entries of a row beside what it shares."""
+        return int(np.diff(self.few.indptr).max(initial=0))
+
+    @cached_property
+    def entries(self) -> tuple[Ints, Floats]:
+        """Columns and values of those entries, (o, each): zeros where there are fewer."""
+        counts = np.diff(self.few.indptr)
+        there = np.arange(self.each) < counts[:, None]
+        column, value = np.zeros(there.shape, dtype=np.int64), np.zeros(there.shape)
+        column[there], value[there] = self.few.indices, self.few.data
+        return column, value
+
+    def first(self, count: int) -> Outputs:
+        """Return the first ``count`` of them."""
+        part = self.part[:count]
+        return Outputs(self.few[:count], self.common[: int(part.max(initial=0)) + 1], part)
+
+    def times(self, x: Floats) -> Floats:
+        """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""
+        x = x[: self.common.shape[1]]
+        return np.asarray(self.few @ x + (self.common @ x)[self.part])
+
+    def parts(self, unknowns: int) -> Iterator[tuple[slice, Floats]]:
+        """Yield some rows after the other, (r, ``unknowns``) and which they are."""
+        more = ((0, 0), (0, unknowns - self.common.shape[1]))
+        for begin in range(0, len(self), AT_ONCE):
+            here = slice(begin, min(begin + AT_ONCE, len(self)))
+            yield here, np.pad(self.few[here].toarray() + self.common[self.part[here]], more)
+
+    def lengths(self, scale: Floats) -> Floats:
+        """Return the length (o,) of each, of unknowns times ``scale`` (p + q,)."""
+        over = 1.0 / scale[: self.common.shape[1]] ** 2
+        mixed = (self.few @ (self.common * over).T)[np.arange(len(self)), self.part]
+        common = (self.common**2 @ over)[self.part]
+        squares = (self.few * self.few) @ over + 2.0 * mixed + common
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+    @cached_property
+    def idle(self) -> Bools:
+        """Which (o,) are always zero, as the first that is counted from itself."""
+        return np.asarray(self.lengths(np.ones(self.shape[1])) == 0.0)
+
+    @cached_property
+    def felt(self) -> Bools:
+        """Which unknowns (p,) one of them feels."""
+        return np.asarray((self.common != 0.0).any(axis=0) | (abs(self.few).sum(axis=0) > 0.0))
+
+    def run(self, count: int, size: int) -> tuple[int, int] | None:
+        """Return circle and first place where all read one place after the other; else None.
+
+        Of the first ``count`` unknowns, circles of ``size`` places each.
+        """
+        if self.each != 1 or not len(self) or (self.few.data != 1.0).any():
+            return None
+        circle, place = np.divmod(self.few.indices, size)
+        here = (place[0] + np.arange(len(place))) % size
+        follow = (circle == circle[0]).all() and (place == here).all() and len(self) == len(circle)
+        return (int(circle[0]), int(place[0])) if follow and circle[0] * size < count else None

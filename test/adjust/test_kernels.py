@@ -1,0 +1,159 @@
+"""Every kernel says what the whole matrix says, of designs drawn at random."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+
+from rotcal_ros.adjust.bordered import Bordered, FewEach
+from rotcal_ros.adjust.circles import Circular
+from rotcal_ros.adjust.kernels import Updated, Whole, WholeMatrix
+from rotcal_ros.adjust.outputs import Outputs
+
+
+def alike(found, expected):
+    """Whether they agree to 1e-9 of the largest, or of one."""
+    return np.abs(found - expected).max(initial=0.0) < 1e-9 * max(1.0, np.abs(expected).max())
+
+
+class Reference:
+    """N^-1 by numpy's pseudo inverse, and what follows."""
+
+    def __init__(self, design):
+        scale = np.linalg.norm(design, axis=0)
+        scale[scale == 0.0] = 1.0
+        unit = design / scale
+        _, size, ways = np.linalg.svd(unit)
+        self.rank = int((size > 1e-9 * size[0]).sum())
+        self.design, self.directions = design, ways[self.rank :].T / scale[:, None]
+        self.gain = np.linalg.pinv(unit, rcond=1e-9) / scale[:, None]
+        self.hat = design @ self.gain
+        self.firm = size[self.rank - 1] > 1e-4 * size[0]
+
+
+def agrees(kernel, expected, random):
+    """All of the protocol, for functions of the unknowns that are determined."""
+    n, p = expected.design.shape
+    some = np.sort(random.choice(n, size=max(1, n // 2), replace=False))
+    white, told = random.standard_normal((n, 2)), random.standard_normal((3, n)) @ expected.design
+    carried = told @ expected.gain
+    assert kernel.rank == expected.rank
+    assert expected.design @ kernel.directions == pytest.approx(0.0, abs=1e-9)
+    assert np.linalg.matrix_rank(kernel.directions, tol=1e-9) == p - expected.rank
+    assert alike(kernel.leverage, np.diagonal(expected.hat))
+    assert alike(kernel.among(some), expected.hat[np.ix_(some, some)])
+    assert alike(kernel.taken(white), expected.hat @ white)
+    assert alike(told @ kernel.solve(white), carried @ white)
+    assert alike(told @ kernel.solve(white[:, 0]), carried @ white[:, 0])
+    assert alike(told @ kernel.times(told.T), carried @ carried.T)
+    assert alike(told @ kernel.gains(some), carried[:, some])
+    assert alike(kernel.adjusted(told.T).T, carried)
+    assert alike(kernel.variances(told), (carried**2).sum(axis=1))
+    outputs = Outputs.of([told])
+    assert alike(kernel.response(outputs, some), carried[:, some])
+    assert alike(kernel.sensitivity(outputs, some).dense(), carried[:, some])
+    if expected.rank == p > 2:  # each unknown by itself
+        each = kernel.sensitivity(Outputs.of([np.eye(p)]), some[:-1])
+        assert alike(each.dense(), expected.gain[:, some[:-1]])
+    used = np.diagonal(expected.hat) > 0.0
+    parts = (np.arange(n) % 3 == np.arange(3)[:, None]) & used
+    whole = np.array([[(expected.hat[np.ix_(a, b)] ** 2).sum() for b in parts] for a in parts])
+    assert alike(kernel.shared(parts), whole)
+
+
+@st.composite
+def bordered(draw):
+    """Stations with unknowns of their own, and some that all share; some of it open, or weak."""
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    groups, own = draw(st.integers(6, 14)), draw(st.integers(1, 3))
+    shared, known, extra = (draw(st.integers(0, most)) for most in (4, 4, 2))
+    rows = []
+    for group in range(groups):
+        for _ in range(own + draw(st.integers(1, 4))):
+            row = np.zeros(groups * own + shared)
+            row[group * own : (group + 1) * own] = random.standard_normal(own)
+            row[groups * own :] = random.standard_normal(shared)
+            rows.append(row)
+    few = np.array(rows)
+    if shared > 1 and draw(st.booleans()):
+        few[:, -1] = few[:, -2]  # which nothing tells apart
+    if draw(st.booleans()):
+        few[:, 0] *= 0.0  # which nothing determines
+    more = 10.0 ** draw(st.integers(-1, 2)) * random.standard_normal((known, few.shape[1]))
+    more[:, few.any(axis=0) == 0.0] = 0.0
+    more[:, -1] = more[:, -2] if shared > 1 else more[:, -1]
+    columns = random.standard_normal((len(few) + known, extra)) if extra else None
+    pattern = csr_array((few != 0.0) | (np.arange(few.shape[1]) == 0))
+    few = csr_array((few[pattern.nonzero()], pattern.indices, pattern.indptr), shape=few.shape)
+    return FewEach(few, more, columns), random
+
+
+@given(bordered(), st.integers(0, 6))
+def test_blocks_and_a_border(drawn, left_out):
+    design, random = drawn
+    weight = np.exp(random.standard_normal(design.shape[0]))
+    weight[random.choice(design.few.shape[0], left_out, replace=False)] = 0.0
+    white = design.weighted(weight)
+    expected = Reference(white.dense())
+    assume(expected.firm)
+    kernel = white.kernel()
+    assert isinstance(kernel, Bordered)
+    agrees(kernel, expected, random)
+
+
+@given(st.integers(4, 40), st.integers(1, 8), st.integers(0, 3), st.integers(0, 2**32))
+def test_the_whole_matrix_itself(n, p, open_, seed):
+    random = np.random.default_rng(seed)
+    matrix = random.standard_normal((n, p)) * np.exp(5.0 * random.standard_normal(p))
+    matrix = np.hstack([matrix, matrix[:, :open_] * 3.0])
+    expected = Reference(matrix)
+    assume(expected.firm)
+    agrees(Whole.of(WholeMatrix(matrix), np.zeros(0, dtype=int)), expected, random)
+    held = np.arange(p, matrix.shape[1])
+    agrees(Whole.of(WholeMatrix(matrix), held), expected, random)
+
+
+def circular(random, size, shifts):
+    """Return readings of a table against marks, each at some shifts, and the zero of each."""
+    setting, table = np.divmod(np.arange(len(shifts) * size), size)
+    mark = (table - np.array(shifts)[setting]) % size
+    column = np.stack([table, size + mark, 2 * size + setting], axis=1)
+    value = np.tile([1.0, -1.0, 1.0], len(table))
+    begin = 3 * np.arange(len(table) + 1)
+    rows = csr_array((value, column.ravel(), begin), shape=(len(table), 2 * size + len(shifts)))
+    return Circular.of(rows, 2, size)
+
+
+@given(st.integers(5, 16), st.integers(0, 4), st.integers(0, 2), st.integers(0, 2**32))
+def test_circles_with_readings_left_out_and_effects(size, left_out, effects, seed):
+    random = np.random.default_rng(seed)
+    design = circular(random, size, (0, 1, 3)).with_extra(
+        random.standard_normal((3 * size, effects))
+    )
+    weight = np.ones(3 * size)
+    weight[random.choice(3 * size, left_out, replace=False)] = 0.0
+    white = design.weighted(weight)
+    expected = Reference(white.dense())
+    assume(expected.firm)
+    kernel = white.kernel()
+    assume(kernel is not None)
+    agrees(kernel, expected, random)
+
+
+@given(bordered(), st.integers(0, 4), st.integers(0, 2), st.booleans())
+def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, whole):
+    design, random = drawn
+    n = design.shape[0]
+    base = Whole.of(design, np.zeros(0, dtype=int)) if whole else design.kernel()
+    out = random.choice(design.few.shape[0], left_out, replace=False)
+    share = np.ones(n)
+    share[out] = 0.0
+    extra = random.standard_normal((n, effects)) * share[:, None]
+    rest = design.weighted(share)
+    expected = Reference(np.hstack([rest.dense(), extra]))
+    assume(expected.firm)
+    assume(np.abs(np.linalg.eigvalsh(np.eye(left_out) - base.among(out))).min(initial=1.0) > 1e-4)
+    kernel = Updated.of(base, rest, share, (design.rows(out), -np.ones(left_out)), extra)
+    assume(kernel is not None)
+    agrees(kernel, expected, random)
