@@ -121,9 +121,9 @@ class Correlated:
         """Return the same below ``count`` further rows, in a model where all ways are possible."""
         return Correlated(self.rows + count, self.parts)
 
-    def possible(self, fit: object | None = None) -> Bools:
-        """Return which ways (w, v, ...) are possible together, of a ``fit`` or before any."""
-        if fit is None or self.likely is None:
+    def possible(self, fit: object) -> Bools:
+        """Return which ways (w, v, ...) are possible together, of a ``fit`` of the model."""
+        if self.likely is None:
             return np.ones([len(ways) for ways in self.parts], np.bool_)
         return self.likely(fit)
 

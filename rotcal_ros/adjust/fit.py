@@ -127,14 +127,14 @@ class Fit:
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
-                found[:, mine] = self._spread[number][: len(outputs), at]
+                found[:, mine] = self._spread[number][1][: len(outputs), at]
         return found
 
     @cached_property
-    def _spread(self) -> list[Floats]:
-        """What independent errors do in the place of those that are correlated (o + a, k)."""
-        every = self.model.correlated
-        return [each.spread(self.alone(each.rows), each.possible(self)) for each in every]
+    def _spread(self) -> list[tuple[Floats, Floats]]:
+        """What correlated errors do (o + a, k) each as it is, and what independent ones would."""
+        every = [(each, self.alone(each.rows)) for each in self.model.correlated]
+        return [(alone, each.spread(alone, each.possible(self))) for each, alone in every]
 
     def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).
@@ -156,9 +156,8 @@ class Fit:
         first, whole = self.model.output_rows.first(count), np.zeros((count, count))
         for here, rows in first.parts(len(self.x)):
             whole[:, here] = first.times(self.kernel.times(rows.T))
-        for each, spread in zip(self.model.correlated, self._spread, strict=True):
-            alone = self.alone(each.rows)[:count]
-            whole += spread[:count] @ spread[:count].T - alone @ alone.T
+        for alone, spread in self._spread:
+            whole += spread[:count] @ spread[:count].T - alone[:count] @ alone[:count].T
         whole += whole.T.copy()
         whole *= 0.5
         return whole
@@ -172,8 +171,8 @@ class Fit:
     def variance(self) -> Floats:
         """Variances (o + a,) of the outputs, by the noise alone."""
         found = self._plain_variance
-        for each, spread in zip(self.model.correlated, self._spread, strict=True):
-            found = found + (spread**2).sum(axis=1) - (self.alone(each.rows) ** 2).sum(axis=1)
+        for alone, spread in self._spread:
+            found = found + (spread**2).sum(axis=1) - (alone**2).sum(axis=1)
         return np.maximum(found, 0.0)
 
     @property

@@ -83,7 +83,6 @@ def stacked(
         return np.append(np.arange(width), np.arange(unknowns.start, unknowns.stop))
 
     columns = [columns_of(unknowns) for unknowns in own]
-
     every = list(zip(models.items(), rows, columns, strict=True))
     firsts = np.cumsum([0, *(len(m.components) for m in parts)])
     start = np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)])

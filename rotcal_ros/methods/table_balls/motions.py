@@ -154,7 +154,7 @@ def likely(
     moved, gain, noise = _moved(fit, stated, moves, first)
     (together,) = fit.model.correlated
     scale, merit = np.repeat(stated, len(angles))[:, None], np.zeros(())
-    for order in range(min(ORDERS, len(angles) // 2) + 1):  # balls see those beside
+    for order in range(min(ORDERS, len(angles) // 2) + 1):
         waves = np.kron(np.eye(6)[:5], _waves(order, angles))  # nothing is stated of ECC
         rows = _white(waves @ noise) @ waves
         felt = rows @ gain[:, together.rows]
