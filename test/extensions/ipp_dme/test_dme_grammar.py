@@ -1,7 +1,7 @@
 """The grammar and the lines of I++ DME 1.4.3, chapters 6.1 and 6.2; and input of others."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rotcal_ros.extensions.ipp_dme.protocol import (
@@ -122,7 +122,7 @@ def test_lines_that_none_sends_are_refused(harm):
 
 
 def values_again(values):
-    return ", ".join(map(written, values))
+    return ", ".join(map(written, values)) or "()"  # no values are a line, too
 
 
 LINES = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=300) | st.text(
@@ -135,6 +135,7 @@ LINES = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=300
     ("read", "write"), [(parse_call, str), (parse_values, values_again), (parse_response, str)]
 )
 @given(LINES)
+@example("()")
 def test_whatever_a_line_holds_it_is_refused_in_words_or_the_same_when_written(read, write, text):
     refused = ""
     try:
