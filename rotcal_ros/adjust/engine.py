@@ -306,7 +306,7 @@ class Adjusted:
             warnings=(*doubts, *self.doubts),
             protections=ordered(every.values()),
             residuals=self._residuals(places, coordinates),
-            raw_data=RawData(influence=self._influence(components, len(places[0]), coordinates)),
+            raw_data=RawData(influence=self.influence(components, len(places[0]), coordinates)),
             details={**self.details(), **(details or {})},
         ).counted_from(counts_from)
 
@@ -337,7 +337,7 @@ class Adjusted:
             "rad" if self.model.unit.angular else "m",
         )
 
-    def _influence(
+    def influence(
         self, components: Mapping[str, slice], measured: int, coordinates: int
     ) -> Influence | None:
         """Return what standard errors of what is used do to the deviations; None of too many."""

@@ -48,7 +48,7 @@ def _family_seen_by(fit: Fit, white: Floats) -> Seen:
     for k in np.flatnonzero(own < WEAK * whole).tolist():  # a small difference of large numbers
         own[k] = (fit.left_of(white[:, k : k + 1]) ** 2).sum()
     information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
-    return Seen(fit.model.output_rows.times(gain).T, information, white.T @ fit.white, whole)
+    return Seen(fit.moved(white).T, information, white.T @ fit.white, whole)
 
 
 def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:

@@ -9,7 +9,7 @@ are kept.
 What no length feels is fixed by constraints. Right motions: the table's own frame may lie
 anywhere, q -> W q + w with the poses to match. Left motions: without a prior on the targets the
 whole network may, too. And with free targets, places at one height on one circle about the axis
-leave a seventh: targets and circle as in :mod:`rotcal_ros.methods.tracer.solver.joint`. None of
+leave a seventh: targets and circle as in :mod:`rotcal_ros.methods.tracer_six.lengths.joint`. None of
 them is felt by the curves.
 
 Places that cannot determine the table's tilts need a prior: the tilt c_i of each position, less
@@ -37,7 +37,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.tracer.solver.network import SchurComplement, rigid
+from rotcal_ros.methods.tracer_six.lengths.network import SchurComplement, rigid
 from rotcal_ros.methods.tracer.solver.problem import Grid
 from rotcal_ros.methods.tracer_six.solver.problem import StationLayout
 

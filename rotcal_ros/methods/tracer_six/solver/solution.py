@@ -35,12 +35,12 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import align, rotation_about_z
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, adjust_stations
-from rotcal_ros.methods.tracer.solver.joint import felt_by_targets, target_test
-from rotcal_ros.methods.tracer.solver.network import LengthView
+from rotcal_ros.methods.tracer_six.lengths.adjustment import Adjustment, adjust_stations
+from rotcal_ros.methods.tracer_six.lengths.joint import felt_by_targets, target_test
+from rotcal_ros.methods.tracer_six.lengths.network import LengthView
 from rotcal_ros.methods.tracer.solver.observability import or_prior, told_of_a_turned_sign
 from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
-from rotcal_ros.methods.tracer.solver.screening import (
+from rotcal_ros.methods.tracer_six.lengths.screening import (
     Grouping,
     ScreenedLengths,
     adjust_and_screen,
@@ -50,8 +50,8 @@ from rotcal_ros.methods.tracer.solver.screening import (
 )
 from rotcal_ros.methods.tracer.solver.start import start_candidates
 from rotcal_ros.methods.tracer.solver.trials import MOST_STEPS, SETTLED
-from rotcal_ros.methods.tracer.solver.verdict import LengthEvidence
-from rotcal_ros.methods.tracer.solver.zeros import (
+from rotcal_ros.methods.tracer_six.lengths.verdict import LengthEvidence
+from rotcal_ros.methods.tracer_six.lengths.zeros import (
     MOST_JUMPS,
     Jump,
     ShiftResponse,

@@ -31,10 +31,10 @@ from rotcal_ros.foundation.results import ErrorMotion, Verdict
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM
-from rotcal_ros.methods.tracer.solver.screening import WORDS as LENGTHS
-from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
+from rotcal_ros.methods.tracer_six.lengths.screening import WORDS as LENGTHS
+from rotcal_ros.methods.tracer_six.lengths.screening import NoiseFactors
 from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement
-from rotcal_ros.methods.tracer.solver.zeros import Jump
+from rotcal_ros.methods.tracer_six.lengths.zeros import Jump
 
 FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
 """Times the stated noise of each component of :mod:`.screening`."""

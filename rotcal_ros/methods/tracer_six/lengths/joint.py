@@ -32,12 +32,12 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import fit_rotation
-from rotcal_ros.methods.tracer.solver.adjustment import (
+from rotcal_ros.methods.tracer_six.lengths.adjustment import (
     Adjustment,
     StationCovariance,
     adjust_stations,
 )
-from rotcal_ros.methods.tracer.solver.network import (
+from rotcal_ros.methods.tracer_six.lengths.network import (
     Network,
     less_rigid,
     linearise,

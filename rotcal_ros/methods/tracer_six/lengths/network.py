@@ -35,7 +35,7 @@ from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, ranges
+from rotcal_ros.methods.tracer_six.lengths.adjustment import Adjustment, ranges
 from rotcal_ros.methods.tracer.solver.circle import circle_contrasts
 from rotcal_ros.methods.tracer.solver.observability import or_prior
 from rotcal_ros.methods.tracer.solver.problem import Grid

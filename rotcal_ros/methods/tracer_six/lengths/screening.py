@@ -72,8 +72,8 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.solver.adjustment import MINIMAL_REDUNDANCY, Adjuster, Adjustment
-from rotcal_ros.methods.tracer.solver.network import LengthView
+from rotcal_ros.methods.tracer_six.lengths.adjustment import MINIMAL_REDUNDANCY, Adjuster, Adjustment
+from rotcal_ros.methods.tracer_six.lengths.network import LengthView
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, Grid
 
 LEAST_OF_GROUP: Final = 4

@@ -44,8 +44,8 @@ from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.network import NetworkGain, network_of, relax
+from rotcal_ros.methods.tracer_six.lengths.adjustment import Adjustment
+from rotcal_ros.methods.tracer_six.lengths.network import NetworkGain, network_of, relax
 from rotcal_ros.methods.tracer.solver.problem import Grid
 from rotcal_ros.methods.tracer.solver.start import with_zeros
 

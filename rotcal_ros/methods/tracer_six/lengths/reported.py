@@ -27,8 +27,8 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
+from rotcal_ros.methods.tracer_six.lengths.adjustment import Adjustment
+from rotcal_ros.methods.tracer_six.lengths.screening import NoiseFactors
 
 CONSISTENT: Final = 3.0
 """Standard deviations within which a weight of 1, or of 0, is what the lengths say."""

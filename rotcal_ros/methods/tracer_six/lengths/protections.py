@@ -31,9 +31,9 @@ from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer.solver.adjustment import ranges, station_gain
+from rotcal_ros.methods.tracer_six.lengths.adjustment import ranges, station_gain
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
-from rotcal_ros.methods.tracer.solver.network import (
+from rotcal_ros.methods.tracer_six.lengths.network import (
     KNOWN,
     Network,
     NetworkGain,
@@ -41,12 +41,12 @@ from rotcal_ros.methods.tracer.solver.network import (
     view_of,
 )
 from rotcal_ros.methods.tracer.solver.problem import share_gone
-from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
-from rotcal_ros.methods.tracer.solver.screening import gathering_protection
+from rotcal_ros.methods.tracer_six.lengths.reported import Slope, excess_of
+from rotcal_ros.methods.tracer_six.lengths.screening import gathering_protection
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
-from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS
-from rotcal_ros.methods.tracer.solver.zeros import largest_share
+from rotcal_ros.methods.tracer_six.lengths.verdict import FAILED_FACTORS
+from rotcal_ros.methods.tracer_six.lengths.zeros import largest_share
 from rotcal_ros.planning.readings import passes
 
 LARGEST_MOVE: Final = 1e-4

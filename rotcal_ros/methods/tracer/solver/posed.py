@@ -1,0 +1,247 @@
+"""A problem as the model of its lengths: start values, zeros, runs, and what is stated.
+
+Each position has a shift and a turn of the table, and a zero, unless that belongs to a segment of
+unbroken beam. The table's axis moves in its plane: shifts there are observed to be zero, about a
+centre that is not known, with the standard deviation of the error motion. What turns is what is
+left along the circle. A stated circle binds shifts across it and along the axis.
+
+Lengths of a later run count from a zero that is larger by an unknown: steps measured again in both
+show it. A zero that wanders is another one at each length; its steps are observed to be zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.sparse import csr_array, kron, vstack
+
+from rotcal_ros.adjust.error_motion import WHITE, Spectrum
+from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.tracer.solver.carried_lengths import (
+    KNOWN,
+    CarriedLengths,
+    KnownBeforehand,
+    of_targets,
+    taken,
+)
+from rotcal_ros.methods.tracer.solver.circle import table_motion
+from rotcal_ros.methods.tracer.solver.observability import check_counts
+from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.start import find_any_start
+
+CIRCLE: Final = 5
+"""Stations from which on their plane gives the direction of the axis."""
+MOST_LENGTHS: Final = 3000
+"""Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
+LATER_RUN: Final = "zero of a later run"
+
+
+@dataclass(frozen=True)
+class Supposed:
+    """What is not known beforehand, as it is supposed to be.
+
+    ``motion``: error motion of the axis, m, with a ``spectrum``. ``walk``: standard deviation of a
+    zero's step from one length to the next, m; 0: it stands. ``weight``: share of the reported
+    moves of the targets that lengths follow, ``left``: what that leaves unknown of each, m.
+    """
+
+    motion: float
+    spectrum: Spectrum = WHITE
+    walk: float = 0.0
+    weight: float = 1.0
+    left: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A ``problem`` on its ``grid``, and its ``lengths`` at start values.
+
+    ``ambiguous``: mirror images of the stations fit as well.
+    """
+
+    problem: TracerProblem
+    grid: Grid
+    absent: Absent
+    lengths: CarriedLengths
+    ambiguous: bool
+
+    @classmethod
+    def of(cls, problem: TracerProblem) -> Posed:
+        """Return what ``problem`` poses; raises what arranging and the start values raise."""
+        grid, absent = arrange(problem)
+        check_counts(grid, absent.unfit.values())
+        angles = problem.table_angles[grid.position_ids]
+        given = problem.start_stations
+        given = None if given is None else given[grid.position_ids]
+        state, ambiguous = find_any_start(grid, given, angles)
+        return cls.at(problem, grid, absent, state, ambiguous)
+
+    @classmethod
+    def at(
+        cls,
+        problem: TracerProblem,
+        grid: Grid,
+        absent: Absent,
+        state: Floats,
+        ambiguous: bool = False,
+    ) -> Posed:
+        """Return it with stations and distances (p, 4) of the strips of its grid, m."""
+        lengths = _lengths(problem, grid, state[grid.first_strip, :3], state[:, 3])
+        return cls(problem, grid, absent, lengths, ambiguous)
+
+    @cached_property
+    def moved(self) -> Floats:
+        """By how much the reported moves of its target make each length (k,) longer, m."""
+        lengths, moved = self.lengths, self.problem.moved
+        if moved is None:
+            return np.zeros(len(lengths.row))
+        unit = lengths.beams / np.linalg.norm(lengths.beams, axis=1)[:, None]
+        return np.asarray((unit * moved[lengths.row]).sum(axis=1))
+
+    def model(self, supposed: Supposed) -> Model:
+        """Return the model whose outputs are ECC of all positions, from the first."""
+        lengths = replace(
+            self.lengths,
+            observed=self.lengths.observed - supposed.weight * self.moved,
+            std=np.hypot(self.lengths.std, supposed.left),
+        )
+        if supposed.walk:
+            lengths = _wandering(lengths)
+        lengths, stated = _about_axis(lengths, self.problem.circle_std, supposed)
+        if supposed.walk:
+            stated.append(_steps_of_zeros(lengths, supposed.walk))
+        targets = of_targets(lengths, self.grid.target_std, self.grid.free)
+        begin = lengths.first["turn"]
+        first = np.zeros(lengths.size)
+        first[begin] = -1.0
+        outputs = Outputs.picked(begin + np.arange(len(lengths.angles)), first)
+        return lengths.over(outputs, [*targets, *stated])
+
+
+def _lengths(
+    problem: TracerProblem, grid: Grid, stations: Floats, distances: Floats
+) -> CarriedLengths:
+    """Return the lengths of a ``grid``, from ``stations`` (m, 3) and ``distances`` (p,), m."""
+    angles, axes = problem.table_angles[grid.position_ids], np.eye(3)
+    if len(stations) >= CIRCLE:
+        plane = table_motion(stations, angles).plane
+        axes = np.column_stack([*plane.basis(), plane.normal])
+    # local place of each station = centre + Rz(angle) q
+    local, m = stations @ axes, len(stations)
+    about = rotation_about_z(angles)[:, :2, :2]
+    design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
+    found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
+    strip, target, order = taken(grid.row, problem.measuring_order)
+    zero, row = grid.station if grid.zero is None else grid.zero, grid.row[strip, target]
+    later, std = _later_runs(problem, row)
+    return CarriedLengths(
+        observed=grid.length[strip, target],
+        std=np.hypot(grid.length_std[strip, target], std),
+        position=grid.station[strip],
+        place=np.zeros_like(strip),
+        target=target,
+        zero=zero[strip],
+        row=row,
+        order=order,
+        angles=angles,
+        places=np.array([[*found[2:], 0.0]]),
+        targets=grid.targets,
+        zeros=distances[grid.first_of_zero],
+        axes=axes,
+        origin=axes @ [*found[:2], local[:, 2].mean()],
+        called=(grid.position_ids, grid.target_ids),
+        later=later,
+        later_zeros=int(later.max(initial=-1)) + 1,
+    )
+
+
+def _later_runs(problem: TracerProblem, row: Ints) -> tuple[Ints, Floats]:
+    """Return which later run each length (k,) is of, -1: none; and how much more it scatters, m.
+
+    A target that is come to again stands elsewhere, by what the machine repeats. Raises DataError
+    for a run without a step that was measured before.
+    """
+    if problem.run is None:
+        return np.full(len(row), -1), np.zeros(len(row))
+    runs, number = np.unique(problem.run, return_inverse=True)
+    assert problem.again is not None
+    repeats = problem.again > 0
+    for later in range(1, len(runs)):
+        if not repeats[number == later].any():
+            raise DataError(
+                f"no step of the runs before was measured again in run {runs[later]}, so its "
+                "zero of the lengths is not known; resume once more, or measure from the start"
+            )
+    more = np.where(repeats & (number > 0), np.sqrt(2.0) * problem.position_std, 0.0)
+    return number[row] - 1, more[row]
+
+
+def _wandering(lengths: CarriedLengths) -> CarriedLengths:
+    """Return the lengths with a zero for each, in the order of time within their zeros of now."""
+    if len(lengths.row) > MOST_LENGTHS:
+        raise DataError(
+            f"{len(lengths.row)} lengths are too many for a zero that wanders: up to "
+            f"{MOST_LENGTHS} are solved; set zero_walk_std_m to 0"
+        )
+    in_time = np.lexsort((lengths.order, lengths.zero))
+    number = np.empty(len(in_time), dtype=np.int64)
+    number[in_time] = np.arange(len(in_time))
+    zeros = lengths.zeros[lengths.zero[in_time]]
+    return replace(lengths, zero=number, zeros=zeros, beam=lengths.zero)
+
+
+def _steps_of_zeros(lengths: CarriedLengths, walk: float) -> KnownBeforehand:
+    """Return that a zero steps by ``walk`` (m) from one length of its beam to the next."""
+    beam = np.empty(len(lengths.zero), dtype=np.int64)
+    beam[lengths.zero] = lengths.beam
+    linked = np.flatnonzero(np.diff(beam) == 0)
+    rows = lengths.rows_of("zero", linked + 1) - lengths.rows_of("zero", linked)
+    return KnownBeforehand("the walk of the zero", csr_array(rows), np.full(len(linked), walk))
+
+
+def _about_axis(
+    lengths: CarriedLengths, circle: float | None, supposed: Supposed
+) -> tuple[CarriedLengths, list[KnownBeforehand]]:
+    """Return the lengths, and what is stated of how the table's axis moves.
+
+    An error motion of few orders has amplitudes, of which their size is stated, and a white rest.
+    ``circle``: standard deviation by which stations leave it, m; None: nothing is said of that.
+    """
+    m, angles, name = len(lengths.angles), lengths.angles, "the error motion"
+    waves = supposed.spectrum.root(angles)[:, : 2 * len(supposed.spectrum.orders)]
+    more = {"error motion": 2 * waves.shape[1]} if waves.size else {}
+    lengths = replace(lengths, more=more if circle is None else {**more, "lean": 3})
+    plane = np.arange(3 * m).reshape(m, 3)[:, :2].ravel()
+    off = lengths.rows_of("shift", plane)
+    off = off - csr_array(np.tile(np.eye(2), (m, 1))) @ lengths.rows_of("frame")
+    stated = []
+    if waves.size:
+        amplitudes = lengths.rows_of("error motion")
+        off = off - csr_array(kron(waves, np.eye(2))) @ amplitudes
+        size = np.full(amplitudes.shape[0], max(supposed.motion, KNOWN))
+        stated.append(KnownBeforehand(name, amplitudes, size))
+    # across the circle and along it
+    round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
+    turned = np.stack([np.cos(round_), np.sin(round_), -np.sin(round_), np.cos(round_)], axis=1)
+    column = 2 * np.arange(m)[:, None] + np.array([0, 1, 0, 1])
+    entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
+    rows = csr_array(csr_array(entries, shape=(2 * m, 2 * m)) @ off)
+    white = np.sqrt(supposed.spectrum.white)
+    std = np.full(2 * m, max(supposed.motion * white, KNOWN))
+    if circle is None:
+        return lengths, [*stated, KnownBeforehand(name, rows, std)]
+    lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
+    height = lengths.rows_of("shift", 3 * np.arange(m) + 2) - lean @ lengths.rows_of("lean")
+    across = csr_array(vstack([rows[0::2], height], format="csr"))
+    return lengths, [
+        *stated,
+        KnownBeforehand("the stated circle", across, np.full(2 * m, circle)),
+        KnownBeforehand(name, csr_array(rows[1::2]), std[:m]),
+    ]
