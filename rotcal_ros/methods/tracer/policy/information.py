@@ -4,7 +4,7 @@ A plan starts from a :class:`Scene`: stations, possible targets, how well all is
 is a pair of table position and target, measured within a segment: as long as the beam is not
 broken, all lengths share one unknown zero.
 
-The linear model of the joint network (:mod:`rotcal_ros.methods.tracer.solver.joint`) at the
+The linear model of the joint network (:mod:`rotcal_ros.methods.tracer.solver.posed`) at the
 nominal geometry: unknown are the stations (3 m), a zero per segment (q), and the targets with the
 machine's prior. A length moves with u (dP - dA) - dz; with weights w and variances v its
 information is
@@ -42,7 +42,7 @@ from rotcal_ros.methods.tracer.solver.circle import (
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
+from rotcal_ros.methods.tracer.solver.error_motion import error_motion_spread
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""

@@ -96,6 +96,13 @@ class Posed:
         lengths = _lengths(problem, grid, state[grid.first_strip, :3], state[:, 3])
         return cls(problem, grid, absent, lengths, ambiguous)
 
+    def every_station(self) -> Floats:
+        """Return where the tracer stands at all table angles, at the start values, m."""
+        stands = self.lengths.standing(np.zeros(self.lengths.size))
+        found = np.tile(stands[0], (len(self.problem.table_angles), 1))
+        found[self.grid.position_ids] = stands
+        return found
+
     @cached_property
     def moved(self) -> Floats:
         """By how much the reported moves of its target make each length (k,) longer, m."""

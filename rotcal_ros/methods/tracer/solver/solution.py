@@ -15,9 +15,10 @@ from scipy.special import ndtr
 
 from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.adjust.effects import correlations, limit_of_family
-from rotcal_ros.adjust.engine import Adjusted
+from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
-from rotcal_ros.adjust.fit import fitted
+from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.other_way import by_other_way
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -26,6 +27,7 @@ from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer.solver.carried_lengths import slips_of
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, bearing_slopes, table_motion
 from rotcal_ros.methods.tracer.solver.error_motion import error_motion_of
 from rotcal_ros.methods.tracer.solver.observability import (
@@ -192,6 +194,16 @@ class TracerSolution:
         return np.asarray(self.grid.targets + moved.reshape(-1, 3))
 
     @cached_property
+    def trials(self) -> Trials:
+        """Measurements like this one, with all that its uncertainty holds."""
+        trials = self.found.trials
+        if self.slips is None:
+            return trials
+        values, ways = np.linalg.eigh(self.slips.covariance)
+        slipped = ways * np.sqrt(np.maximum(values, 0.0))
+        return replace(trials, causes=np.hstack([trials.causes, slipped]))
+
+    @cached_property
     def motion(self) -> TableMotion:
         """Plane, circle and angles of the stations."""
         return table_motion(self.stations, self.table_angles)
@@ -209,7 +221,7 @@ class TracerSolution:
     def _station_rows(self, which: Ints) -> Floats:
         """Return by how much some stations move with the unknowns, (3 q, p), or observations."""
         if self.printed is not None:
-            every = _gains(self.posed, self.found, self.printed)
+            every = _gains(self.posed, self.found.fit, self.printed)
             return every.reshape(-1, 3, every.shape[1])[which].reshape(-1, every.shape[1])
         lengths, x = self.posed.lengths, self._unknowns
         arm = (self.stations - lengths.origin) @ lengths.axes
@@ -259,7 +271,9 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
     )  # fmt: skip
     if problem.variant == "station":
         return as_printed(solution)
-    return replace(solution, slips=_slips(solution))
+    found = solution.found
+    slips = unseen_slips(problem, found.fit, found.std, found.scale)
+    return replace(solution, slips=slips)
 
 
 def _solved(posed: Posed, supposed: Supposed) -> Adjusted:
@@ -342,28 +356,30 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
     return replace(_again(solution, supposed), reported=reported)
 
 
-def _slips(solution: TracerSolution) -> Slips | None:
-    """Return what a fringe that slipped unseen does, where lengths share zeros.
+def unseen_slips(
+    problem: TracerProblem, fit: Fit, std: Floats, scale: float = 1.0
+) -> Slips | None:
+    """Return what a fringe that slipped unseen does, where lengths share zeros; else None.
 
     A measurement with one slip is taken to be as likely as one with none, and any moment of it as
-    any other. What the test misses of each adds its expected square.
+    any other. What the test misses of each adds its expected square. ``std`` (m,) of ECC; the
+    noise is ``scale`` times that of the ``fit``.
     """
-    problem, found = solution.problem, solution.found
     if problem.segment is None or not problem.slip:
         return None
-    effect = next(e for e in found.model.effects if e.effect == "slip")
-    steps = effect.whole(found.fit.computed)
+    effect = next(e for e in fit.model.effects if e.effect == "slip")
+    steps = effect.whole(fit.computed)
     steps = steps[:, :: max(1, -(-steps.shape[1] // CANDIDATES))]
     if not steps.shape[1]:
         return None
-    seen = seen_by(found.fit, steps, family=True)
+    seen = seen_by(fit, steps, family=True)
     limit = limit_of_family(problem.settings.rejection_significance, correlations(seen.information))
-    apart = problem.slip * np.sqrt(np.maximum(seen.information.diagonal(), 0.0)) / found.scale
+    apart = problem.slip * np.sqrt(np.maximum(seen.information.diagonal(), 0.0)) / scale
     missed = 1.0 - ndtr(apart - limit)
     moved = problem.slip * seen.moved[:]
     covariance = (moved.T * (SLIPPED / len(missed) * missed)) @ moved
-    counts = found.std > 0.0
-    hidden = moved[missed > 1.0 - POWER][:, counts] / found.std[counts]
+    counts = std > 0.0
+    hidden = moved[missed > 1.0 - POWER][:, counts] / std[counts]
     worst = float(np.abs(hidden).max(initial=0.0))
     return Slips(problem.slip, 1.0 - float(missed.mean()), covariance, worst)
 
@@ -387,7 +403,7 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
     length[strip, lengths.target], used[strip, lengths.target] = read, fit.used[:k]
     start = np.column_stack([solution.stations, solution.distances])
     weights = np.zeros(used.shape)
-    weights[strip, lengths.target] = fit.used[:k] / _variance(posed, found, start)
+    weights[strip, lengths.target] = fit.used[:k] / _variance(posed, fit, start)
     _, unit = ranges(start[:, :3], grid.targets)
     rows = np.concatenate([unit, -np.ones((*used.shape, 1))], axis=2)
     check_station_rank(rows * used[:, :, None], grid.position_ids)
@@ -396,9 +412,7 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
         worst = grid.position_ids[np.flatnonzero(~settled)[0]]
         raise ObservabilityError(f"station {worst} does not settle by its own lengths alone")
     here = replace(solution, printed=state)
-    gains = _gains(posed, found, state)
-    slopes = bearing_slopes(state[:, :3], here.motion).from_first
-    felt = slopes.times(gains)
+    felt = bearing_slopes(state[:, :3], here.motion).from_first.times(_gains(posed, fit, state))
     if taken:
         own = slice(found.model.size[1], len(fit.x))
         sizes = fit.gain(own) / fit.std
@@ -406,33 +420,41 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
     return replace(here, found=by_other_way(found, here.motion.cumulative, felt))
 
 
-def _variance(posed: Posed, found: Adjusted, state: Floats) -> Floats:
+def ecc_of_stations(posed: Posed, fit: Fit, state: Floats) -> Floats:
+    """Return the covariance (m, m) of ECC by the paper's equations, at stations (m, 4), rad^2."""
+    stations = state[:, :3]
+    slopes = bearing_slopes(stations, table_motion(stations, posed.lengths.angles)).from_first
+    white = slopes.times(_gains(posed, fit, state)) * np.where(fit.used, fit.std, 0.0)
+    return np.asarray(white @ white.T)
+
+
+def _variance(posed: Posed, fit: Fit, state: Floats) -> Floats:
     """Return the variances (k,) of lengths to targets that are taken as known, m^2."""
     lengths, k = posed.lengths, len(posed.lengths.row)
     _, unit = ranges(state[:, :3], posed.grid.targets)
     beam = unit[lengths.position, lengths.target]
     target = (beam**2 * posed.grid.target_std[lengths.target] ** 2).sum(axis=1)
-    return np.asarray(found.fit.std[:k] ** 2 + target)
+    return np.asarray(fit.std[:k] ** 2 + target)
 
 
-def _gains(posed: Posed, found: Adjusted, state: Floats) -> Floats:
+def _gains(posed: Posed, fit: Fit, state: Floats) -> Floats:
     """Return by how much stations (m, 4) are off for errors of all observations, (3 m, n).
 
     Of what is stated beside the lengths: a target's coordinate that is off makes its lengths so;
     an error motion carries the station away.
     """
-    lengths, fit, m = posed.lengths, found.fit, len(state)
+    lengths, m = posed.lengths, len(state)
     k, n = len(lengths.row), len(fit.std)
     _, unit = ranges(state[:, :3], posed.grid.targets)
     beam = unit[lengths.position, lengths.target]
     rows = np.column_stack([beam, -np.ones(k)])
-    weight = fit.used[:k] / _variance(posed, found, state)
+    weight = fit.used[:k] / _variance(posed, fit, state)
     normal = np.zeros((m, 4, 4))
     np.add.at(normal, lengths.position, rows[:, :, None] * (rows * weight[:, None])[:, None])
     own = np.einsum("kab,kb->ka", np.linalg.inv(normal)[lengths.position], rows * weight[:, None])
     gains = np.zeros((m, 3, n))
     gains[lengths.position, :, np.arange(k)] = own[:, :3]
-    known = found.model.linearised(fit.x[: found.model.size[1]])[1].rows(np.arange(k, n))
+    known = fit.model.linearised(fit.x[: fit.model.size[1]])[1].rows(np.arange(k, n))
     begin = lengths.first["target"]
     of_targets = np.zeros((m, 3, posed.grid.targets.size))
     for a in range(3):
@@ -442,3 +464,36 @@ def _gains(posed: Posed, found: Adjusted, state: Floats) -> Floats:
     shift = known[:, : 3 * m].reshape(n - k, m, 3)
     gains[:, :, k:] += np.einsum("bma,ca->mcb", shift, lengths.axes)
     return gains.reshape(3 * m, n)
+
+
+def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) -> CurveModel:
+    """Return the lengths over ECC at their positions, to be solved with other instruments.
+
+    What these lengths say of the error motion, their zeros and reported places comes from their
+    ``solution``; None where they have none alone, and then ObservabilityError if no error motion
+    is stated. Slips that would not be found are errors that lengths have in common.
+    """
+    if solution is not None:
+        posed, supposed = solution.posed, solution.supposed
+    else:
+        stated = problem.error_motion_std
+        stated = problem.circle_std if stated is None else stated
+        if stated is None:
+            raise ObservabilityError(
+                "these lengths alone do not determine the error motion of the table, which they "
+                "have to be weighed by beside other instruments: state solver.error_motion_std_m"
+            )
+        few = replace(problem, variant="joint", circle_std=problem.circle_std or FREE_CIRCLE)
+        posed, supposed = Posed.of(few), Supposed(stated, walk=problem.zero_walk_std or 0.0)
+    model = posed.model(supposed)
+    m, begin = len(posed.lengths.angles), posed.lengths.first["turn"]
+    model = replace(model, outputs=np.zeros((0, model.size[1])))
+    lengths = posed.lengths
+    if problem.segment is not None and problem.slip:
+        found = 0.0 if solution is None or solution.slips is None else solution.slips.found
+        step = problem.slip * sqrt(SLIPPED / len(lengths.row) * (1.0 - found))
+        slips = slips_of(lengths.zero, lengths.order, step, float(lengths.std.min()))
+        if slips.shape[1]:
+            model = model.sharing(np.pad(slips, ((0, model.size[0] - len(slips)), (0, 0))))
+    curve = np.eye(m, model.size[1], begin)
+    return CurveModel(model, lengths.angles, {"ECC": curve})

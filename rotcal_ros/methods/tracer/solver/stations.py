@@ -8,34 +8,33 @@ table are together, radially, and along the circle they are taken to be as large
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotcal_ros.adjust.closures import closures
+from rotcal_ros.adjust.error_motion import WHITE
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.noise import UNTESTED
+from rotcal_ros.adjust.noise import UNTESTED, GlobalTest
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import Protection, ordered
 from rotcal_ros.foundation.results import ErrorMotion, Placement, Result, Zeros
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.solver.circle import (
     ABSORBED,
     TableMotion,
+    bearing_slopes,
+    check_sense,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.protections import tangential_protection
-from rotcal_ros.methods.tracer.solver.solution import check_sense
-from rotcal_ros.methods.tracer.solver.solve import METHOD, circle_details
-from rotcal_ros.methods.tracer.solver.uncertainty import (
-    angle_uncertainty,
-    circle_test,
-    circle_tested,
-    error_motion_of,
+from rotcal_ros.methods.tracer.solver.error_motion import error_motion_of, error_motion_spread
+from rotcal_ros.methods.tracer.solver.solve import (
+    METHOD,
+    circle_details,
+    doubt_closure,
+    tangential_protection,
 )
-from rotcal_ros.methods.tracer.solver.verdict import doubt_closure
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,21 +69,22 @@ def solve(problem: StationProblem) -> Result:
         )
     motion = table_motion(problem.stations, problem.table_angles)
     check_sense(motion, problem.stations, problem.table_angles, problem.positions)
-    exact, stated = _exact(m), problem.error_motion_std or None  # 0 m of coordinates is no promise
-    test = UNTESTED
+    stated, test = problem.error_motion_std or None, UNTESTED  # 0 m of places is no promise
+    found, spectrum = error_motion_of(problem.stations, motion, np.zeros((3 * m, 3 * m)))
     if stated is not None:
-        test = circle_test(circle_tested(problem.stations, motion, exact.total, stated, None))
+        test = GlobalTest.of(float(motion.radial @ motion.radial) / stated**2, m - ABSORBED)
     contradicted = test.probability < problem.significance
-    error_motion, spectrum = error_motion_of(
-        problem.stations, motion, exact, 1.0, stated, contradicted
-    )
-    angles = angle_uncertainty(
-        motion, problem.stations, exact, error_motion.used, 1.0, spectrum=spectrum
-    )
+    if stated is not None and not (contradicted and found.used > stated):
+        found, spectrum = replace(found, used=stated), WHITE
+    error_motion = replace(found, stated=stated)
+    bearing = bearing_slopes(problem.stations, motion)
+    spread = bearing.spread(error_motion_spread(motion, error_motion.used, spectrum))
+    covariance, every = spread.from_first(), np.arange(m)
+    std = np.sqrt(covariance.diagonal())
     closing = closures(
         problem.table_angles,
         motion.cumulative,
-        LowRank.whole(angles.covariance),
+        LowRank.whole(covariance),
         problem.positions,
     )
     warnings = (
@@ -95,15 +95,15 @@ def solve(problem: StationProblem) -> Result:
         method=METHOD,
         angles=problem.table_angles,
         deviations={"ECC": motion.cumulative},
-        std={"ECC": angles.std},
-        covariance={"ECC": angles.covariance},
+        std={"ECC": std},
+        covariance={"ECC": covariance},
         sigma0=test.sigma0,
         dof=m - ABSORBED,
         n_observations=m,
         verdict="suspect" if warnings else "ok",
         warnings=warnings,
         adjacent_deviations=motion.adjacent,
-        adjacent_std=angles.adjacent_std,
+        adjacent_std=np.sqrt(spread.between(every[:-1], every[1:])),
         details={
             "variant": "stations",
             "station_ids": problem.positions,
@@ -113,18 +113,12 @@ def solve(problem: StationProblem) -> Result:
         },
         protections=_protections(motion, error_motion, closed=bool(closing)),
         zeros=Zeros("first angle"),
-        budget={"error_motion": angles.budget["error_motion"]},
+        budget={"error_motion": std},
         placement=Placement.upwards(
             motion.centre, motion.plane.normal, problem.positions, problem.stations
         ),
         error_motion=error_motion,
     )
-
-
-def _exact(m: int) -> StationCovariance:
-    """Return the covariance of ``m`` stations of which nothing is known but their places."""
-    nothing = LowRank.of_blocks(np.zeros((m, 3, 3)))
-    return StationCovariance(nothing, nothing, np.zeros((3 * m, 0, 3)), 0.0)
 
 
 def _doubt(motion: TableMotion, found: ErrorMotion) -> str:
