@@ -62,7 +62,7 @@ class OtherWay(Fit):
         return np.asarray((self._white_response**2).sum(axis=1))
 
     @property
-    def output_std(self) -> Floats:  # type: ignore[override]
+    def output_std(self) -> Floats:
         """Standard deviations (o,) of the outputs."""
         return self.counting(np.sqrt(self._plain_variance))
 

@@ -41,9 +41,9 @@ from rotcal_ros.methods.tracer.lengths import (
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
-from rotcal_ros.methods.tracer_six.lengths.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
 from rotcal_ros.methods.tracer_six.figures import figures, tables
+from rotcal_ros.methods.tracer_six.lengths.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer_six.plan import (
     LOCATING,
     check_plan,

@@ -41,8 +41,8 @@ from rotcal_ros.methods.tracer.solver.circle import (
     circle_contrasts,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.error_motion import error_motion_spread
+from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""

@@ -6,8 +6,8 @@ share of the lengths of every position: what drifts is then at each position at 
 times alike. A *closed* single sweep keeps half of the first position for its end. The quickest of
 those that are protected is taken.
 
-Protected is what the solver's own statement says at the nominal geometry: a plan is predicted once,
-and judged for as many orders as wanted.
+Protected is what the solver's own statement says at the nominal geometry: a plan is predicted
+once, and judged for as many orders as wanted.
 
 An order is an open travelling-salesman path over the pairs (table position, target). The times are
 not symmetric, because a table that comes from above passes its angle and returns. A path is
@@ -19,7 +19,7 @@ and improved again.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import inf, isfinite
 from typing import Final

@@ -48,7 +48,7 @@ LARGEST_MOVE: Final = 1e-4
 LARGEST_RATIO: Final = 1e-3
 """Error of the scale, or of the air's index per metre of height, that could not be missed."""
 MOMENTS: Final = 64
-"""Moments at which the instrument may move on the table: one between two is seen nearly as well."""
+"""Moments at which the instrument may move: one between two is seen nearly as well."""
 PLACES: Final = 4_000_000
 """Numbers in what is tried of such moves, 32 MB: of very many lengths fewer moments."""
 UM: Final = Unit("um", MICROMETRE)
@@ -164,7 +164,7 @@ class CarriedLengths:
         return self._stands(x, every, np.zeros_like(every))[0]
 
     def _stands(self, x: Floats, position: Ints, place: Ints) -> tuple[Floats, Floats, Floats]:
-        """Return where it stands (k, 3), its arms (k, 3) in the table's frame, and turns (m, 3)."""
+        """Return where it stands (k, 3), its arms (k, 3) as turned, and turns (m, 3)."""
         m, first = len(self.angles), self.first
         shift, turn = x[: 3 * m].reshape(m, 3), x[3 * m : first["place"]]
         vector = np.zeros_like(shift)
@@ -260,7 +260,10 @@ class CarriedLengths:
 
     def groupings(self, beyond: Ints) -> list[Grouping]:
         """Return what may be spoiled together, none of what is ``beyond`` the lengths."""
-        position, target = self.called or (np.arange(len(self.angles)), np.arange(len(self.targets)))
+        position, target = self.called or (
+            np.arange(len(self.angles)),
+            np.arange(len(self.targets)),
+        )
         round_ = np.append(np.arctan2(self.beams[:, 1], self.beams[:, 0]), np.zeros(len(beyond)))
         station = Grouping("station", np.append(position[self.position], beyond), round_)
         found = [station, Grouping("target", np.append(target[self.target], beyond))]
@@ -275,13 +278,15 @@ class CarriedLengths:
         return found
 
     def model(
-        self, curves: Mapping[str, csr_array | Floats], stated: Sequence[KnownBeforehand]
+        self, curves: Mapping[str, csr_array], stated: Sequence[KnownBeforehand]
     ) -> CurveModel:
         """Return the lengths, with what is ``stated``, over the deviations ``curves``."""
         every = {name: np.asarray(rows.toarray()) for name, rows in curves.items()}
         model = self.over(Outputs.of([np.zeros((0, self.size))]), stated)
         if self.common is not None and self.common.shape[1]:
-            model = model.sharing(np.pad(self.common, ((0, model.size[0] - len(self.row)), (0, 0))))
+            model = model.sharing(
+                np.pad(self.common, ((0, model.size[0] - len(self.row)), (0, 0)))
+            )
         return CurveModel(model, self.angles, every)
 
     def over(self, outputs: Outputs, stated: Sequence[KnownBeforehand]) -> Model:
@@ -297,7 +302,10 @@ class CarriedLengths:
             whole = csr_array((*data, begins), shape=(k + known.shape[0], self.size))
             return np.append(computed, known @ x), whole
 
-        counts, names = [k, *(len(s.std) for s in parts)], ["the lengths", *(s.what for s in parts)]
+        counts, names = (
+            [k, *(len(s.std) for s in parts)],
+            ["the lengths", *(s.what for s in parts)],
+        )
         components = list(dict.fromkeys(names))
         component = [components.index(name) for name in names]
         beyond = np.full(known.shape[0], -1)
@@ -329,7 +337,10 @@ class CarriedLengths:
 
     @property
     def _names(self) -> list[str]:
-        position, target = self.called or (np.arange(len(self.angles)), np.arange(len(self.targets)))
+        position, target = self.called or (
+            np.arange(len(self.angles)),
+            np.arange(len(self.targets)),
+        )
         pairs = zip(
             self.place.tolist(), position[self.position].tolist(), target[self.target].tolist(),
             strict=True,

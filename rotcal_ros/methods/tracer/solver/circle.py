@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rotcal_ros.adjust.low_rank import Slopes
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.plane import Plane, circle_centre_jacobian, fit_circle, fit_plane

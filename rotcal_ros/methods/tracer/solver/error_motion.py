@@ -3,11 +3,11 @@
 A station leaves its circle by the radial part of the table's error motion (EXC, EYC, and tilts
 times the height of the tracer) and by the noise of its own place. The tangential part cannot be
 separated from the angle; it is taken to be as large, which is believed and never measured: a
-tracer that mount or cable shift along its circle spoils the angle and leaves no trace. m - 3 residuals do not say much about a standard deviation, so their
-whole posterior is used: the value that goes into the covariance is the one with which an interval
-of +-1.96 standard deviations holds 95 % of what is predicted. From exact stations that is
-Student's t with m - 3 degrees of freedom; where the noise of the stations explains the residuals,
-little is left of it.
+tracer that mount or cable shift along its circle spoils the angle and leaves no trace. m - 3
+residuals do not say much about a standard deviation, so their whole posterior is used: the value
+that goes into the covariance is the one with which an interval of +-1.96 standard deviations holds
+95 % of what is predicted. From exact stations that is Student's t with m - 3 degrees of freedom;
+where the noise of the stations explains the residuals, little is left of it.
 
 Real axes move in few undulations, which few residuals witness; of order 2 the half that turns the
 way of the table leaves none, for the centre of the circle takes it up, and the angle feels it
@@ -233,7 +233,7 @@ def _estimate_error_motion(
 def error_motion_of(
     stations: Floats, motion: TableMotion, covariance: Floats
 ) -> tuple[ErrorMotion, Spectrum]:
-    """Return the error motion that nobody stated, by what the circle leaves open, and its spectrum.
+    """Return the error motion that the circle leaves open, and its spectrum.
 
     ``covariance`` (3 m, 3 m) of the ``stations`` (m, 3), which were bound to no circle.
     """
@@ -245,4 +245,6 @@ def error_motion_of(
     found = _estimate_error_motion(
         circle, _mean_variance(bearing, total), _supposed(motion, bearing)
     )
-    return ErrorMotion(None, found.likely, found.allowed, circle.dof, found.allowed), found.spectrum
+    return ErrorMotion(
+        None, found.likely, found.allowed, circle.dof, found.allowed
+    ), found.spectrum

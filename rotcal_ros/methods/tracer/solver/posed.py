@@ -206,6 +206,7 @@ def _wandering(lengths: CarriedLengths) -> CarriedLengths:
 
 def _steps_of_zeros(lengths: CarriedLengths, walk: float) -> KnownBeforehand:
     """Return that a zero steps by ``walk`` (m) from one length of its beam to the next."""
+    assert lengths.beam is not None
     beam = np.empty(len(lengths.zero), dtype=np.int64)
     beam[lengths.zero] = lengths.beam
     linked = np.flatnonzero(np.diff(beam) == 0)

@@ -169,8 +169,9 @@ class TracerProblem(LengthProblem):
     pair is measured once.
 
     ``run`` (k,), optional: an interruption begins another run, all lengths of which count from
-    another zero; a target stands elsewhere then by ``position_std`` (m). ``moved`` (k, 3), optional: how much further along x, y, z the machine said the
-    target stood when each length was measured, m; believed as far as the lengths follow it.
+    another zero; a target stands elsewhere then by ``position_std`` (m). ``moved`` (k, 3),
+    optional: how much further along x, y, z the machine said the target stood when each length was
+    measured, m; believed as far as the lengths follow it.
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when

@@ -259,8 +259,7 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
     motion = ErrorMotion(stated, 0.0, 0.0, 0, stated or 0.0)
     begin = Supposed(FREE_CIRCLE if stated is None else stated, walk=walk)
     solution = TracerSolution(posed, _solved(posed, begin), begin, motion)
-    if problem.moved is not None:
-        solution = _weighed(solution)
+    solution = _weighed(solution)
     if problem.zero_walk_std is None:
         solution = _walking(solution)
     if stated is None:
@@ -329,9 +328,9 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
     say, beside all other unknowns. One that 1 explains is 1: the reports are believed; one that 0
     explains is 0: the machine stood still.
     """
-    posed, found = solution.posed, solution.found
+    posed, found, moved = solution.posed, solution.found, solution.problem.moved
     lengths, along = posed.lengths, posed.moved
-    if np.abs(posed.problem.moved).max(initial=0.0) < UNNOTICED * lengths.std.min():
+    if moved is None or np.abs(moved).max(initial=0.0) < UNNOTICED * lengths.std.min():
         return solution
     free = len(along) - len(np.unique(lengths.target))
     scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
@@ -373,7 +372,9 @@ def unseen_slips(
     if not steps.shape[1]:
         return None
     seen = seen_by(fit, steps, family=True)
-    limit = limit_of_family(problem.settings.rejection_significance, correlations(seen.information))
+    limit = limit_of_family(
+        problem.settings.rejection_significance, correlations(seen.information)
+    )
     apart = problem.slip * np.sqrt(np.maximum(seen.information.diagonal(), 0.0)) / scale
     missed = 1.0 - ndtr(apart - limit)
     moved = problem.slip * seen.moved[:]
@@ -385,7 +386,7 @@ def unseen_slips(
 
 
 def as_printed(solution: TracerSolution) -> TracerSolution:
-    """Return the values that the paper's equations give of the same lengths, and what they are off.
+    """Return what the paper's equations make of the same lengths, and what that is off by.
 
     Station by station (Eq. 5-17), plane, circle and angles (Eq. 18-33), from the lengths that were
     not left out, less the effects that were found.
@@ -456,10 +457,9 @@ def _gains(posed: Posed, fit: Fit, state: Floats) -> Floats:
     gains[lengths.position, :, np.arange(k)] = own[:, :3]
     known = fit.model.linearised(fit.x[: fit.model.size[1]])[1].rows(np.arange(k, n))
     begin = lengths.first["target"]
-    of_targets = np.zeros((m, 3, posed.grid.targets.size))
-    for a in range(3):
-        each = own[:, :3] * beam[:, a : a + 1]
-        np.add.at(of_targets, (lengths.position, slice(None), 3 * lengths.target + a), each)
+    of_targets = np.zeros((m, len(posed.grid.targets), 3, 3))
+    np.add.at(of_targets, (lengths.position, lengths.target), own[:, :3, None] * beam[:, None])
+    of_targets = of_targets.transpose(0, 2, 1, 3).reshape(m, 3, -1)
     gains[:, :, k:] = of_targets @ known[:, begin : begin + posed.grid.targets.size].T
     shift = known[:, : 3 * m].reshape(n - k, m, 3)
     gains[:, :, k:] += np.einsum("bma,ca->mcb", shift, lengths.axes)

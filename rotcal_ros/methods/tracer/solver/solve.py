@@ -60,15 +60,13 @@ def result_of(solution: TracerSolution) -> Result:
     found, motion, angles = solution.found, solution.motion, solution.table_angles
     covariance = solution.covariance
     spread = LowRank.whole(covariance)
-    closing = ()
+    closing: tuple[Closure, ...] = ()
     if not solution.problem.repeated_runs:
         closing = closures(angles, solution.deviations, spread, solution.positions)
     doubts = tuple(_doubts(solution, closing))
     verdict: Verdict = "suspect" if doubts and found.verdict == "ok" else found.verdict
     numbering = _numbering(solution)
-    verdict, warnings = numbering.judged(
-        verdict, (*found.doubts, *doubts, *_remarks(solution))
-    )
+    verdict, warnings = numbering.judged(verdict, (*found.doubts, *doubts, *_remarks(solution)))
     every = {p.effect: p for p in (*found.protections(), *_protections(solution))}
     every["numbering"] = numbering.protection()
     steps = np.arange(len(angles) - 1)
@@ -264,19 +262,20 @@ def joins_of(solution: TracerSolution) -> list[Join]:
         unit = np.zeros((len(fit.x), 1))
         unit[begin + k] = 1.0
         variance = float(fit.kernel.times(unit)[begin + k, 0])
-        again = (lengths.later == k) & (problem.again[lengths.row] > 0) & fit.used[: len(lengths.row)]
+        again = (
+            (lengths.later == k) & (problem.again[lengths.row] > 0) & fit.used[: len(lengths.row)]
+        )
         rows = np.flatnonzero(again)
         values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.among(rows))
         seen = values > 1e-6
         squares = float(((ways.T @ fit.white[rows])[seen] ** 2 / values[seen]).sum())
         dof = int(seen.sum())
-        found.append(
-            Join(
-                run, -float(fit.x[begin + k]), solution.found.scale * float(np.sqrt(variance)),
-                len(rows), float(np.abs(fit.residual[rows]).max(initial=0.0)),
-                float(np.sqrt(squares / dof)) if dof else 0.0, chi2_sf(squares, dof) if dof else 1.0,
-            )
-        )  # fmt: skip
+        worst = float(np.abs(fit.residual[rows]).max(initial=0.0))
+        std = solution.found.scale * float(np.sqrt(variance))
+        sigma0, chance = float(np.sqrt(squares / dof)) if dof else 0.0, 1.0
+        if dof:
+            chance = chi2_sf(squares, dof)
+        found.append(Join(run, -float(fit.x[begin + k]), std, len(rows), worst, sigma0, chance))
     return found
 
 
@@ -312,7 +311,9 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         "stations": solution.stations,
         "station_std": np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)),
         "station_covariance": blocks,
-        "distances": solution.distances[(grid.station if grid.zero is None else grid.zero)[grid.first_strip]],
+        "distances": solution.distances[
+            (grid.station if grid.zero is None else grid.zero)[grid.first_strip]
+        ],
         "target_ids": grid.target_ids,
         "targets": solution.targets,
         **_corrections(solution),
@@ -389,7 +390,9 @@ def _segments(solution: TracerSolution) -> list[dict[str, Any]]:
     last = np.append(np.flatnonzero(np.diff(beam[in_time])), len(in_time) - 1)
     first = np.append(0, last[:-1] + 1)
     walks = bool(solution.supposed.walk)
-    value = (lengths.zeros[beam[in_time]] if walks else lengths.zeros) + fit.x[begin : begin + count]
+    value = (lengths.zeros[beam[in_time]] if walks else lengths.zeros) + fit.x[
+        begin : begin + count
+    ]
     ends = (first, last) if walks else (np.arange(len(first)), np.arange(len(first)))
     found: list[dict[str, Any]] = []
     before: int | None = None
@@ -434,9 +437,7 @@ def returned(solution: TracerSolution) -> tuple[Returned, ...]:
     # without the error motion: that is searched for
     budget = 2.0 * (solution.error_motion.used / solution.motion.radius) ** 2
     found = []
-    for c in closures(
-        solution.table_angles, solution.deviations, whole, solution.positions
-    ):
+    for c in closures(solution.table_angles, solution.deviations, whole, solution.positions):
         std = float(np.sqrt(max(c.std**2 - budget, 0.0)))
         within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
         found.append(Returned(c.first, c.last, within))

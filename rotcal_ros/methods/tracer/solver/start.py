@@ -22,8 +22,8 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
 NEARLY_FLAT: Final = 3e-3
 """Ratio of singular values below which the linear solution alone is not trusted."""

@@ -14,20 +14,21 @@ because errors common to all stations largely cancel in the angle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, Protocol
+from dataclasses import dataclass, field
+from typing import Final, Protocol
 
 import numpy as np
 
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Residuals
 from rotcal_ros.methods.tracer.solver.observability import check_station_rank
-from rotcal_ros.methods.tracer.solver.problem import Grid
-from rotcal_ros.methods.tracer.solver.station_by_station import MAX_ITERATIONS, locate_stations, ranges
-
-if TYPE_CHECKING:
-    from rotcal_ros.methods.tracer_six.lengths.network import Network
+from rotcal_ros.methods.tracer.solver.problem import Grid, LengthProblem
+from rotcal_ros.methods.tracer.solver.station_by_station import (
+    MAX_ITERATIONS,
+    locate_stations,
+    ranges,
+)
 
 MINIMAL_REDUNDANCY: Final = 1e-6
 """Below this share a length is checked by nothing: its test value is zero."""
@@ -49,8 +50,7 @@ class Adjustment:
     deviations, ``target_redundancy`` (n, 3), ``coupling`` (3, 3): squared sums of the redundancy
     matrix by pairs of axes, and ``target_test`` (n,): the largest normalised correction of a
     target. Else all zero. ``circle_coupling`` (4,): the same sums of a stated circle with the
-    targets' axes, and with the lengths. ``network``: the linearisation at this very place, if
-    there is one.
+    targets' axes, and with the lengths.
     ``strip_station`` (p,): station of each strip; None: strips are stations.
     """
 
@@ -68,7 +68,6 @@ class Adjustment:
     corrections: Floats
     target_redundancy: Floats
     coupling: Floats
-    network: Network | None = None
     strip_station: Ints | None = None
     circle_coupling: Floats = field(default_factory=lambda: np.zeros(4))
 
@@ -99,45 +98,6 @@ class Adjuster(Protocol):
 
     def __call__(self, grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
         """Adjust ``grid``; ``targets`` (n, 3) of a network that was solved nearly so before."""
-
-
-@dataclass(frozen=True, eq=False)
-class StationCovariance:
-    """Covariance (3 m, 3 m) of the stations in m^2, by source, in blocks of stations.
-
-    ``lengths``: noise of the lengths, ``targets``: errors of the machine's coordinates, common to
-    all stations; ``sensitivity`` (3 m, n, 3): what a standard error of each coordinate does to the
-    stations, m. ``circle``: by how much stations leave a stated circle; None: none is.
-    ``dof_effective``: the chi-squared sum is distributed like ``dof / dof_effective`` times
-    chi-squared of that many degrees of freedom.
-    """
-
-    lengths: LowRank
-    targets: LowRank
-    sensitivity: Floats
-    dof_effective: float
-    circle: LowRank | None = None
-
-    @property
-    def total(self) -> LowRank:
-        """Return the covariance from all sources."""
-        total = self.lengths + self.targets
-        return total if self.circle is None else total + self.circle
-
-    def enlarged(self, scale: float) -> StationCovariance:
-        """Return the covariance of standard deviations ``scale`` times as large."""
-        square = scale**2
-        circle = None if self.circle is None else self.circle.scaled(square)
-        return replace(
-            self,
-            lengths=self.lengths.scaled(square),
-            targets=self.targets.scaled(square),
-            circle=circle,
-        )
-
-    def position_blocks(self) -> Floats:
-        """Return the 3 by 3 covariance of every station, shape (m, 3, 3)."""
-        return self.total.diagonal_blocks()
 
 
 def adjust_stations(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
@@ -192,57 +152,23 @@ def _station_rows(unit: Floats) -> Floats:
     return np.concatenate([unit, -np.ones((*unit.shape[:2], 1))], axis=2)
 
 
-def station_gain(grid: Grid, fit: Adjustment) -> Floats:
-    """Return d station / d length (m, n, 3) of stations that are solved one by one."""
-    _, unit = ranges(fit.stations, fit.targets)
-    rows = _station_rows(unit)
-    weighted = rows * (grid.used / fit.std**2)[:, :, None]
-    gain = weighted @ np.linalg.inv(rows.swapaxes(1, 2) @ weighted)
-    return np.asarray(gain[:, :, :3], dtype=np.float64)
+def residual_table(
+    problem: LengthProblem, grid: Grid, fit: Adjustment, residual: Floats
+) -> Residuals:
+    """Return one row per length (k,) with its ``residual``, and a test of what is on the grid."""
+    there = grid.row >= 0
 
+    def of_rows(values: Floats | Bools, otherwise: Floats | float) -> Floats:
+        column = np.full(len(problem.length), otherwise, dtype=np.float64)
+        column[grid.row[there]] = values[there]
+        return column
 
-def stations_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
-    """Return the joint covariance of all stations: own noise, and the common target errors."""
-    m = len(fit.stations)
-    _, unit = ranges(fit.stations, grid.targets)
-    gain = station_gain(grid, fit)
-    root = np.sqrt(grid.used / fit.std**2)
-    own = gain.swapaxes(1, 2) @ (gain * (grid.length_std**2)[:, :, None])
-    sensitivity = unit * grid.target_std  # (m, n, 3): of a length to standard target errors
-    common = np.einsum("jia,jic->jaic", gain, sensitivity).reshape(3 * m, -1)
-    return StationCovariance(
-        lengths=LowRank.of_blocks(own),
-        targets=LowRank(np.zeros_like(own), common, np.eye(common.shape[1])).quick(),
-        sensitivity=common.reshape(3 * m, -1, 3),
-        dof_effective=_effective_dof(
-            _station_rows(unit) * root[:, :, None], sensitivity * root[:, :, None], fit.dof
-        ),
+    return Residuals(
+        table_position=problem.position,
+        target=problem.target,
+        residual=residual,
+        redundancy=of_rows(fit.redundancy, 0.0),
+        test_value=of_rows(fit.test_value, 0.0),
+        used=of_rows(grid.used, 0.0).astype(np.bool_),
+        std=of_rows(fit.std, problem.length_std),
     )
-
-
-def _effective_dof(whitened: Floats, target_errors: Floats, dof: int) -> float:
-    """Return the degrees of freedom of the chi-squared sum, whose stations are correlated.
-
-    ``whitened`` (m, n, 4) is the design, ``target_errors`` (m, n, 3) are the targets' standard
-    errors, both in standard deviations of the lengths. Welch-Satterthwaite: 2 mean^2 / variance,
-    where the variance of the sum is 2 sum_jk tr(R_j D_jk R_k D_jk), D_jk the correlation of
-    lengths to one target from two stations and R the projection on the residuals of a station.
-    """
-    if not target_errors.any():
-        return float(dof)
-    factor = np.linalg.cholesky(whitened.swapaxes(1, 2) @ whitened)
-    basis = np.linalg.solve(factor, whitened.swapaxes(1, 2))  # (m, 4, n), orthonormal rows
-    leverage = (basis**2).sum(axis=1)[:, :, None]
-    m = len(basis)
-    # with e = target_errors: sum_jk |D_jk|^2 r_j is |sum_j e_j e_j'|^2, target by target
-    squares = (target_errors[:, :, :, None] * target_errors[:, :, None, :]).reshape(
-        *target_errors.shape[:2], 9
-    )
-    total = float((squares.sum(axis=0) * (squares * (1.0 - 2.0 * leverage)).sum(axis=0)).sum())
-    total -= float((squares**2 * (1.0 - 2.0 * leverage)).sum())
-    columns = basis.swapaxes(1, 2)[:, :, :, None] * target_errors[:, :, None, :]  # (m, n, 4, 3)
-    columns = columns.transpose(0, 2, 1, 3).reshape(4 * m, -1)
-    by_station = columns.reshape(m, 4, -1)
-    total += float(((columns.T @ columns) ** 2).sum())  # of all pairs of stations
-    total -= float(((by_station @ by_station.swapaxes(1, 2)) ** 2).sum())
-    return dof**2 / (dof + total)

@@ -72,9 +72,13 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer_six.lengths.adjustment import MINIMAL_REDUNDANCY, Adjuster, Adjustment
-from rotcal_ros.methods.tracer_six.lengths.network import LengthView
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, Grid
+from rotcal_ros.methods.tracer_six.lengths.adjustment import (
+    MINIMAL_REDUNDANCY,
+    Adjuster,
+    Adjustment,
+)
+from rotcal_ros.methods.tracer_six.lengths.network import LengthView
 
 LEAST_OF_GROUP: Final = 4
 """Lengths that are a group."""
@@ -516,20 +520,3 @@ def _outliers(grid: Grid, fit: Adjustment, limit: float) -> Bools:
     if fit.target_test[worst] > max(limit, size[:, worst].max()):
         outliers[:, worst] = grid.used[:, worst]
     return np.asarray(outliers, dtype=np.bool_)
-
-
-def without_targets(grid: Grid, screened: Grid) -> tuple[Grid, dict[int, str]]:
-    """Return ``screened`` without the targets that lost some of the lengths of ``grid``, and why.
-
-    By row, for the lengths that go with the rejected ones: a target in use everywhere or nowhere
-    keeps its error common to all stations, and that cancels in the angle.
-    """
-    lost = (grid.used & ~screened.used).any(axis=0)
-    why = {
-        int(grid.row[j, i]): (
-            f"{_name(grid, j, i)}: left out with the target's rejected lengths, so that its "
-            "error stays common to all stations"
-        )
-        for j, i in np.argwhere(screened.used & lost)
-    }
-    return replace(screened, used=screened.used & ~lost), why

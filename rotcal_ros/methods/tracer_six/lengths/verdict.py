@@ -23,17 +23,13 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.closures import Closure
 from rotcal_ros.adjust.gathering import Gathering, GatheringLimits
 from rotcal_ros.adjust.gathering import doubts as doubt_gathering
 from rotcal_ros.adjust.noise import GlobalTest
-from rotcal_ros.foundation.results import ErrorMotion, Verdict
-from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM
 from rotcal_ros.methods.tracer_six.lengths.screening import WORDS as LENGTHS
 from rotcal_ros.methods.tracer_six.lengths.screening import NoiseFactors
-from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement
 from rotcal_ros.methods.tracer_six.lengths.zeros import Jump
 
 FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
@@ -49,8 +45,6 @@ FAILED_SHARE: Final = 0.2
 """Share of rejected lengths beyond which the rest is not believed either."""
 NOISY: Final = 2.0
 """Times the stated noise from which the middle half of all residuals is no matter of outliers."""
-HARDLY_CHECKED: Final = 0.01
-"""Share of a stated circle below which nothing would contradict it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,30 +67,6 @@ class LengthEvidence:
     scatter: float = 1.0
     gathering: Gathering = field(default_factory=Gathering)
     jumps: tuple[Jump, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence(LengthEvidence):
-    """What the verdict on stations of one circle rests on.
-
-    ``missing`` are positions without a result, ``spare`` targets of a free network that too few
-    lengths reach, ``fringe`` (m) is what a counter slips by.
-    """
-
-    circle: GlobalTest
-    error_motion: ErrorMotion
-    radial_rms: float
-    closures: tuple[Closure, ...]
-    missing: tuple[int, ...]
-    spare: tuple[int, ...]
-    mirror_ambiguous: bool
-    circle_statement: CircleStatement | None = None
-    fringe: float = 0.0
-
-
-def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
-    """Return the verdict and its warnings by the rules in this module's docstring."""
-    return judged(evidence, settings, _doubt_stations(evidence, settings), _remarks(evidence))
 
 
 def judged(
@@ -178,49 +148,6 @@ def _doubt_rejected(evidence: LengthEvidence, settings: TracerLimits) -> list[st
     ]
 
 
-def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    doubts: list[str] = []
-    doubts += [
-        doubt_jump(f"segment {jump.segment}", jump, evidence.fringe) for jump in evidence.jumps
-    ]
-    doubts += [doubt_closure(c) for c in evidence.closures if c.open(settings.test_significance)]
-    doubts += _doubt_circle(evidence, settings)
-    motion = evidence.error_motion
-    stated = motion.stated is not None and evidence.circle_statement is None
-    if stated and evidence.circle.probability < settings.test_significance:
-        doubts.append(
-            f"the stations leave their circle by {evidence.radial_rms:.3g} m (rms), "
-            f"{evidence.circle.sigma0:.1f} times what is expected: the table's radial error "
-            f"motion is larger than the stated {motion.stated:.2g} m; {motion.used:.2g} m, from "
-            f"{motion.dof} residuals of the circle, is used in its place"
-        )
-    if evidence.missing:
-        names = ", ".join(str(j) for j in evidence.missing)
-        doubts.append(f"no deviation for station(s) {names}: too few usable lengths")
-    return doubts
-
-
-def _doubt_circle(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    circle = evidence.circle_statement
-    if circle is None or circle.probability >= settings.test_significance:
-        return []
-    return [
-        f"the stations leave their circle, radially and axially, {circle.sigma0:.1f} times as far "
-        f"as is expected ({circle.dof} contrasts that the lengths determine): the stated "
-        f"circle_std of {circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its "
-        "place"
-    ]
-
-
-def doubt_closure(closure: Closure) -> str:
-    """Return the sentence about a closure that is larger than its uncertainty allows."""
-    return (
-        f"stations {closure.first} and {closure.last} stand at the same table angle but differ by "
-        f"{closure.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
-        f"{closure.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
-    )
-
-
 def doubt_jump(where: str, jump: Jump, fringe: float) -> str:
     """Return the sentence about a zero that jumped; ``fringe`` (m) is what a counter slips by."""
     return (
@@ -235,28 +162,6 @@ def _cause(jump: Jump, fringe: float) -> str:
     if number := jump.fringes(fringe):
         return f"as much as {number:+d} fringe(s), a counter that slipped"
     return "a beam that was broken, or a tracer that was knocked"
-
-
-def _remarks(evidence: Evidence) -> list[str]:
-    remarks: list[str] = []
-    if evidence.spare:
-        names = ", ".join(str(i) for i in evidence.spare)
-        remarks.append(
-            f"target(s) {names} of the free network were left out: fewer than "
-            f"{FREE_TARGET_MINIMUM} lengths reach them"
-        )
-    circle = evidence.circle_statement
-    if circle is not None and circle.redundancy < HARDLY_CHECKED:
-        remarks.append(
-            f"the lengths check {100 * circle.redundancy:.2g} % of the stated circle: that the "
-            "stations stand on it is believed, not measured"
-        )
-    if evidence.mirror_ambiguous:
-        remarks.append(
-            "all targets lie in one plane, so the tracer could stand on either side of it: the "
-            "lower side was taken; give start_stations to choose the other"
-        )
-    return remarks
 
 
 def _remark_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:

@@ -33,7 +33,7 @@ walk
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -42,12 +42,9 @@ from scipy.special import ndtr
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
-from rotcal_ros.methods.tracer_six.lengths.adjustment import Adjustment
-from rotcal_ros.methods.tracer_six.lengths.network import NetworkGain, network_of, relax
 from rotcal_ros.methods.tracer.solver.problem import Grid
-from rotcal_ros.methods.tracer.solver.start import with_zeros
+from rotcal_ros.methods.tracer_six.lengths.adjustment import Adjustment
 
 LEAST_SIDE: Final = 4
 """Lengths on either side of a shift that is searched for: fewer are outliers."""
@@ -63,12 +60,6 @@ MOST_JUMPS: Final = 10
 """Jumps after which no further ones are searched for: such a beam is not unbroken at all."""
 SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""
-MOST_LENGTHS: Final = 3000
-"""Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
-LEAST_STD, LARGEST_STD = 1e-9, 1e-6
-"""Walks (m) among which an unknown one is searched for; the least is none."""
-NEAR: Final = 0.05
-"""Relative precision of an estimated walk: far below what the data determine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,47 +246,6 @@ class ShiftSearch:
         )
 
 
-def shift_search(grid: Grid, fit: Adjustment, order: Ints) -> ShiftSearch:
-    """Return the search in the network of one place; ``order`` (k,): when each row was taken."""
-    network = network_of(grid, fit)
-    gain, weights, rows = NetworkGain.of(network), grid.weights, network.rows
-
-    def respond(later: Bools) -> ShiftResponse:
-        pull = weights * later
-        by_strip = np.einsum("tpi,pia->tpa", pull, rows)
-        by_target = -np.einsum("tpi,pia->tia", pull, rows[:, :, :3])
-        x, y = gain.step(by_strip, by_target)
-        taken = (by_strip * x).sum(axis=(1, 2)) + (by_target * y).sum(axis=(1, 2))
-        both = (pull[1:] * later[:-1]).sum(axis=(1, 2)) - (by_strip[:-1] * x[1:]).sum(axis=(1, 2))
-        both -= (by_target[:-1] * y[1:]).sum(axis=(1, 2))
-        moved = x[:, grid.first_strip, :3].reshape(len(x), -1)
-        return ShiftResponse(pull.sum(axis=(1, 2)), taken, both, moved)
-
-    return ShiftSearch(grid, fit, TimedLengths.of(grid, order), respond, 3 * grid.n_stations)
-
-
-def split(grid: Grid, jump: Jump, order: Ints) -> tuple[Grid, Ints]:
-    """Return ``grid`` with a new zero from ``jump`` on, and the old strip of each new one."""
-    filled = grid.row >= 0
-    # places without a length are moved by nothing: their time is before all others
-    time = np.where(filled, order[grid.row], -1)
-    begin = int(order[jump.row])
-    assert grid.zero is not None
-    assert grid.segment_ids is not None
-    broken = int(grid.zero[np.nonzero(grid.row == jump.row)[0][0]])
-    moved = filled & (grid.zero == broken)[:, None] & (time >= begin)
-    parts = [np.flatnonzero(part.any(axis=1)) for part in (filled & ~moved, moved)]
-    source, stay = np.concatenate(parts), len(parts[0])
-    part = np.where((np.arange(len(source)) < stay)[:, None], ~moved[source], moved[source])
-    zero = grid.zero[source]
-    zero[stay:] = grid.n_zeros
-    return replace(
-        grid.take(source, part),
-        zero=zero,
-        segment_ids=np.append(grid.segment_ids, grid.segment_ids[broken]),
-    ), source
-
-
 @dataclass(frozen=True, eq=False)
 class Slips:
     """Slips of ``size`` (m), one fringe, that begin at the moments of ``shifts``.
@@ -392,87 +342,6 @@ def slips_among(
         odds = SLIPPED / len(missed) * np.exp(ratio - largest)
         chance = odds / ((1.0 - SLIPPED) * np.exp(-largest) + odds.sum())
     return Slips(size, shifts, missed, chance)
-
-
-def wandering(grid: Grid, order: Ints, std: float) -> tuple[Grid, Ints]:
-    """Return ``grid`` with zeros that wander by ``std`` (m) per length, and each strip's old one.
-
-    ``order`` (k,): when each row of the problem was taken.
-    """
-    strip, target = np.nonzero(grid.row >= 0)
-    if len(strip) > MOST_LENGTHS:
-        raise DataError(
-            f"{len(strip)} lengths are too many for a zero that wanders: up to {MOST_LENGTHS} are "
-            "solved; set zero_walk_std_m to 0"
-        )
-    assert grid.zero is not None
-    assert grid.segment_ids is not None
-    in_time = np.lexsort((order[grid.row[strip, target]], grid.zero[strip]))
-    strip, target = strip[in_time], target[in_time]
-    chain = grid.zero[strip]
-    part = np.zeros((len(strip), grid.used.shape[1]), dtype=np.bool_)
-    part[np.arange(len(strip)), target] = True
-    walk = np.where(np.append(np.diff(chain) == 0, False), std, np.inf)
-    every = np.arange(len(strip))
-    free = replace(
-        grid.take(strip, part), zero=every, segment_ids=grid.segment_ids[chain], walk=walk
-    )
-    return free, strip
-
-
-def likely_walk(grid: Grid, start: Floats, order: Ints) -> float:
-    """Return the standard deviation (m) per length that ``grid`` supports best, 0 for none.
-
-    ``start`` (p, 4): state of the strips of ``grid``.
-    """
-    at = start
-
-    def deviance(log_std: float) -> float:
-        wide, source = wandering(grid, order, float(np.exp(log_std)))
-        network = relax(wide, with_zeros(wide, at[source, :3]), grid.targets)
-        reduced = network.reduced
-        steps = int(np.isfinite(wide.walk).sum()) if wide.walk is not None else 0
-        # -2 ln of the restricted likelihood: chi-squared, ln det of the covariance
-        # of the steps, and ln det of the normal matrix, whose kept side is scaled
-        size = np.linalg.slogdet(reduced.regular())[1] - 2.0 * np.log(reduced.scale).sum()
-        size -= np.linalg.slogdet(reduced.inverse)[1].sum()
-        return float(network.chi2 + 2.0 * steps * log_std + size)
-
-    from scipy.optimize import minimize_scalar  # slow to load, and rarely needed
-
-    bounds = (np.log(LEAST_STD), np.log(LARGEST_STD))
-    found = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": NEAR})
-    nothing = deviance(bounds[0])
-    return float(np.exp(found.x)) if found.fun < nothing else 0.0
-
-
-def segment_report(grid: Grid, fit: Adjustment, order: Ints, scale: float) -> list[dict[str, Any]]:
-    """Return one entry per unbroken zero, in the order of time; none for a zero per station.
-
-    ``order`` (k,): when each row of the problem was taken; ``scale`` enlarges the uncertainty.
-
-    ``zero``, ``std``: range at reading zero where the segment begins, m. ``step``, ``step_std``:
-    the zero less that at the end of the segment before, as stations and targets that both have
-    measured show it, m; ``probability``: how likely it would be if the zero had stayed.
-    """
-    if grid.zero is None or grid.segment_ids is None:
-        return []
-    network = network_of(grid, fit)
-    zeros = slice(len(network.layout.places), None)
-    covariance = scale**2 * network.reduced.covariance()[zeros, zeros]
-    value = fit.distances[grid.first_of_zero]
-    linked = np.zeros(grid.n_zeros) if grid.walk is None else np.isfinite(grid.walk)
-    last = np.flatnonzero(~linked.astype(bool))
-    first = np.append(0, last[:-1] + 1)
-    taken = np.where(grid.row >= 0, order[grid.row], order.max() + 1).min(axis=1)
-    when = np.array([taken[grid.zero == z].min() for z in first])
-    chain = np.searchsorted(last, grid.zero)
-    count = np.bincount(chain, weights=grid.used.sum(axis=1), minlength=len(last))
-    entries = []
-    for k in np.argsort(when, kind="stable").tolist():
-        entry = {"segment": int(grid.segment_ids[first[k]]), "lengths": int(count[k])}
-        entries.append((entry, 0, first[k], last[k]))
-    return zeros_in_time(entries, value, covariance)
 
 
 def zeros_in_time(

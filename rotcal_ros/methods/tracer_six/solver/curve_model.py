@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats
@@ -11,9 +12,9 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KnownBeforehand,
     of_targets,
     slips_of,
-    step_of,
     taken,
 )
+from rotcal_ros.methods.tracer_six.lengths.zeros import SLIPPED
 from rotcal_ros.methods.tracer_six.solver.network import gauge_design
 from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
@@ -29,7 +30,8 @@ def curve_model(solution: SixSolution) -> CurveModel:
     station, target, order = taken(grid.row, problem.measuring_order)
     row, std = grid.row[station, target], grid.length_std[station, target]
     zero = layout.zero[station, target]
-    step = step_of(problem.slip, solution.slips, len(row))
+    missed = 1.0 if solution.slips is None else 1.0 - solution.slips.found
+    step = problem.slip * float(np.sqrt(SLIPPED / len(row) * missed))
     slips = slips_of(zero, order, step, float(std.min()))
     lengths = CarriedLengths(
         observed=grid.length[station, target],
@@ -56,7 +58,7 @@ def curve_model(solution: SixSolution) -> CurveModel:
     }
     return lengths.model(
         named,
-        [of_targets(lengths, grid.target_std, grid.free), _tilts(lengths, layout.tilt_std)],
+        [*of_targets(lengths, grid.target_std, grid.free), _tilts(lengths, layout.tilt_std)],
     )
 
 
@@ -79,6 +81,7 @@ def _scattered(solution: SixSolution) -> Floats:
 def _tilts(lengths: CarriedLengths, std: float | None) -> KnownBeforehand:
     """Return what is stated of EAC and EBC, less how both frames lean."""
     m = 0 if std is None else len(lengths.angles)
-    rows = lengths.rows_of("turn", [3 * j + axis for j in range(m) for axis in (0, 1)])
-    lean = gauge_design(lengths.angles[:m])[0] @ lengths.rows_of("frame")
-    return KnownBeforehand("the tilts", rows - lean, np.full(2 * m, std or 1.0))
+    tilts = np.array([3 * j + axis for j in range(m) for axis in (0, 1)], dtype=np.int64)
+    rows = lengths.rows_of("turn", tilts)
+    lean = csr_array(gauge_design(lengths.angles[:m])[0]) @ lengths.rows_of("frame")
+    return KnownBeforehand("the tilts", csr_array(rows - lean), np.full(2 * m, std or 1.0))

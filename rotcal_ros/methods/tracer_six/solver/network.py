@@ -9,8 +9,8 @@ are kept.
 What no length feels is fixed by constraints. Right motions: the table's own frame may lie
 anywhere, q -> W q + w with the poses to match. Left motions: without a prior on the targets the
 whole network may, too. And with free targets, places at one height on one circle about the axis
-leave a seventh: targets and circle as in :mod:`rotcal_ros.methods.tracer_six.lengths.joint`. None of
-them is felt by the curves.
+leave a seventh: targets and circle as in :mod:`~..lengths.joint`. None of them is felt by the
+curves.
 
 Places that cannot determine the table's tilts need a prior: the tilt c_i of each position, less
 what both frames contribute, u + Rz w with four unknowns (u, w), is an observation of zero with the
@@ -37,8 +37,8 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.tracer_six.lengths.network import SchurComplement, rigid
 from rotcal_ros.methods.tracer.solver.problem import Grid
+from rotcal_ros.methods.tracer_six.lengths.network import SchurComplement, rigid
 from rotcal_ros.methods.tracer_six.solver.problem import StationLayout
 
 GAUGE_STEPS: Final = 20

@@ -8,14 +8,13 @@ Start values: stations by multilateration, then poses by rigid fits. Targets in 
 images of each station; the nominal places show which is meant. A position without three of its
 stations starts at its commanded angle.
 
-Jumps of a zero are searched for as with a single place (:mod:`~..tracer.solver.zeros`). Lengths
+Jumps of a zero are searched for as with a single place (:mod:`~..lengths.zeros`). Lengths
 of a run that grow by the same amount from some moment on look like a place that rose there, and
 three places always have a plane: where no angle is measured again in the same run, most of a slip
 is taken for tilts and heights of the table.
 
 Trials: each is solved to the end, by Gauss-Newton with its exact slopes and the normal matrix of
-the measurement, as in :mod:`rotcal_ros.methods.tracer.solver.trials`; but one by one, for the
-table turns in space.
+the measurement; one by one, for the table turns in space.
 """
 
 from __future__ import annotations
@@ -35,11 +34,12 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import align, rotation_about_z
+from rotcal_ros.methods.tracer.solver.observability import or_prior, told_of_a_turned_sign
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.solver.start import start_candidates
 from rotcal_ros.methods.tracer_six.lengths.adjustment import Adjustment, adjust_stations
 from rotcal_ros.methods.tracer_six.lengths.joint import felt_by_targets, target_test
 from rotcal_ros.methods.tracer_six.lengths.network import LengthView
-from rotcal_ros.methods.tracer.solver.observability import or_prior, told_of_a_turned_sign
-from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
 from rotcal_ros.methods.tracer_six.lengths.screening import (
     Grouping,
     ScreenedLengths,
@@ -48,8 +48,6 @@ from rotcal_ros.methods.tracer_six.lengths.screening import (
     reject_gross,
     scaled,
 )
-from rotcal_ros.methods.tracer.solver.start import start_candidates
-from rotcal_ros.methods.tracer.solver.trials import MOST_STEPS, SETTLED
 from rotcal_ros.methods.tracer_six.lengths.verdict import LengthEvidence
 from rotcal_ros.methods.tracer_six.lengths.zeros import (
     MOST_JUMPS,
@@ -94,6 +92,10 @@ from rotcal_ros.methods.tracer_six.solver.scatter import (
     turned,
 )
 
+MOST_STEPS: Final = 6
+"""Steps of a trial; what has not settled then is quicker solved alone."""
+SETTLED: Final = 1e-10
+"""Squared length, in standard deviations, of a last step that left nothing to do."""
 RANK_TOLERANCE: Final = 1e-13
 """Eigenvalue, as a share of the largest, of a direction that the lengths leave open."""
 CURE: Final = (

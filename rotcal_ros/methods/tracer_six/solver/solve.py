@@ -5,12 +5,12 @@ suspect
     lengths is too large all the same (the covariance is then enlarged by it); the distances
     between the places contradict the stated scatter (the estimate is used); more than
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
-    allows; something gathers (:mod:`rotcal_ros.methods.tracer_six.lengths.screening`); the zero of a
+    allows; something gathers (:mod:`~..lengths.screening`); the zero of a
     place jumps where no beam broke; the machine or the tracer has moved between the runs or within
     one (:mod:`.scatter`); a position of the plan is missing; or the stated z seems to point into
     the table (:class:`Upward`).
 failed
-    the noise is beyond the limits of :mod:`rotcal_ros.methods.tracer_six.lengths.verdict`, or more than
+    the noise is beyond the limits of :mod:`~..lengths.verdict`, or more than
     a fifth of the lengths were rejected.
 
 What protects the curves against each effect that could spoil them is said to first order about a
@@ -37,8 +37,9 @@ from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Placement, Rejection, Result, Verdict, Zeros
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer_six.lengths.network import less_rigid
 from rotcal_ros.methods.tracer.solver.observability import Numbering
+from rotcal_ros.methods.tracer_six.lengths.adjustment import residual_table
+from rotcal_ros.methods.tracer_six.lengths.network import less_rigid
 from rotcal_ros.methods.tracer_six.lengths.protections import (
     KNOCKED_AT,
     LARGEST_MOVE,
@@ -58,8 +59,11 @@ from rotcal_ros.methods.tracer_six.lengths.reported import (
     scatter_along,
     weigh,
 )
-from rotcal_ros.methods.tracer_six.lengths.screening import WORDS, gathering_protection, rejection_limit
-from rotcal_ros.methods.tracer.solver.solve import residual_table
+from rotcal_ros.methods.tracer_six.lengths.screening import (
+    WORDS,
+    gathering_protection,
+    rejection_limit,
+)
 from rotcal_ros.methods.tracer_six.lengths.verdict import doubt_jump, judged
 from rotcal_ros.methods.tracer_six.lengths.zeros import largest_share, zeros_in_time
 from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, timing
