@@ -25,7 +25,6 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
-    KNOWN,
     CarriedLengths,
     KnownBeforehand,
     of_targets,
@@ -40,6 +39,11 @@ CIRCLE: Final = 5
 """Stations from which on their plane gives the direction of the axis."""
 MOST_LENGTHS: Final = 3000
 """Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
+ROUND: Final = 2e-8
+"""Error motion (m) of a table that is called perfectly round: what contradicts it has to be able
+to do so."""
+ERROR_MOTION: Final = "the error motion"
+STATED_CIRCLE: Final = "the stated circle"
 LATER_RUN: Final = "zero of a later run"
 
 
@@ -222,7 +226,7 @@ def _about_axis(
     An error motion of few orders has amplitudes, of which their size is stated, and a white rest.
     ``circle``: standard deviation by which stations leave it, m; None: nothing is said of that.
     """
-    m, angles, name = len(lengths.angles), lengths.angles, "the error motion"
+    m, angles, name = len(lengths.angles), lengths.angles, ERROR_MOTION
     waves = supposed.spectrum.root(angles)[:, : 2 * len(supposed.spectrum.orders)]
     more = {"error motion": 2 * waves.shape[1]} if waves.size else {}
     lengths = replace(lengths, more=more if circle is None else {**more, "lean": 3})
@@ -233,7 +237,7 @@ def _about_axis(
     if waves.size:
         amplitudes = lengths.rows_of("error motion")
         off = off - csr_array(kron(waves, np.eye(2))) @ amplitudes
-        size = np.full(amplitudes.shape[0], max(supposed.motion, KNOWN))
+        size = np.full(amplitudes.shape[0], max(supposed.motion, ROUND))
         stated.append(KnownBeforehand(name, amplitudes, size))
     # across the circle and along it
     round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
@@ -242,7 +246,7 @@ def _about_axis(
     entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
     rows = csr_array(csr_array(entries, shape=(2 * m, 2 * m)) @ off)
     white = np.sqrt(supposed.spectrum.white)
-    std = np.full(2 * m, max(supposed.motion * white, KNOWN))
+    std = np.full(2 * m, max(supposed.motion * white, ROUND))
     if circle is None:
         return lengths, [*stated, KnownBeforehand(name, rows, std)]
     lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
@@ -250,6 +254,6 @@ def _about_axis(
     across = csr_array(vstack([rows[0::2], height], format="csr"))
     return lengths, [
         *stated,
-        KnownBeforehand("the stated circle", across, np.full(2 * m, circle)),
+        KnownBeforehand(STATED_CIRCLE, across, np.full(2 * m, circle)),
         KnownBeforehand(name, csr_array(rows[1::2]), std[:m]),
     ]

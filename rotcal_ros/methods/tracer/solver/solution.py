@@ -17,25 +17,37 @@ from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.adjust.effects import correlations, limit_of_family
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
+from rotcal_ros.adjust.error_motion import WHITE
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.other_way import by_other_way
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.errors import ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver.carried_lengths import slips_of
-from rotcal_ros.methods.tracer.solver.circle import TableMotion, bearing_slopes, table_motion
+from rotcal_ros.methods.tracer.solver.circle import (
+    ABSORBED,
+    TableMotion,
+    bearing_slopes,
+    check_sense,
+    table_motion,
+)
 from rotcal_ros.methods.tracer.solver.error_motion import error_motion_of
 from rotcal_ros.methods.tracer.solver.observability import (
     check_station_rank,
     check_station_spread,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed
+from rotcal_ros.methods.tracer.solver.posed import (
+    ERROR_MOTION,
+    STATED_CIRCLE,
+    Posed,
+    Supposed,
+)
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
@@ -113,6 +125,7 @@ class Slips(NamedTuple):
 class TracerSolution:
     """A solved problem: how it was ``posed``, what the engine ``found`` with what is ``supposed``.
 
+    ``contradicted``: stations leave their circle by more than is stated; what they show is used.
     ``printed`` (m, 4): stations and distances by the paper's equations; None: those of the model.
     ``slips``: those that would not be found; None where every station has a zero of its own. All
     arrays of stations follow ``positions``.
@@ -122,6 +135,7 @@ class TracerSolution:
     found: Adjusted
     supposed: Supposed
     error_motion: ErrorMotion
+    contradicted: bool = False
     printed: Floats | None = None
     slips: Slips | None = None
     reported: Reported | None = None
@@ -256,14 +270,14 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
     stated = problem.error_motion_std
     stated = problem.circle_std if stated is None else stated
     walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
-    motion = ErrorMotion(stated, 0.0, 0.0, 0, stated or 0.0)
     begin = Supposed(FREE_CIRCLE if stated is None else stated, walk=walk)
+    motion = ErrorMotion(stated, 0.0, 0.0, 0, begin.motion)
     solution = TracerSolution(posed, _solved(posed, begin), begin, motion)
     solution = _weighed(solution)
     if problem.zero_walk_std is None:
         solution = _walking(solution)
-    if stated is None:
-        solution = _with_error_motion(solution)
+    solution = _with_error_motion(solution) if stated is None else _believed(solution)
+    check_sense(solution.motion, solution.stations, solution.table_angles, solution.positions)
     check_station_spread(
         solution.stations, solution.station_blocks, solution.positions,
         problem.settings.max_station_std,
@@ -290,6 +304,34 @@ def _again(solution: TracerSolution, supposed: Supposed) -> TracerSolution:
     return replace(solution, found=_solved(solution.posed, supposed), supposed=supposed)
 
 
+def _believed(solution: TracerSolution) -> TracerSolution:
+    """Return the solution with the error motion that is stated, or what contradicts it.
+
+    Then it is that which the circle of the stations leaves open, if the lengths alone place them.
+    """
+    found, motion = solution.found, solution.error_motion
+    estimated, names = found.diagnosis.noise.estimated, found.model.components
+    about = [k for k, name in enumerate(names) if name in (ERROR_MOTION, STATED_CIRCLE)]
+    rows = np.isin(found.model.of_component, about)
+    checked = float(found.fit.redundancy[rows].sum())
+    stated = found.model.std[rows]
+    squares = float(((found.fit.residual[rows] / stated) ** 2).sum())
+    likely = motion.used * sqrt(squares / checked) if checked > 0.0 else 0.0
+    dof = max(len(solution.stations) - ABSORBED, 0)
+    if estimated is not None:
+        beyond = estimated.contradicted(found.diagnosis.limits.significance)
+        if any(beyond[k] and estimated.factors[k] > 1.0 for k in about):
+            try:
+                posed = replace(solution.posed, problem=replace(solution.problem, circle_std=None))
+                free = replace(solution.supposed, motion=FREE_CIRCLE)
+                alone = replace(_again(replace(solution, posed=posed), free), error_motion=motion)
+                return replace(_with_error_motion(alone), contradicted=True)
+            except RotcalError:
+                pass  # without the circle the lengths do not even place the stations
+    known = ErrorMotion(motion.stated, likely, max(likely, motion.used), dof, motion.used)
+    return replace(solution, error_motion=known)
+
+
 def _with_error_motion(alone: TracerSolution) -> TracerSolution:
     """Return the solution with the error motion that stations ``alone`` leave their circle by."""
     m = len(alone.stations)
@@ -298,8 +340,11 @@ def _with_error_motion(alone: TracerSolution) -> TracerSolution:
     motion, spectrum = error_motion_of(
         stations, table_motion(stations, angles), alone.station_covariance(which)
     )
+    stated = alone.error_motion.stated
+    if stated is not None and motion.used < stated:
+        motion, spectrum = replace(motion, used=stated), WHITE
     supposed = replace(alone.supposed, motion=motion.used, spectrum=spectrum)
-    return replace(_again(alone, supposed), error_motion=motion)
+    return replace(_again(alone, supposed), error_motion=replace(motion, stated=stated))
 
 
 def _walking(solution: TracerSolution) -> TracerSolution:

@@ -27,7 +27,7 @@ from rotcal_ros.foundation.results import (
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
-from rotcal_ros.methods.tracer.solver.posed import LATER_RUN
+from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, LATER_RUN, STATED_CIRCLE
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 
@@ -172,6 +172,14 @@ def _doubts(solution: TracerSolution, closing: tuple[Closure, ...]) -> Iterator[
     for effect in solution.found.found_effects:
         if effect.effect.effect == "slip":
             yield _cause(float(effect.sizes[0]), float(effect.std[0]), solution.problem.slip)
+    motion = solution.error_motion
+    if solution.contradicted:
+        what = "the table's radial error motion is larger than was stated,"
+        rms = float(np.sqrt(np.mean(solution.motion.radial**2)))
+        yield (
+            f"the stations leave their circle by {rms:.3g} m (rms): {what} {motion.stated:.2g} m; "
+            f"{motion.used:.2g} m, from {motion.dof} residuals of the circle, is used in its place"
+        )
     missing = solution.problem.missing(solution.positions)
     if missing:
         names = ", ".join(str(j) for j in missing)
@@ -537,7 +545,7 @@ def _hidden_motion(solution: TracerSolution) -> float:
     deviation over the root of r.
     """
     found, m = solution.found, len(solution.std)
-    name = "the stated circle" if solution.problem.circle_std else "the error motion"
+    name = STATED_CIRCLE if solution.problem.circle_std else ERROR_MOTION
     rows = found.model.of_component == found.model.components.index(name)
     checked = float(found.fit.redundancy[rows].sum())
     if m <= 3 or checked < 1e-3:
