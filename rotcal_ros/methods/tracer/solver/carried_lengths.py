@@ -43,6 +43,8 @@ KNOWN: Final = 1e-9
 """Standard deviation (m) of a coordinate that is called known, where others have errors."""
 DATUM: Final = 1e-6
 """Standard deviation (m) of what is defined: any will do, for no length contradicts it."""
+FIRM: Final = 1e-9
+"""Share below which a turn of targets in one line is none."""
 LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m) that could not be overlooked."""
 LARGEST_RATIO: Final = 1e-3
@@ -367,7 +369,7 @@ def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBe
     """Return what is stated of the targets: ``std`` (n, 3), m, of each coordinate.
 
     Or where they are ``free``, that they have not moved, turned or grown as a whole: it defines
-    the place of all, which lengths leave open, and nothing else.
+    what lengths leave open, and nothing else.
     """
     if free:
         about = lengths.targets - lengths.targets.mean(axis=0)
@@ -376,8 +378,8 @@ def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBe
         ways[:, 3:6] = -cross_matrix(about).reshape(-1, 3)
         ways[:, 6] = about.ravel()
         axes, size, _ = np.linalg.svd(ways / np.linalg.norm(ways, axis=0), full_matrices=False)
-        rows = csr_array(axes[:, size > 1e-9].T) @ lengths.rows_of("target")
-        return [KnownBeforehand("the datum", csr_array(rows), np.full(rows.shape[0], DATUM))]
+        rows = csr_array(csr_array(axes[:, size > FIRM].T) @ lengths.rows_of("target"))
+        return [KnownBeforehand("the datum", rows, np.full(rows.shape[0], DATUM))]
     return [
         KnownBeforehand(
             f"the targets' {axis}",

@@ -84,7 +84,8 @@ class Reported(NamedTuple):
 
     ``along``: by how much the reports of one target scatter along the beams, m (standard
     deviation); ``left``: what stays unknown of a length for it, m, which has joined its standard
-    deviation. ``estimated``: neither 1 nor 0 explains the lengths.
+    deviation. ``estimated``: neither 1 nor 0 explains the lengths. ``spoils``: the lengths scatter
+    beyond their statement by so much (m), and noise of the believed reports would explain it.
     """
 
     weight: float
@@ -92,6 +93,7 @@ class Reported(NamedTuple):
     along: float
     left: float
     estimated: bool = False
+    spoils: float = 0.0
 
 
 class Slips(NamedTuple):
@@ -278,10 +280,11 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
         solution = _walking(solution)
     solution = _with_error_motion(solution) if stated is None else _believed(solution)
     check_sense(solution.motion, solution.stations, solution.table_angles, solution.positions)
-    check_station_spread(
-        solution.stations, solution.station_blocks, solution.positions,
-        problem.settings.max_station_std,
-    )  # fmt: skip
+    if not posed.grid.free:  # there a place depends on what defines it, and the angle does not
+        check_station_spread(
+            solution.stations, solution.station_blocks, solution.positions,
+            problem.settings.max_station_std,
+        )  # fmt: skip
     if problem.variant == "station":
         return as_printed(solution)
     found = solution.found
@@ -387,17 +390,34 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
     beyond = float(seen.score[0]) / information
     squares = max(found.fit.chi2 - float(seen.score[0]) * beyond, 0.0) / (found.fit.dof - 1)
     std = sqrt(max(squares, 1e-2) / information)
-    if abs(beyond) < CONSISTENT * std:
-        return replace(solution, reported=Reported(1.0, std, scatter, 0.0))
+    excess = _excess(solution)
+    share = (excess / scatter) ** 2
+    # as much noise in believed reports turns the slope by its share of their variance
+    spoils = excess if 0.0 < share < 1.0 and abs(beyond + share) < CONSISTENT * std else 0.0
+    unmoved = None
     if abs(1.0 + beyond) < CONSISTENT * std:
-        supposed = replace(solution.supposed, weight=0.0)
-        reported = Reported(0.0, std, scatter, 0.0)
-        return replace(_again(solution, supposed), reported=reported)
+        unmoved = _again(solution, replace(solution.supposed, weight=0.0))
+        unmoved = replace(unmoved, reported=Reported(0.0, std, scatter, 0.0))
+    if abs(beyond) < CONSISTENT * std and (unmoved is None or _excess(unmoved) >= spoils):
+        return replace(solution, reported=Reported(1.0, std, scatter, 0.0, spoils=spoils))
+    if unmoved is not None:
+        return unmoved
     weight = min(max(1.0 + beyond, 0.0), 1.0)
     left = scatter * sqrt(weight * (1.0 - weight) + std**2)
     supposed = replace(solution.supposed, weight=weight, left=left)
     reported = Reported(weight, std, scatter, left, estimated=True)
     return replace(_again(solution, supposed), reported=reported)
+
+
+def _excess(solution: TracerSolution) -> float:
+    """Return what lengths scatter beyond their statement, m; 0 where they do not contradict it."""
+    noise, limits = solution.found.diagnosis.noise, solution.found.diagnosis.limits
+    factor = float(noise.factors[0])
+    if noise.estimated is None or factor <= 1.0:
+        return 0.0
+    if not noise.estimated.contradicted(limits.significance)[0]:
+        return 0.0
+    return float(solution.posed.lengths.std.mean()) * sqrt(factor**2 - 1.0)
 
 
 def unseen_slips(

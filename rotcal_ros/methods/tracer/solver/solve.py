@@ -29,7 +29,7 @@ from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
 from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, LATER_RUN, STATED_CIRCLE
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
-from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
+from rotcal_ros.methods.tracer.solver.solution import Reported, TracerSolution, adjust
 
 METHOD = "tracer_multistation"
 MOST_FRINGES: Final = 3
@@ -223,13 +223,25 @@ def _remarks(solution: TracerSolution) -> Iterator[str]:
             "lower side was taken; give start_stations to choose the other"
         )
     yield from (_joined(join) for join in joins_of(solution))
-    if (reported := solution.reported) is None or (
-        reported.weight == 1.0 and not reported.estimated
-    ):
+    if solution.reported is not None:
+        yield from _weighed(solution.reported)
+
+
+def _weighed(reported: Reported) -> Iterator[str]:
+    """Yield what was made of the reported places, where they are not simply believed."""
+    along, spoils = reported.along / MICROMETRE, reported.spoils / MICROMETRE
+    if reported.weight == 1.0 and not reported.estimated:
+        if spoils:
+            yield (
+                "reported places: the lengths were reduced by what the machine reports of the "
+                f"probe, {along:.2g} um along the beams; if {spoils:.2g} um of that is noise of "
+                "the reports, it is what makes the lengths scatter: compare with what the machine "
+                "reports while it stands still"
+            )
         return
     text = (
-        f"reported places: what the machine reports of the probe scatters by "
-        f"{reported.along / MICROMETRE:.2g} um along the beams, and the lengths "
+        f"reported places: what the machine reports of the probe scatters by {along:.2g} um along "
+        "the beams, and the lengths "
     )
     if not reported.estimated:
         yield f"{text}do not follow it: it is noise of the reports, and was not used"
