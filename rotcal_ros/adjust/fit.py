@@ -329,7 +329,8 @@ def _damped(model: Model, x: Floats, weight: Floats, extra: Floats) -> Floats | 
     """Return the unknowns (p + q,) where damped steps from ``x`` end; None where they do not.
 
     After Levenberg and Marquardt, for long bent valleys, which steps follow (Transtrum and Sethna,
-    arXiv:1201.5885): whole ones leave them, and shortened ones creep. Where a valley is flat, any place of it will do.
+    arXiv:1201.5885): whole ones leave them, and shortened ones creep. Where a valley is flat, any
+    place of it will do.
     """
     computed, jacobian = _computed(model, x, extra)
     white = (model.observed - computed) * weight

@@ -273,6 +273,7 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
     stated = problem.circle_std if stated is None else stated
     walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
     begin = Supposed(FREE_CIRCLE if stated is None else stated, walk=walk)
+    begin = replace(begin, weight=_nearest(posed, begin))
     motion = ErrorMotion(stated, 0.0, 0.0, 0, begin.motion)
     solution = TracerSolution(posed, _solved(posed, begin), begin, motion)
     solution = _weighed(solution)
@@ -376,37 +377,69 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
     say, beside all other unknowns. One that 1 explains is 1: the reports are believed; one that 0
     explains is 0: the machine stood still.
     """
-    posed, found, moved = solution.posed, solution.found, solution.problem.moved
-    lengths, along = posed.lengths, posed.moved
-    if moved is None or np.abs(moved).max(initial=0.0) < UNNOTICED * lengths.std.min():
+    if not _noticed(solution.posed):
         return solution
+    lengths, along, found = solution.posed.lengths, solution.posed.moved, solution.found
     free = len(along) - len(np.unique(lengths.target))
     scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
-    column = np.pad(along, (0, found.model.size[0] - len(along)))[:, None]
-    seen = seen_by(found.fit, column)
-    information = float(seen.information[0, 0])
-    if information <= 1e-9 * float(seen.whole[0]) or found.fit.dof < 2:
+    beyond, information = _slope(solution.posed, found.fit)
+    if not information or found.fit.dof < 2:
         return replace(solution, reported=Reported(1.0, 0.0, scatter, 0.0))
-    beyond = float(seen.score[0]) / information
-    squares = max(found.fit.chi2 - float(seen.score[0]) * beyond, 0.0) / (found.fit.dof - 1)
+    squares = max(found.fit.chi2 - information * beyond**2, 0.0) / (found.fit.dof - 1)
     std = sqrt(max(squares, 1e-2) / information)
-    excess = _excess(solution)
-    share = (excess / scatter) ** 2
-    # as much noise in believed reports turns the slope by its share of their variance
-    spoils = excess if 0.0 < share < 1.0 and abs(beyond + share) < CONSISTENT * std else 0.0
-    unmoved = None
-    if abs(1.0 + beyond) < CONSISTENT * std:
-        unmoved = _again(solution, replace(solution.supposed, weight=0.0))
-        unmoved = replace(unmoved, reported=Reported(0.0, std, scatter, 0.0))
-    if abs(beyond) < CONSISTENT * std and (unmoved is None or _excess(unmoved) >= spoils):
-        return replace(solution, reported=Reported(1.0, std, scatter, 0.0, spoils=spoils))
+    weight = solution.supposed.weight + beyond
+
+    def at(weight: float) -> TracerSolution:
+        if weight == solution.supposed.weight:
+            return solution
+        return _again(solution, replace(solution.supposed, weight=weight))
+
+    unmoved = at(0.0) if abs(weight) < CONSISTENT * std else None
+    if abs(weight - 1.0) < CONSISTENT * std:
+        believed = at(1.0)
+        excess = _excess(believed)
+        # as much noise in believed reports turns the slope by its share of their variance
+        share = (excess / scatter) ** 2
+        spoiled = 0.0 < share < 1.0 and abs(weight - 1.0 + share) < CONSISTENT * std
+        spoils = excess if spoiled else 0.0
+        if unmoved is None or _excess(unmoved) >= spoils:
+            reported = Reported(1.0, std, scatter, 0.0, spoils=spoils)
+            return replace(believed, reported=reported)
     if unmoved is not None:
-        return unmoved
-    weight = min(max(1.0 + beyond, 0.0), 1.0)
+        return replace(unmoved, reported=Reported(0.0, std, scatter, 0.0))
+    weight = min(max(weight, 0.0), 1.0)
     left = scatter * sqrt(weight * (1.0 - weight) + std**2)
     supposed = replace(solution.supposed, weight=weight, left=left)
     reported = Reported(weight, std, scatter, left, estimated=True)
     return replace(_again(solution, supposed), reported=reported)
+
+
+def _noticed(posed: Posed) -> bool:
+    """Whether any length feels what was reported beside the mean place."""
+    moved = posed.problem.moved
+    return moved is not None and bool(
+        np.abs(moved).max(initial=0.0) >= UNNOTICED * posed.lengths.std.min()
+    )
+
+
+def _slope(posed: Posed, fit: Fit) -> tuple[float, float]:
+    """Return how much more of the reported moves the lengths follow, and its information."""
+    column = np.pad(posed.moved, (0, fit.model.size[0] - len(posed.moved)))[:, None]
+    seen = seen_by(fit, column)
+    information = float(seen.information[0, 0])
+    if information <= 1e-9 * float(seen.whole[0]):
+        return 0.0, 0.0
+    return float(seen.score[0]) / information, information
+
+
+def _nearest(posed: Posed, supposed: Supposed) -> float:
+    """Return 0 or 1, the nearest to what all lengths follow of the reported moves."""
+    if not _noticed(posed):
+        return 1.0
+    model = posed.model(replace(supposed, weight=0.0))
+    every = np.ones(model.size[0], dtype=np.bool_)
+    beyond, _ = _slope(posed, fitted(model, every, model.std, model.first))
+    return float(beyond > 0.5)
 
 
 def _excess(solution: TracerSolution) -> float:
