@@ -26,6 +26,12 @@ from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
+FEW: Final = 600
+"""Unknowns up to which normal equations as a whole are quicker than QR block by block."""
+LARGEST_SHARE: Final = 1.0 / 3.0
+"""Share of all unknowns that are in groups which the largest of them should not exceed."""
+NEARLY_AS_MANY: Final = 0.9
+"""Share of the most rows that feel an unknown from which another is felt by as many."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
 
@@ -55,6 +61,11 @@ class FewEach(Design):
         if self.extra is None:
             return np.zeros((self.few.shape[0] + len(self.known), 0))
         return self.extra
+
+    @property
+    def rough_first(self) -> bool:  # type: ignore[override]
+        """Whether steps are quicker without its kernel: of few unknowns, by normal equations."""
+        return self.shape[1] <= FEW
 
     @property
     def finite(self) -> bool:
@@ -159,13 +170,26 @@ class Groups:
         alone = (count > 0) & (count <= np.sqrt(n * np.median(count[count > 0])))
         if joined is not None:
             alone[joined] = False
-        inside = alone[column]
-        ones = np.ones(int(inside.sum()))
-        graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
-        label = connected_components(graph, directed=False)[1]
-        groups, group = np.unique(label[n:][alone], return_inverse=True)
-        if len(groups) < 2:
-            return None
+        first = None
+        while True:
+            inside = alone[column]
+            ones = np.ones(int(inside.sum()))
+            graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
+            label = connected_components(graph, directed=False)[1]
+            groups, group = np.unique(label[n:][alone], return_inverse=True)
+            found = alone, inside, label, groups, group
+            if len(groups) > 1:
+                first = first or found
+                if np.bincount(group).max() <= LARGEST_SHARE * alone.sum():
+                    break
+            # else one of two sides that feel each other: the one that fewer feel
+            alone = alone & (count < NEARLY_AS_MANY * count[alone].max(initial=0))
+            if not alone.any():
+                if first is None:
+                    return None
+                found = first
+                break
+        alone, inside, label, groups, group = found
         number = np.full(label.max() + 1, -1)
         number[groups] = np.arange(len(groups))
         of_row = number[label[:n]]

@@ -9,8 +9,8 @@ from tracer_scene import low_ring, simulate
 
 from rotcal_ros.methods.tracer.figures import tables
 from rotcal_ros.methods.tracer.solver import solve
-from rotcal_ros.methods.tracer.solver.network import less_rigid, rigid
 from rotcal_ros.methods.tracer_six import solver as tracer_six
+from rotcal_ros.methods.tracer_six.lengths.network import less_rigid, rigid
 
 WRONG = 2e-6
 

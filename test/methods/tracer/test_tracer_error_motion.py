@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from chances import LONG
 
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes, table_motion
-from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_of, error_motion_spread
+from rotcal_ros.methods.tracer.solver.error_motion import error_motion_of, error_motion_spread
 
 ARCSEC = np.pi / 648000
 RADIUS, HEIGHT = 0.1, 0.25
@@ -79,10 +77,8 @@ def test_a_zero_that_was_stated_is_believed_until_the_circle_speaks():
 
 
 def independent(noise, m):
-    """Stations with the same noise each, and no error of the targets."""
-    zero = LowRank.whole(np.zeros((3 * m, 3 * m)), 3)
-    lengths = LowRank.whole(noise**2 * np.eye(3 * m), 3)
-    return StationCovariance(lengths, zero, np.zeros((3 * m, 0, 3)), 100.0)
+    """Covariance of stations with the same noise each, and no error of the targets."""
+    return noise**2 * np.eye(3 * m)
 
 
 NOISE = 2e-7
@@ -106,9 +102,9 @@ def measured(rng, m, motion_std, runs, orders=()):
         stations = true + NOISE * rng.standard_normal((m, 3))
         stations[:, :2] += motion_std * moves(rng, m, orders)
         found = table_motion(stations, angles)
-        estimate, spectrum = error_motion_of(stations, found, known, 1.0, None, False)
+        estimate, spectrum = error_motion_of(stations, found, known)
         motion = error_motion_spread(found, estimate.used, spectrum)
-        total = known.lengths.dense() + motion.dense()
+        total = known + motion.dense()
         yield found, bearing_slopes(stations, found).dense(), total
 
 
@@ -157,7 +153,7 @@ def test_exact_stations_on_an_exact_circle_have_no_error_motion():
     angles = 2 * np.pi * np.arange(12) / 12
     stations = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), 0 * angles], axis=1)
     none = independent(0.0, 12)
-    found, _ = error_motion_of(stations, table_motion(stations, angles), none, 1.0, None, False)
+    found, _ = error_motion_of(stations, table_motion(stations, angles), none)
     assert found.likely == 0.0
     assert found.allowed < 1e-11
 
@@ -168,7 +164,7 @@ def test_without_any_error_motion_little_is_added():
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
     known = independent(noise, m)
     used = [
-        error_motion_of(stations, table_motion(stations, angles), known, 1.0, None, False)[0].used
+        error_motion_of(stations, table_motion(stations, angles), known)[0].used
         for stations in (true + noise * rng.standard_normal((m, 3)) for _ in range(100))
     ]
     assert np.median(used) < 0.2 * noise

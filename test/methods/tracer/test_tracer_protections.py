@@ -6,9 +6,6 @@ from chances import LONG, most
 
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver import protections as patterns
-from rotcal_ros.methods.tracer.solver.protections import respond
-from rotcal_ros.methods.tracer.solver.solution import adjust
 
 STATIONS, TARGETS, RADIUS = 12, 24, 0.09
 LENGTH, TARGET = 2e-7, 1e-6
@@ -106,45 +103,6 @@ def test_what_the_plan_and_the_settings_change():
     assert once["error motion"].error > 2.0
     runs = treatments(solve(measured(1, turned=2 * STATIONS, repeated_runs=True)))
     assert runs["repeatability"].treatment == "estimated"
-
-
-@pytest.mark.parametrize("interleaved", [False, True])
-def test_response_is_what_the_solver_does(interleaved):
-    quiet = measured(2, interleaved=interleaved)
-    solution = adjust(quiet)
-    slow, size = patterns.drifts(solution)[1:2], 2e-7
-    moved = solve(measured(2, interleaved=interleaved, effect=drifting(size)))
-    found = moved.deviations["ECC"] - solution.motion.cumulative
-    said = respond(solution, slow).deviations[0] * size
-    assert found == pytest.approx(said, abs=2e-2 * np.abs(said).max() + 1e-12)
-    out = respond(solution, patterns.knocks(solution)[3:4]).deviations[0] * size
-    moved = solve(measured(2, interleaved=interleaved, effect=knocked(size)))
-    found = moved.deviations["ECC"] - solution.motion.cumulative
-    assert found == pytest.approx(out, abs=2e-2 * np.abs(out).max() + 1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("interleaved", [False, True])
-@pytest.mark.parametrize(
-    ("effect", "pattern"),
-    [(drifting, lambda s: patterns.drifts(s)[1:2]),
-     (knocked, lambda s: patterns.knocks(s)[3:4])],
-    ids=["drift", "knock"],
-)  # fmt: skip
-def test_what_is_called_detectable_turns_the_verdict(effect, pattern, interleaved):
-    solution = adjust(measured(3, interleaved=interleaved))
-    size = float(respond(solution, pattern(solution)).detectable[0])
-    assert size < 1e-4
-    verdicts = [
-        solve(measured(100 + k, interleaved=interleaved, effect=effect(size))).verdict
-        for k in range(RUNS)
-    ]
-    assert verdicts.count("ok") <= most(0.05, RUNS)
-    half = [
-        solve(measured(100 + k, interleaved=interleaved, effect=effect(0.3 * size))).verdict
-        for k in range(RUNS // 2)
-    ]
-    assert half.count("ok") >= 0.6 * (RUNS // 2)  # not detectable by far
 
 
 def test_a_leaning_axis_and_a_wrong_scale_hardly_touch_the_angle():

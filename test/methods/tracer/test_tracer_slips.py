@@ -10,8 +10,6 @@ from test_tracer_segments import ecc_covariance
 from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR
 from rotcal_ros.methods.tracer.solver import solve
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.methods.tracer.solver.trials import predicted
-from rotcal_ros.methods.tracer.solver.zeros import Jump
 
 FRINGE = 0.3164e-6
 
@@ -104,10 +102,3 @@ def test_the_result_says_how_many_slips_would_be_found():
     for options in ({"segment": None}, {"segment": 0, "slip": 0.0}):
         given = {"zero": 0.5, **options}
         assert "slip" not in {p.effect for p in solve(measure().problem(**given)).protections}
-
-
-def test_whole_fringes():
-    assert Jump(0, 0, -0.65e-6, 0.05e-6, 9.0).fringes(FRINGE) == -2
-    assert Jump(0, 0, -0.45e-6, 0.05e-6, 9.0).fringes(FRINGE) == 0  # one and a half
-    assert Jump(0, 0, 9 * FRINGE, 0.05e-6, 9.0).fringes(FRINGE) == 0
-    assert Jump(0, 0, FRINGE, 0.05e-6, 9.0).fringes(0.0) == 0

@@ -112,7 +112,7 @@ class CarriedLengths:
         return {
             "shift": 3 * m,
             "turn": self.turns * m,
-            "place": self.places.size,
+            "place": self.ways.shape[1] * len(self.places),
             "zero": len(self.zeros),
             "target": self.targets.size,
             "frame": 4 if self.tilts else 2,
@@ -136,6 +136,17 @@ class CarriedLengths:
         """How many turns of the table are unknown at each angle: about z, or all three."""
         return 3 if self.tilts else 1
 
+    @cached_property
+    def ways(self) -> Floats:
+        """Unit vectors (p, w, 3) along which each place is unknown.
+
+        Out from the axis; along and up it is a shift of all, unless the table's tilts are unknown.
+        """
+        if self.tilts:
+            return np.broadcast_to(np.eye(3), (len(self.places), 3, 3))
+        flat = self.places * [1.0, 1.0, 0.0]
+        return (flat / np.linalg.norm(flat, axis=1)[:, None])[:, None]
+
     def rows_of(self, block: str, number: Sequence[int] | Ints | slice = slice(None)) -> csr_array:
         """Return rows that take unknowns of a block out of all, by their entries."""
         unknown = self.first[block] + np.arange(self.blocks[block])[number]
@@ -146,11 +157,11 @@ class CarriedLengths:
     @cached_property
     def _entries(self) -> tuple[Ints, Ints]:
         """Columns of what each length feels, and where those of each begin (k + 1,)."""
-        first, t = self.first, self.turns
+        first, t, w = self.first, self.turns, self.ways.shape[1]
         every = [
             first["shift"] + 3 * self.position[:, None] + np.arange(3),
             first["turn"] + t * self.position[:, None] + np.arange(t),
-            first["place"] + 3 * self.place[:, None] + np.arange(3),
+            first["place"] + w * self.place[:, None] + np.arange(w),
             first["zero"] + self.zero[:, None],
             first["target"] + 3 * self.target[:, None] + np.arange(3),
         ]
@@ -172,7 +183,8 @@ class CarriedLengths:
         vector = np.zeros_like(shift)
         vector[:, 3 - self.turns :] = turn.reshape(m, -1)
         carry = rotation_from_vector(vector) @ rotation_about_z(self.angles)
-        moved = x[first["place"] : first["zero"]].reshape(-1, 3)
+        along = x[first["place"] : first["zero"]].reshape(len(self.places), -1)
+        moved = np.einsum("pw,pwi->pi", along, self.ways)
         arm = np.einsum("kij,kj->ki", carry[position], (self.places + moved)[place])
         return self.origin + (shift[position] + arm) @ self.axes.T, arm, vector
 
@@ -188,7 +200,8 @@ class CarriedLengths:
         slope = np.eye(3) + 0.5 * cross_matrix(vector)  # of R(c), to the first order of c
         turned = np.einsum("ki,kij->kj", np.cross(arm, felt), slope[self.position])
         carry = rotation_from_vector(vector) @ rotation_about_z(self.angles)
-        moved = np.einsum("ki,kij->kj", felt, carry[self.position])
+        carried = np.einsum("ki,kij->kj", felt, carry[self.position])
+        moved = np.einsum("kj,kwj->kw", carried, self.ways[self.place])
         values = [felt, turned[:, 3 - self.turns :], moved, np.full((len(felt), 1), -1.0), -unit]
         zero = (self.zeros + x[first["zero"] : first["target"]])[self.zero]
         if self.later_zeros:

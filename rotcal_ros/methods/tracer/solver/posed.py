@@ -33,7 +33,7 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
 from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.observability import check_counts
 from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
-from rotcal_ros.methods.tracer.solver.start import find_any_start
+from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
 
 CIRCLE: Final = 5
 """Stations from which on their plane gives the direction of the axis."""
@@ -99,6 +99,11 @@ class Posed:
         """Return it with stations and distances (p, 4) of the strips of its grid, m."""
         lengths = _lengths(problem, grid, state[grid.first_strip, :3], state[:, 3])
         return cls(problem, grid, absent, lengths, ambiguous)
+
+    def again(self, stations: Floats) -> Posed:
+        """Return it with better start values: where stations (m, 3) stand, m."""
+        state = with_zeros(self.grid, stations[self.grid.station])
+        return Posed.at(self.problem, self.grid, self.absent, state, self.ambiguous)
 
     def every_station(self) -> Floats:
         """Return where the tracer stands at all table angles, at the start values, m."""

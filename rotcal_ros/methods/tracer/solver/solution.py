@@ -69,6 +69,8 @@ LIKELY_WALK: Final = 2e-8
 """Walk of a zero (m) from which an unknown one is searched for."""
 LEAST_WALK: Final = 1e-9
 """Walk that is none."""
+LEAN: Final = 1e-4
+"""Angle (rad) of an axis whose square is nothing."""
 MOST_STEPS: Final = 6
 
 
@@ -224,6 +226,12 @@ class TracerSolution:
         """Plane, circle and angles of the stations."""
         return table_motion(self.stations, self.table_angles)
 
+    @property
+    def lean(self) -> float:
+        """Angle, rad, between the axis of the stations and that which they were posed about."""
+        axis = self.posed.lengths.axes[:, 2]
+        return float(np.linalg.norm(np.cross(axis, self.motion.plane.normal)))
+
     def station_covariance(self, which: Ints) -> Floats:
         """Return the covariance (3 q, 3 q) of some stations, m^2."""
         rows = self._station_rows(which)
@@ -247,7 +255,7 @@ class TracerSolution:
         carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])[which]
         for a in range(3):
             found[at, :, 3 * which + a] = lengths.axes[:, a]
-            found[:, :, first["place"] + a] = carry[:, :, a] @ lengths.axes.T
+        found[:, :, first["place"]] = carry @ lengths.ways[0, 0] @ lengths.axes.T
         turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]])[which]
         found[at, :, first["turn"] + which] = turned @ lengths.axes.T
         return found.reshape(3 * len(which), -1)
@@ -268,14 +276,18 @@ def adjust(problem: TracerProblem) -> TracerSolution:
 
 
 def _adjusted(problem: TracerProblem) -> TracerSolution:
-    posed = Posed.of(problem)
-    stated = problem.error_motion_std
+    posed, stated = Posed.of(problem), problem.error_motion_std
     stated = problem.circle_std if stated is None else stated
     walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
     begin = Supposed(FREE_CIRCLE if stated is None else stated, walk=walk)
     begin = replace(begin, weight=_nearest(posed, begin))
     motion = ErrorMotion(stated, 0.0, 0.0, 0, begin.motion)
     solution = TracerSolution(posed, _solved(posed, begin), begin, motion)
+    for _ in range(MOST_STEPS):
+        if solution.lean < LEAN:
+            break
+        posed = posed.again(solution.stations)
+        solution = TracerSolution(posed, _solved(posed, begin), begin, motion)
     solution = _weighed(solution)
     if problem.zero_walk_std is None:
         solution = _walking(solution)
