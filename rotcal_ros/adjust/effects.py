@@ -18,7 +18,7 @@ from functools import cached_property
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
-from scipy.special import erfc, gammaln
+from scipy.special import erfc, gammaln, xlogy
 
 from rotcal_ros.adjust.distributions import (
     chi2_isf,
@@ -221,15 +221,15 @@ def above_of_family(u: float, alike: Floats, rank: Ints | None = None) -> float:
     times acos(rho) / sqrt(2 pi) each (Rice's formula for a sequence; Davies 1987), and never more
     than of independent ones.
     """
-    above, level = float(erfc(u / np.sqrt(2.0))), np.full(len(alike), u)
-    r = np.ones(len(alike)) if rank is None else np.maximum(rank[1:], 1).astype(np.float64)
-    if (r > 1.0).any():
-        level = np.sqrt(chi2_isf(max(above, NOTHING), r))
-    log_density = (r - 1.0) * np.log(level) - 0.5 * level**2 - gammaln(0.5 * r)
-    density = np.exp(log_density - (0.5 * r - 1.0) * np.log(2.0))
-    turned = np.arccos(np.clip(alike, -1.0, 1.0))
-    crossings = float(turned @ density) / float(np.sqrt(2.0 * np.pi))
-    return above + min(crossings, len(alike) * above)
+    above, turned = 0.5 * float(erfc(u / np.sqrt(2.0))), np.arccos(np.clip(alike, -1.0, 1.0))
+    if rank is None or rank.max(initial=1) == 1:
+        crossings = float(turned.sum()) / (2.0 * np.pi) * float(np.exp(-0.5 * u * u))
+        return 2.0 * (above + min(crossings, len(alike) * above))
+    r = np.maximum(rank[1:], 1).astype(np.float64)
+    level = np.sqrt(chi2_isf(max(2.0 * above, NOTHING), r))
+    density = np.exp(xlogy(r - 1.0, level) - 0.5 * level**2 - gammaln(0.5 * r))
+    crossings = float(turned @ (density / 2.0 ** (0.5 * r - 1.0))) / float(np.sqrt(8.0 * np.pi))
+    return 2.0 * (above + min(crossings, len(alike) * above))
 
 
 class Unseen(NamedTuple):
@@ -337,9 +337,7 @@ def _everything(share: Floats, largest: float) -> Unseen:
 
 def limit_of_family(significance: float, alike: Floats, rank: Ints | None = None) -> float:
     """Return what the largest |score| of a family exceeds by chance with ``significance``."""
-    return root_between(
-        lambda u: above_of_family(u, alike, rank) - significance, 1e-6, 25.0, 1e-12
-    )
+    return root_between(lambda u: above_of_family(u, alike, rank) - significance, 0.0, 40.0, 1e-12)
 
 
 def _share(moved: Floats, std: Floats) -> Floats:

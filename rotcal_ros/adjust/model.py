@@ -366,6 +366,7 @@ class Model:
     that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
     ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
+    ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     """
 
     blocks: Mapping[str, int]
@@ -386,6 +387,7 @@ class Model:
     correlated: Sequence[Correlated] = ()
     element: Ints | None = None
     mixed: csr_array | None = None
+    definitions: Floats | None = None
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -403,6 +405,11 @@ class Model:
             ("component", self.of_component, (n,)),
             ("judged", self.may_go, (n,)),
             *((("element", self.element, (n,)),) if self.element is not None else ()),
+            *(
+                (("definitions", self.definitions, (np.size(self.definitions) // p, p)),)
+                if self.definitions is not None
+                else ()
+            ),
             *((f"numbers of {g.kind}", g.number, (n,)) for g in self.groupings),
             *(
                 (f"places of {g.kind}", g.along, (n,))

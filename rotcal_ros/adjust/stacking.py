@@ -37,6 +37,7 @@ def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model
         equations=equations,
         outputs=model.outputs @ to,
         also={name: rows @ to for name, rows in model.also.items()},
+        definitions=None if model.definitions is None else model.definitions @ to,
         start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
     )
 
