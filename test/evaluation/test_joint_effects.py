@@ -29,11 +29,13 @@ def rough_polygon(seed):
 
 
 def only_effect(found):
-    """The one effect that was found, its sizes and their standard uncertainties."""
+    """The one effect that was found, its sizes that are shown, their standard uncertainties."""
     (effect,) = found.details["effects_found"]
     assert found.verdict == "suspect"
     assert any(effect["what"] in words for words in found.warnings)
-    return effect["what"], np.array(effect["size"]), np.array(effect["std"])
+    size, std = np.array(effect["size"]), np.array(effect["std"])
+    shown = std > 1e-6 * std.max()
+    return effect["what"], size[shown], std[shown]
 
 
 def is_right(found, ecc=ALTERNATING):
