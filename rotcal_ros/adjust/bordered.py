@@ -18,7 +18,7 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, vstack
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
@@ -99,7 +99,12 @@ class FewEach(Design):
     def beside(self, rows: Floats | csr_array) -> FewEach:
         """Return the design with further ``rows`` (k, p) at its end."""
         if isinstance(rows, csr_array) and not len(self.known):
-            return replace(self, few=csr_array(vstack([self.few, rows])))
+            both, n = (self.few, rows), self.few.shape[0] + rows.shape[0]
+            data, indices = (
+                np.concatenate([getattr(m, of) for m in both]) for of in ("data", "indices")
+            )
+            begin = np.append(self.few.indptr, self.few.indptr[-1] + rows.indptr[1:])
+            return replace(self, few=csr_array((data, indices, begin), shape=(n, rows.shape[1])))
         return replace(self, known=np.concatenate([self.known, dense(rows)]))
 
     def with_extra(self, columns: Floats) -> FewEach:
