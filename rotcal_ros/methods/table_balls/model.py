@@ -111,7 +111,7 @@ class BallsOnTable:
     of a centre or of a length, m. ``speed``: rad/s at which the table turns, of each run or,
     where something was read, at each reading (n,); none: it stands.
     ``known``: blocks of what else is stated to be zero, with its standard deviation, SI; infinite:
-    the readings alone determine it. ``sums``: columns of :attr:`Statement.sums`.
+    the readings alone determine it. ``sums``: columns of :attr:`StatedRows.sums`.
     """
 
     angles: Floats
@@ -435,7 +435,7 @@ def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
         yield from ({x: c, y: s}, {x: -s, y: c})
 
 
-class Statement(NamedTuple):
+class StatedRows(NamedTuple):
     """Rows of motions that are stated to be zero, per standard deviation, of the motions alone.
 
     Motions are stated as they are, and by definition without their means and turning parts
@@ -449,7 +449,7 @@ class Statement(NamedTuple):
     parts: Floats
 
     @classmethod
-    def of(cls, balls: BallsOnTable, places: Floats, *, whole: bool) -> Statement:
+    def of(cls, balls: BallsOnTable, places: Floats, *, whole: bool) -> StatedRows:
         """Return that of open motions of balls at ``places`` (k, 3), or of the whole."""
         each = _open_motions(balls, places, whole=whole)
         along, share, _ = np.linalg.svd(
@@ -598,7 +598,7 @@ def model_of(
     balls = BallsOnTable.of(plan, solver, read)
     start, count = balls.started(read.points), balls.coordinates
     places = start[4 : balls.first["EXC"]].reshape(-1, 3)
-    motions = Statement.of(balls, places, whole=whole)
+    motions = StatedRows.of(balls, places, whole=whole)
     balls = replace(balls, sums=motions.sums.shape[1])
     design = balls(np.append(start, np.zeros(balls.sums)))[1]
     each, parts = motions.known(balls)
