@@ -566,14 +566,18 @@ class Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
         return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
 
-    def knowing(self, what: str, rows: Floats, values: Floats, std: float) -> Model:
+    def knowing(self, what: str, rows: Floats | csr_array, values: Floats, std: float) -> Model:
         """Return the model with what is known beforehand, as from a certificate.
 
         ``rows`` (k, p) times the unknowns are ``values`` (k,), each with ``std``: observations
         that belong to no group, that no effect spoils and that are never left out, with noise of
-        their own. ``what`` they are, for people.
+        their own: one for each ``what`` they are, for people. As ``csr_array`` they fall into
+        blocks with those before.
         """
-        k = len(values)
+        k, every = len(values), tuple(dict.fromkeys([*self.components, what]))
+        before = 0
+        if what in self.components:
+            before = int((self.of_component == every.index(what)).sum())
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
@@ -584,12 +588,12 @@ class Model:
             observed=np.append(self.observed, values),
             std=np.append(self.std, np.full(k, std)),
             equations=equations,
-            components=(*self.components, what),
-            component=np.append(self.of_component, np.full(k, len(self.components))),
+            components=every,
+            component=np.append(self.of_component, np.full(k, every.index(what))),
             judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
-            row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
+            row_names=[*self.names, *(f"value {before + i} of {what}" for i in range(k))],
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
             if self.mixed is None
@@ -599,7 +603,7 @@ class Model:
     def scattering(
         self,
         what: str,
-        rows: Floats,
+        rows: Floats | csr_array,
         size: float | None,
         largest: float,
         ways: Sequence[tuple[float, Floats]] = (),
@@ -611,9 +615,10 @@ class Model:
         ``largest``: a size that nobody would overlook.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
-        known = self.knowing(what, rows, np.zeros(len(rows)), size or largest)
+        k = rows.shape[0]
+        known = self.knowing(what, rows, np.zeros(k), size or largest)
         scatter = Scattering(
-            np.arange(n, n + len(rows)),
+            np.arange(n, n + k),
             (tuple(root for _, root in ways),),
             what,
             likely / likely.sum(),
