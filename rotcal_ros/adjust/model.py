@@ -238,6 +238,30 @@ class Disturbing:
         return self.mapped(spread, own, apart=False)
 
 
+class Expected(NamedTuple):
+    """What may have happened unseen, once, by ``size``, plus or minus: a member of a family.
+
+    With this ``probability`` beforehand, as of a fringe that a counter slips.
+    """
+
+    effect: Disturbing
+    size: float
+    probability: float
+
+
+class KnownRelation(NamedTuple):
+    """What outputs are known to keep, though each is free: ``rows`` (k, o) of them are zero.
+
+    But for a scatter of ``std``: as steps round a circle add up to nothing, or a table comes to
+    an angle again. ``what`` people are told, as in "*the deviation at 0 deg differs when it is
+    measured again*, by 5 ± 1 arcsec".
+    """
+
+    what: str
+    rows: Floats
+    std: float = 0.0
+
+
 def linear(design: Derivatives) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
     form = design_of(design)
@@ -372,6 +396,7 @@ class Model:
     ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
+    ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
     """
 
     blocks: Mapping[str, int]
@@ -393,6 +418,8 @@ class Model:
     element: Ints | None = None
     mixed: csr_array | None = None
     definitions: Floats | None = None
+    expected: Sequence[Expected] = ()
+    closures: Sequence[KnownRelation] = ()
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -593,6 +620,7 @@ class Model:
             judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
+            expected=[e._replace(effect=e.effect.beside(k)) for e in self.expected],
             row_names=[*self.names, *(f"value {before + i} of {what}" for i in range(k))],
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
@@ -728,7 +756,16 @@ class Model:
     ) -> Model:
         """Return the model of combinations of its observations, which ``back`` takes back."""
         effects = [e.mapped(to, back, apart=apart) for e in self.effects]
-        return replace(self, observed=to(self.observed), equations=equations, effects=effects)
+        expected = [
+            e._replace(effect=e.effect.mapped(to, back, apart=apart)) for e in self.expected
+        ]
+        return replace(
+            self,
+            observed=to(self.observed),
+            equations=equations,
+            effects=effects,
+            expected=expected,
+        )
 
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""
