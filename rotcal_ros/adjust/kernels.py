@@ -471,6 +471,11 @@ class Defined(Kernel):
         """The whitened design of the base."""
         return self.base.design
 
+    @property
+    def rank(self) -> int:
+        """How many unknowns are determined, not only defined."""
+        return self.base.rank
+
     def defined(self, x: Floats) -> Floats:
         """Return unknowns ``x`` (p,) or (p, k) that keep the definitions: P x."""
         return np.asarray(x - self.fixing @ (self.rows @ x))

@@ -593,7 +593,9 @@ class Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
         return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
 
-    def knowing(self, what: str, rows: Floats | csr_array, values: Floats, std: float) -> Model:
+    def knowing(
+        self, what: str, rows: Floats | csr_array, values: Floats, std: Floats | float
+    ) -> Model:
         """Return the model with what is known beforehand, as from a certificate.
 
         ``rows`` (k, p) times the unknowns are ``values`` (k,), each with ``std``: observations
@@ -613,7 +615,7 @@ class Model:
         return replace(
             self,
             observed=np.append(self.observed, values),
-            std=np.append(self.std, np.full(k, std)),
+            std=np.append(self.std, np.broadcast_to(std, k)),
             equations=equations,
             components=every,
             component=np.append(self.of_component, np.full(k, every.index(what))),

@@ -112,6 +112,7 @@ def test_parts_that_nothing_joins_are_defined_each(sparse, monkeypatch):
     )
     one, other = adjust(model), adjust(by_outputs)
     assert isinstance(one.fit.kernel, Defined)
+    assert one.fit.dof == other.fit.dof == 20
     assert one.value == pytest.approx(other.value, abs=1e-15)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-24)
     with pytest.raises(ObservabilityError, match="level"):
