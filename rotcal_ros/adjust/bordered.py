@@ -21,13 +21,11 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from rotcal_ros.adjust.kernels import OPEN, Design, Kernel
+from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
-FEW: Final = 600
-"""Unknowns up to which normal equations as a whole are quicker than QR block by block."""
 LARGEST_SHARE: Final = 1.0 / 3.0
 """Share of all unknowns that are in groups which the largest of them should not exceed."""
 NEARLY_AS_MANY: Final = 0.9
@@ -61,11 +59,6 @@ class FewEach(Design):
         if self.extra is None:
             return np.zeros((self.few.shape[0] + len(self.known), 0))
         return self.extra
-
-    @property
-    def rough_first(self) -> bool:  # type: ignore[override]
-        """Whether steps are quicker without its kernel: of few unknowns, by normal equations."""
-        return self.shape[1] <= FEW
 
     @property
     def finite(self) -> bool:
@@ -107,9 +100,16 @@ class FewEach(Design):
         found[which >= n] = self.known[which[which >= n] - n]
         return np.hstack([found, self.columns[which]])
 
-    def beside(self, rows: Floats) -> FewEach:
+    def beside(self, rows: Floats | csr_array) -> FewEach:
         """Return the design with further ``rows`` (k, p) at its end."""
-        return replace(self, known=np.concatenate([self.known, rows]))
+        if isinstance(rows, csr_array) and not len(self.known):
+            both, n = (self.few, rows), self.few.shape[0] + rows.shape[0]
+            data, indices = (
+                np.concatenate([getattr(m, of) for m in both]) for of in ("data", "indices")
+            )
+            begin = np.append(self.few.indptr, self.few.indptr[-1] + rows.indptr[1:])
+            return replace(self, few=csr_array((data, indices, begin), shape=(n, rows.shape[1])))
+        return replace(self, known=np.concatenate([self.known, dense(rows)]))
 
     def with_extra(self, columns: Floats) -> FewEach:
         """Return the design with the ``columns`` (n + m, q) of further unknowns."""
@@ -134,9 +134,12 @@ class FewEach(Design):
         known = self.groups
         return known if known is not None and known.fit(self.few) else Groups.of(self.few)
 
-    def kernel(self) -> Kernel | None:
-        """Return the kernel by blocks; None where there are none, or most are not firm."""
-        return None if self.structure is None else Bordered.of(self, self.structure)
+    def kernel(self, weak: float = OPEN) -> Kernel | None:
+        """Return the kernel by blocks; None where there are none, or most are not firm.
+
+        What is determined by no more than a share ``weak`` of its length counts as open.
+        """
+        return None if self.structure is None else Bordered.of(self, self.structure, weak)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,44 +168,23 @@ class Groups:
         """
         n, p = few.shape
         row, column = np.repeat(np.arange(n), np.diff(few.indptr)), few.indices
-        count = np.bincount(column, minlength=p)
-        # what many feel joins everything: many is between one group's rows and all of them
-        alone = (count > 0) & (count <= np.sqrt(n * np.median(count[count > 0])))
-        if joined is not None:
-            alone[joined] = False
-        first = None
-        while True:
-            inside = alone[column]
-            ones = np.ones(int(inside.sum()))
-            graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
-            label = connected_components(graph, directed=False)[1]
-            groups, group = np.unique(label[n:][alone], return_inverse=True)
-            found = alone, inside, label, groups, group
-            if len(groups) > 1:
-                first = first or found
-                if np.bincount(group).max() <= LARGEST_SHARE * alone.sum():
-                    break
-            # else one of two sides that feel each other: the one that fewer feel
-            alone = alone & (count < NEARLY_AS_MANY * count[alone].max(initial=0))
-            if not alone.any():
-                if first is None:
-                    return None
-                found = first
-                break
-        alone, inside, label, groups, group = found
+        found = _apart(few, row, joined)
+        if found is None:
+            return None
+        alone, label, groups, group = found
         number = np.full(label.max() + 1, -1)
         number[groups] = np.arange(len(groups))
         of_row = number[label[:n]]
         idle = of_row < 0  # rows of shared unknowns alone fit into any group
         of_row[idle] = np.arange(int(idle.sum())) % len(groups)
-        at, at_row = _within(group), _within(of_row)
+        at, at_row = within(group), within(of_row)
         size, depth = int(at.max()) + 1, int(at_row.max()) + 1
         own, shared = np.full((len(groups), size), -1), np.flatnonzero(~alone)
         own[group, at] = np.flatnonzero(alone)
         slot = np.zeros(p, dtype=np.int64)
         slot[alone], slot[~alone] = at, size + np.arange(len(shared))
         lacking, absent = np.nonzero(own < 0)
-        more = _within(lacking)
+        more = within(lacking)
         whole, width = depth + int(more.max(initial=-1)) + 1, size + len(shared)
         place = of_row * whole + at_row
         return cls(
@@ -250,10 +232,10 @@ class Bordered(Kernel):
     below: Floats
 
     @classmethod
-    def of(cls, design: FewEach, groups: Groups) -> Bordered | None:
+    def of(cls, design: FewEach, groups: Groups, open_: float = OPEN) -> Bordered | None:
         """Return that of a whitened ``design``; None where most of its blocks are not firm.
 
-        Those few that are not join the border.
+        Those few that are not join the border, of which a share ``open_`` determines nothing.
         """
         (count, size), n = groups.own.shape, design.few.shape[0]
         blocks, border = groups.stacked(design)
@@ -266,21 +248,21 @@ class Bordered(Kernel):
             own = groups.own[weak]
             joined = np.append(groups.shared, own[own >= 0])
             rest = Groups.of(design.few, joined) if 2 * weak.sum() < count else None
-            return None if rest is None else cls.of(design, rest)
+            return None if rest is None else cls.of(design, rest, open_)
         inverse, felt = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
         known = np.hstack([design.known[:, groups.shared], design.columns[n:]])
         of_own = _own_of(groups, design.known.T)  # (g, s, m)
         of_own = (np.swapaxes(inverse, 1, 2) @ of_own).reshape(count * size, -1)  # H'
         _, grown, ways = np.linalg.svd(_triangle(np.concatenate([np.eye(len(known)), of_own])))
         root, tied = grown[:, None] * ways, of_own @ (ways.T / grown)
-        open_ = known - of_own.T @ felt.reshape(count * size, known.shape[1])
-        white = np.linalg.solve(root.T, open_)
+        left_known = known - of_own.T @ felt.reshape(count * size, known.shape[1])
+        white = np.linalg.solve(root.T, left_known)
         flat = border.reshape(count * groups.depth, known.shape[1])
         length = np.linalg.norm(np.concatenate([flat, known]), axis=0)
         length = np.where(length > 0.0, length, 1.0)
         beside_own = flat - (basis @ felt).reshape(flat.shape)
         left = np.concatenate([beside_own, white])
-        ways, nothing = _determined(left / length)
+        ways, nothing = _determined(left / length, open_)
         by_known = (tied @ white).reshape(felt.shape)
         moved = -(felt + by_known)
         every = np.zeros((sum(design.shape[1:]), len(length)))
@@ -374,6 +356,18 @@ class Bordered(Kernel):
         found[last[:, None], last] += (rows[last][:, None] == rows[last]) * 1.0
         return np.asarray(found)
 
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        n, known = len(self.groups.place), len(self.root)
+        if (rows >= n).any():
+            return super().among_each(rows)
+        low = self._low_rank(rows.ravel()).T.reshape(*rows.shape, -1)
+        group, at = np.divmod(self.groups.place[rows], self.groups.depth)
+        basis, alike = self.basis[group, at], group[:, :, None] == group[:, None]
+        border, tied = low[:, :, known:], low[:, :, :known]
+        found = border @ border.swapaxes(1, 2) - tied @ tied.swapaxes(1, 2)
+        return np.asarray(found + basis @ basis.swapaxes(1, 2) * alike)
+
     @cached_property
     def leverage(self) -> Floats:
         """The diagonal (n + m,) of J N^-1 J'."""
@@ -420,6 +414,36 @@ class Bordered(Kernel):
         return np.hstack([known, self.columns])
 
 
+def _apart(
+    few: csr_array, row: Ints, joined: Ints | None
+) -> tuple[Bools, Ints, Ints, Ints] | None:
+    """Return which unknowns (p,) are own to groups, and which of these each is in; None: no such.
+
+    With the labels (n + p,) of rows and unknowns, and those of the groups. ``row``: of each entry.
+    """
+    n, p = few.shape
+    column = few.indices
+    count = np.bincount(column, minlength=p)
+    # what many feel joins everything: many is between one group's rows and all of them
+    alone = (count > 0) & (count <= np.sqrt(n * np.median(count[count > 0])))
+    if joined is not None:
+        alone[joined] = False
+    first = None
+    while alone.any():
+        inside = alone[column]
+        ones = np.ones(int(inside.sum()))
+        graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
+        label = connected_components(graph, directed=False)[1]
+        groups, group = np.unique(label[n:][alone], return_inverse=True)
+        if len(groups) > 1:
+            first = first or (alone, label, groups, group)
+            if np.bincount(group).max() <= LARGEST_SHARE * alone.sum():
+                return alone, label, groups, group
+        # else two sides that feel each other: those are groups which fewer feel
+        alone = alone & (count < NEARLY_AS_MANY * count[alone].max())
+    return first
+
+
 def _own_of(groups: Groups, columns: Floats) -> Floats:
     """Return ``columns`` (p, k) of the own unknowns of each group, (g, s, k)."""
     return np.asarray(np.where(groups.own[:, :, None] >= 0, columns[groups.own], 0.0))
@@ -431,13 +455,13 @@ def _to_own(groups: Groups, columns: Floats, own: Floats) -> None:
     columns[groups.own[real]] += own[real]
 
 
-def _determined(rows: Floats) -> tuple[Floats, Floats]:
+def _determined(rows: Floats, open_: float) -> tuple[Floats, Floats]:
     """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k).
 
-    They are what is left of columns of length 1, of which nothing but rounding may be left.
+    They are what is left of columns of length 1: nothing where that is a share ``open_`` of it.
     """
     _, share, turn = np.linalg.svd(_triangle(rows))
-    determined = np.arange(rows.shape[1]) < (share > OPEN * share.max(initial=1.0)).sum()
+    determined = np.arange(rows.shape[1]) < (share > open_ * share.max(initial=1.0)).sum()
     return turn[determined].T / share[: int(determined.sum())], turn[~determined].T
 
 
@@ -446,7 +470,7 @@ def _triangle(matrix: Floats) -> Floats:
     return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
-def _within(group: Ints) -> Ints:
+def within(group: Ints) -> Ints:
     """Return which one of its group each member (k,) is, from 0."""
     order = np.argsort(group, kind="stable")
     sizes = np.bincount(group)

@@ -36,6 +36,10 @@ from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalEr
 
 TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
+SCATTER_ROUNDS: Final = 3
+"""Times that a scatter is estimated, and all is judged by it."""
+SAME_SIZE: Final = 0.05
+"""Relative change of the size of a scatter that is no matter to what is judged."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
 
@@ -48,6 +52,28 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
     """
     start, gross = robust_start(model, limits)
     whole = Diagnosis(model, limits, Noise(np.ones(len(model.components))), start)
+    found = _beside_gross(whole, gross)
+    return _with_scatter(found) if model.scatterings else found
+
+
+def _with_scatter(diagnosis: Diagnosis) -> Diagnosis:
+    """Return what is believed once what scatters is weighed by the size that is likely.
+
+    Before, it was weighed by a size that nobody would overlook, or as stated.
+    """
+    for _ in range(SCATTER_ROUNDS):
+        fit, model = diagnosis.fit, diagnosis.model
+        sizes = [fit.sizes[each].weighing for each in model.scatterings]
+        now = [float(model.std[each.rows[0]]) for each in model.scatterings]
+        if np.allclose(sizes, now, rtol=SAME_SIZE):
+            break
+        again = replace(diagnosis, model=model.scattered(sizes), start=fit.x)
+        diagnosis = _explained(again)
+    return diagnosis
+
+
+def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:
+    """Return what is believed where ``gross`` observations (k,) wait outside."""
     if not len(gross):
         return _explained(whole)
     apart = _come_back(_explained(_outside(whole, gross)), gross)
@@ -74,22 +100,25 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     name = diagnosis.model.names
     why = {row: f"{name[row]}: far off all others" for row in gross.tolist()}
-    return replace(diagnosis, why=why, price=_price_of_single(diagnosis) * len(gross))
+    return replace(diagnosis, why=why, price=_price(diagnosis.model, gross))
 
 
-def _price_of_single(diagnosis: Diagnosis) -> float:
-    """Return the price of one observation that explains itself, of as many as there are."""
-    return 3.0 * float(np.log(len(diagnosis.model.observed)))
+def _price(model: Model, rows: Ints) -> float:
+    """Return the price of ``rows`` that explain themselves, by elements among all."""
+    elements = len(np.unique(model.of_element[rows]))
+    return (len(rows) + 2 * elements) * float(np.log(len(model.observed)))
 
 
 def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     """Return the diagnosis with those of the ``gross`` observations that agree after all."""
-    limit = diagnosis.limits.outlier(diagnosis.model)
-    back = gross[np.abs(diagnosis.fit.test_value[gross]) <= limit].tolist()
+    model, fit = diagnosis.model, diagnosis.fit
+    squares, rank = fit.element_test
+    agrees = squares <= diagnosis.limits.of_squares(model, rank)
+    back = gross[agrees[model.of_element[gross]]].tolist()
     if not back:
         return diagnosis
     why = {row: text for row, text in diagnosis.why.items() if row not in back}
-    price = diagnosis.price - _price_of_single(diagnosis) * len(back)
+    price = diagnosis.price - _price(model, np.array(back))
     return _explained(replace(diagnosis, why=why, price=price))
 
 
@@ -186,7 +215,8 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     stated = diagnosis.fitted(ones, diagnosis.start)
     if _as_stated(diagnosis, stated, bent):
         return Noise(ones), stated
-    checked = _evidence(stated, bent).redundancy > LEAST_REDUNDANCY
+    evidence = _evidence(stated, bent)
+    checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
     held = np.zeros(len(ones), dtype=np.bool_)
     while True:
         found, fit = _estimated_noise(diagnosis, stated, bent, held)
@@ -228,4 +258,5 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     part = (model.of_component == np.arange(count)[:, None]) & fit.used
     # R is a projection: the squared sums of its blocks follow from those of its complement
     information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
-    return NoiseEvidence(part.any(axis=1), part @ squares, part @ redundancy, information)
+    present = part.any(axis=1) & ~model.of_scatter
+    return NoiseEvidence(present, part @ squares, part @ redundancy, information)

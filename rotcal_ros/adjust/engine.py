@@ -25,18 +25,28 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import found_causes
+from rotcal_ros.adjust.closures import Closed
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
-from rotcal_ros.adjust.distributions import chi2_sf, detected, noise_growth, normal_sf, t_isf
-from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
+from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality, normal_sf, t_isf
+from rotcal_ros.adjust.effects import (
+    Seen,
+    SeenFamily,
+    Unseen,
+    effect_test,
+    expected_weights,
+    family_test,
+    unseen,
+    unseen_family,
+)
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
-from rotcal_ros.adjust.model import Disturbing, Model
+from rotcal_ros.adjust.model import Disturbing, Model, Steps
 from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.outputs import AT_ONCE
 from rotcal_ros.adjust.reliability import hidden
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import Influence, RawData
@@ -125,10 +135,24 @@ class Adjusted:
         fit, count = self.fit, len(self.model.outputs)
         few = (self.scale * self._student)[:count]
         total = few[:, None] * fit.covariance(count) * few
-        for weight, change in self.diagnosis.contested():
-            total = total + weight * np.outer(change[:count], change[:count])
+        for changes in self._probable:
+            total = total + changes[:count] @ changes[:count].T
         gathers = self.diagnosis.gathering.covariance()
         return np.asarray(total if gathers is None else total + gathers[:count, :count])
+
+    @cached_property
+    def _probable(self) -> list[Floats]:
+        """What is probable but not proved does to the outputs, (o + a, k) per unit normal each."""
+        contested = list(self.diagnosis.contested())
+        found = [np.sqrt(weight) * change[:, None] for weight, change in contested]
+        for effect, size, probability in self.model.expected:
+            columns = effect.at(self.fit.computed)
+            seen = family_seen_by(self.fit, columns, effect.width)
+            weight = expected_weights(seen, size, probability)
+            stride = -(-len(weight) * len(self.fit.value) // MOST_INFLUENCES)
+            root = np.sqrt(stride * weight[::stride])
+            found.append((root[:, None] * seen.moved[::stride]).T)
+        return found
 
     @cached_property
     def also(self) -> Mapping[str, tuple[Floats, Floats]]:
@@ -142,14 +166,15 @@ class Adjusted:
 
     @cached_property
     def _student(self) -> Floats:
-        """Quantile of Student's t over that of the normal distribution, by output (o + a,).
+        """Quantile of what is predicted over that of the normal distribution, by output (o + a,).
 
+        That of Student's t, and for scatter of a size that is hardly known.
         Degrees of freedom after Satterthwaite, from how well the factors of the noise are known. A
         component that nothing checks was not estimated: its statement stands.
         """
         estimated, model = self.diagnosis.noise.estimated, self.model
         if estimated is None:
-            return np.ones(len(self.fit.value))
+            return self.fit.enlargement
         part = model.of_component == np.arange(len(model.components))[:, None]
         variance = self.fit.variance_from(part)  # (o, c)
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
@@ -158,7 +183,8 @@ class Adjusted:
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)
         tail = normal_sf(COVERED)
-        return np.array([t_isf(tail, d) / COVERED if np.isfinite(d) else 1.0 for d in dof])
+        few = np.array([t_isf(tail, d) / COVERED if np.isfinite(d) else 1.0 for d in dof])
+        return np.asarray(few * self.fit.enlargement)
 
     @cached_property
     def found_effects(self) -> tuple[FoundEffect, ...]:
@@ -183,8 +209,8 @@ class Adjusted:
     @cached_property
     def _every_std(self) -> Floats:
         variance = (self.scale * self._student) ** 2 * self.fit.variance
-        for weight, change in self.diagnosis.contested():
-            variance = variance + weight * change**2
+        for changes in self._probable:
+            variance = variance + (changes**2).sum(axis=1)
         gathers = self.diagnosis.gathering.covariance()
         return np.sqrt(variance if gathers is None else variance + gathers.diagonal())
 
@@ -214,12 +240,21 @@ class Adjusted:
         return float(np.sqrt(stated @ stated / fit.dof)) if fit.dof else 1.0
 
     @cached_property
-    def seen(self) -> list[tuple[Disturbing, Seen]]:
-        """What the solution makes of each declared effect."""
-        return [
-            (effect, seen_by(self.fit, effect.at(self.fit.computed), family=effect.family))
-            for effect in self.model.effects
-        ]
+    def seen(self) -> list[tuple[Disturbing, Seen | SeenFamily]]:
+        """What the solution makes of each declared effect, and closures beside it."""
+        found = []
+        for effect in self.model.effects:
+            seen = _seen(self.fit, effect)
+            for closed in self.closed:
+                seen = closed.beside(effect, seen)
+            found.append((effect, seen))
+        return found
+
+    @cached_property
+    def closed(self) -> tuple[Closed, ...]:
+        """How the outputs keep what they are known to keep."""
+        each = self.model.closures
+        return tuple(Closed(self.fit, known, self.scale, self.freedom) for known in each)
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
@@ -229,7 +264,7 @@ class Adjusted:
     @property
     def verdict(self) -> Verdict:
         """Whether the model describes the observations."""
-        share = len(self.why) / max(int(self.model.may_go.sum()), 1)
+        share = self.diagnosis.lost / max(self.model.rejectable, 1)
         larger = self.scale * self.diagnosis.noise.factors.max(initial=1.0)
         if share > FAILED_SHARE or larger > FAILED_FACTOR:
             return "failed"
@@ -241,9 +276,7 @@ class Adjusted:
         few, size = self.scale * self._student, len(self.value)
         many = size * len(self.fit.std) > MOST_INFLUENCES and not self.model.correlated
         causes = [np.zeros((len(few), 0)) if many else few[:, None] * self.fit.response]
-        causes += [
-            np.sqrt(weight) * change[:, None] for weight, change in self.diagnosis.contested()
-        ]
+        causes += self._probable
         gathers = self.diagnosis.gathering.covariance()
         if gathers is not None:
             values, vectors = np.linalg.eigh(gathers)
@@ -324,7 +357,9 @@ class Adjusted:
         def rows(values: Floats) -> Floats:
             return values[: count * coordinates].reshape(count, coordinates)
 
-        residual, test = rows(fit.residual), rows(fit.test_value)
+        mixed = self.model.mixed
+        read = fit.residual if mixed is None else mixed @ fit.residual
+        residual, test = rows(read), rows(fit.test_value)
         worst = np.abs(test).argmax(axis=1)
         return Residuals(
             *places,
@@ -354,7 +389,21 @@ class Adjusted:
 
     def details(self) -> dict[str, Any]:
         """Return what was found for the details of a result, SI."""
+        scattering = {
+            each.what: {
+                "size": sizes.weighing,
+                "contrasts": sizes.contrasts,
+                "none": float(sizes.weight[sizes.size == 0.0].sum()),
+            }
+            for each, sizes in self.fit.sizes.items()
+        }
+        closed = [
+            {"what": c.relation.what, "error": c.error, "std": c.std, "p_value": c.probability}
+            for c in self.closed
+        ]
         return {
+            **({"scattering": scattering} if scattering else {}),
+            **({"closed": closed} if closed else {}),
             "chi_square": {
                 "value": self.fit.chi2,
                 "dof": self.fit.dof,
@@ -423,16 +472,16 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     require_determined(model)
     computed, _ = model.equations(model.first)
     # nothing is read yet that would tell ways to move apart
-    correlated = [replace(each, likely=None) for each in model.correlated]
+    correlated = [each.planned() for each in model.correlated]  # data would say what is likely
     exact = replace(model, observed=computed, correlated=correlated)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
     every_std = fit.noise_std
     std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), counting, each)
+        e.effect: _unseen(e, _seen(fit, e), counting, each)
         for e in model.effects
-        if e.whole(computed).any()
+        if isinstance(e.columns, Steps) or e.whole(computed).any()
     }
     return PlanPrediction(std, fit.redundancy, every)
 
@@ -455,6 +504,12 @@ def _doubts(found: Adjusted) -> Iterator[str]:
             f"the scatter of {model.components[k]} is {found.diagnosis.noise.factors[k]:.2g} "
             "times as stated: the estimate is used; state it, or look for drift"
         )
+    for each, sizes in found.fit.sizes.items():
+        if each.stated is not None and sizes.probability < each.significance:
+            yield (
+                f"the scatter of {each.what} is {sizes.weighing / each.stated:.2g} "
+                "times as stated: the estimate is used; state it, or look for drift"
+            )
     if found.scale > 1.0:
         yield (
             f"the residuals are {found.scale:.2g} times what their standard deviations allow "
@@ -478,14 +533,37 @@ def _doubts(found: Adjusted) -> Iterator[str]:
         GatheringLimits(limits.rejected_share, limits.significance),
         model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
     )
+    yield from _open(found)
     if not found.fit.dof:
         yield f"no {model.words.elements} are left to check the others: nothing could contradict"
-    share = len(found.why) / max(int(model.may_go.sum()), 1)
-    if share > limits.rejected_share:
+    lost, all_of_them = found.diagnosis.lost, model.rejectable
+    if lost > limits.rejected_share * all_of_them:
         yield (
-            f"{len(found.why)} of {int(model.may_go.sum())} {model.words.elements} were left out, "
+            f"{lost} of {all_of_them} {model.words.elements} were left out, "
             f"more than {100 * limits.rejected_share:g} % is suspicious"
         )
+
+
+def _open(found: Adjusted) -> Iterator[str]:
+    """Yield what outputs do not keep, and effects that it shows where residuals alone do not."""
+    limits, unit = found.diagnosis.limits, found.model.unit
+    for closed in found.closed:
+        if closed.probability < limits.significance / len(found.closed):
+            pairs = zip(closed.error.tolist(), closed.std.tolist(), strict=True)
+            each = ", ".join(f"{e / unit.si:.3g} ± {2.0 * u / unit.si:.2g}" for e, u in pairs)
+            yield (
+                f"{closed.relation.what}, by {each} {unit.name} (k = 2, p = "
+                f"{closed.probability:.2g}): something moved or drifted in between"
+            )
+    rest = (found.fit.chi2, float(found.fit.dof)) if np.isfinite(found.freedom) else None
+    named = {e.effect.effect for e in found.found_effects}
+    for effect, seen in found.seen if found.closed else ():
+        test = family_test(seen, rest) if isinstance(seen, SeenFamily) else effect_test(seen, rest)
+        if test.probability < limits.of_each_effect(found.model) and effect.effect not in named:
+            yield (
+                f"it looks as if {effect.what} (p = {test.probability:.2g}), by residuals and "
+                "by what does not close: it was not taken off; find out why, and measure again"
+            )
 
 
 def _larger(found: Adjusted) -> Bools:
@@ -529,11 +607,24 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     yield from _against_gathering(found)
 
 
+def _seen(fit: Fit, effect: Disturbing) -> Seen | SeenFamily:
+    columns = effect.at(fit.computed)
+    if effect.family:
+        return family_seen_by(fit, columns, effect.width)
+    return seen_by(fit, columns_of(columns, slice(None)))
+
+
 def _unseen(
-    effect: Disturbing, seen: Seen, std: Floats, significance: float, dof: float = np.inf
+    effect: Disturbing,
+    seen: Seen | SeenFamily,
+    std: Floats,
+    significance: float,
+    dof: float = np.inf,
 ) -> Unseen:
-    worst = unseen_family if effect.family else unseen
-    return worst(seen, std, effect.largest, significance=significance, power=POWER, dof=dof)
+    size, limits = effect.largest, {"significance": significance, "power": POWER, "dof": dof}
+    if isinstance(seen, SeenFamily):
+        return unseen_family(seen, std, size, **limits)
+    return unseen(seen, std, size, **limits)
 
 
 def _against_noise(found: Adjusted) -> Protection:
@@ -550,38 +641,48 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
 
     The error is that of any of them, as probable, by the largest size that is not left out.
     """
-    model, fit = found.model, found.fit
-    rows = np.flatnonzero(fit.used & model.may_go)
+    model, fit, limits = found.model, found.fit, found.diagnosis.limits
     std, words = found.counting_std[: len(found.value)], model.words
-    if not len(rows) or len(std) * len(rows) > MOST_INFLUENCES:
+    first = model.elements[:, 0]
+    each = np.flatnonzero((fit.used & model.may_go)[first])
+    if not len(each) or len(std) * len(each) > MOST_INFLUENCES:
         return
-    redundancy = fit.redundancy[rows]
-    limit = detected(found.diagnosis.limits.outlier(model), POWER)
-    size = limit / np.sqrt(np.maximum(redundancy, (limit / LARGEST) ** 2))
-    counts = std > 0.0
-    squares = np.zeros(int(counts.sum()))
-    for some in np.array_split(np.arange(len(rows)), len(rows) // AT_ONCE + 1):
-        felt = fit.response_of(rows[some])[: len(std)][counts]
-        squares += felt**2 @ (size[some] ** 2 / len(rows))
+    sizes, counts = (model.elements[each] >= 0).sum(axis=1), std > 0.0
+    squares, significance = np.zeros(int(counts.sum())), limits.of_each_observation(model)
+    for size in np.unique(sizes).tolist():
+        alike = model.elements[each[sizes == size], :size]
+        needed = noncentrality(significance, POWER, size)
+        for rows in np.array_split(alike, alike.size // AT_ONCE + 1):
+            values, ways = np.linalg.eigh(fit.cofactors(rows))
+            felt = fit.response_of(rows.ravel())[: len(std)][counts]
+            felt = (felt.reshape(-1, len(rows), 1, size) @ ways)[:, :, 0]
+            seen = np.maximum(values, needed / LARGEST**2)
+            squares += (felt**2 * needed / seen).sum(axis=(1, 2)) / len(each)
     error = float(np.sqrt((squares / std[counts] ** 2).max(initial=0.0)))
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)
         return
     why = f"{words.elements} hardly check each other: an error in one of them stays unseen"
-    if weak := int((redundancy <= CHECKED).sum()):
+    if weak := _unchecked(fit):
         why = (
-            f"{weak} of {len(rows)} {words.elements} are checked by no other: an error in them "
+            f"{weak} of {len(each)} {words.elements} are checked by no other: an error in them "
             "stays unseen"
         )
     yield Protection("single readings", "not protected", why, error)
 
 
+def _unchecked(fit: Fit) -> int:
+    """Return how many of the elements that may be left out hold a row that no other checks."""
+    open_ = fit.used & fit.model.may_go & (fit.redundancy <= CHECKED)
+    return len(np.unique(fit.model.of_element[open_]))
+
+
 def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     judgement, fit = found.diagnosis.gathering.judgement, found.fit
-    open_ = fit.used & found.model.may_go & (fit.redundancy <= CHECKED)
-    if open_.any():
+    if open_ := _unchecked(fit):
+        every = fit.used[found.model.elements[:, 0]].sum()
         why = (
-            f"{open_.sum()} of {fit.used.sum()} {found.model.words.elements} are checked by no "
+            f"{open_} of {every} {found.model.words.elements} are checked by no "
             "other: an error in them stays unseen"
         )
         yield Protection("one place", "not protected", why)
@@ -589,11 +690,12 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     if judgement is None:
         return
     asked = {group.name for group in judgement.groups}
-    along = {g.kind for g in found.model.groupings if g.along is not None}
-    counts = (row for row in found.diagnosis.gathering.counts if row.kind in along)
-    if any(row.whole > LARGEST_GROUP and row.name not in asked for row in counts):
+    gathers = {g.kind for g in found.model.groupings if g.gathers}
+    counts = (row for row in found.diagnosis.gathering.counts if row.kind in gathers)
+    most = LARGEST_GROUP // found.model.elements.shape[1]
+    if any(row.whole > most and row.name not in asked for row in counts):
         why = (
-            f"of groups of more than {LARGEST_GROUP} {found.model.words.elements} it is not asked "
+            f"of groups of more than {most} {found.model.words.elements} it is not asked "
             "which of them are off together, only whether all of them fit"
         )
         yield Protection("one place", "not protected", why)

@@ -15,15 +15,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import block_diag, csc_array, csr_array, hstack
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.bordered import FewEach, Groups, within
 from rotcal_ros.adjust.designs import Derivatives, dense, design_of
 from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.adjust.subsets import runs
+from rotcal_ros.adjust.scattering import Scattering
+from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import Effect
@@ -67,29 +68,59 @@ class Grouping(NamedTuple):
     """Observations that may be spoiled together: of one station, position, target or run.
 
     ``number`` (n,): which one each belongs to, -1 for none. ``along`` (n,): a time or place along
-    which neighbours are spoiled together; None: only the whole group is judged.
+    which neighbours are spoiled together. ``near`` (n, k): places with neighbours all round, unit
+    vectors for directions, of which a sector closes round the circle. Of neither: only the whole
+    group is judged.
     """
 
     kind: str
     number: Ints
     along: Floats | None = None
+    near: Floats | None = None
 
-    def with_others(self, count: int) -> Grouping:
-        """Return the same beside further observations that belong to none."""
-        along = None if self.along is None else np.append(self.along, np.zeros(count))
-        return self._replace(number=np.append(self.number, np.full(count, -1)), along=along)
+    @property
+    def gathers(self) -> bool:
+        """Whether it says which observations lie together."""
+        return self.along is not None or self.near is not None
+
+    def at(self, rows: Ints) -> Grouping:
+        """Return the same of some ``rows`` (k,) alone."""
+        along, near = (None if each is None else each[rows] for each in (self.along, self.near))
+        return Grouping(self.kind, self.number[rows], along, near)
+
+    def with_others(self, below: int, above: int = 0) -> Grouping:
+        """Return the same beside further observations, below and above, that belong to none."""
+        rows = (above, below)
+        return Grouping(
+            self.kind,
+            np.pad(self.number, rows, constant_values=-1),
+            None if self.along is None else np.pad(self.along, rows),
+            None if self.near is None else np.pad(self.near, (rows, (0, 0))),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Shifts by one unit from each moment within a run on, in time: columns (n, k).
+    """Moves from each moment within a run on, in time: columns (n, k w), w of each moment.
 
     They are written out when they are asked for: of many observations they are very many.
-    ``run`` (n,): -1 for none; ``when`` (n,): the order or the time.
+    ``run`` (n,): -1 for none; ``when`` (n,): the order or the time. ``ways`` (n, w): what each
+    observation feels of w ways to move by one unit; None: of one way, by which all shift alike.
     """
 
     run: Ints
     when: Floats
+    ways: Floats | None = None
+
+    @property
+    def felt(self) -> Floats:
+        """What each observation feels of each way to move, (n, w)."""
+        return np.ones((len(self.run), 1)) if self.ways is None else self.ways
+
+    @property
+    def width(self) -> int:
+        """The number w of columns of a moment."""
+        return 1 if self.ways is None else int(self.ways.shape[1])
 
     @cached_property
     def runs(self) -> list[tuple[Ints, Ints]]:
@@ -104,25 +135,41 @@ class Steps:
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers n of observations and k of columns."""
-        return len(self.run), sum(len(first) for _, first in self.runs)
+        return len(self.run), self.width * sum(len(first) for _, first in self.runs)
 
-    def with_others(self, count: int) -> Steps:
-        """Return the same with ``count`` observations that belong to no run below the others."""
-        return Steps(
-            np.append(self.run, np.full(count, -1)), np.append(self.when, np.zeros(count))
-        )
+    def with_others(self, below: int, above: int = 0) -> Steps:
+        """Return the same beside observations, below and above, that belong to no run."""
+        rows = (above, below)
+        ways = None if self.ways is None else np.pad(self.ways, (rows, (0, 0)))
+        return Steps(np.pad(self.run, rows, constant_values=-1), np.pad(self.when, rows), ways)
 
     def few(self, which: slice = slice(None)) -> csr_array:
         """Return some columns (n, m) by those entries that are not zero."""
-        touched = [rows[k:] for rows, first in self.runs for k in first.tolist()][which]
-        begin = np.append(0, np.cumsum([len(rows) for rows in touched], dtype=np.int64))
-        rows = np.concatenate([np.zeros(0, dtype=np.int64), *touched])
-        entries = np.ones(len(rows)), rows, begin
-        return csr_array(csc_array(entries, shape=(len(self.run), len(touched))))
+        every, ways = range(self.width), self.felt
+        touched = [
+            (way, rows[k:]) for rows, first in self.runs for k in first.tolist() for way in every
+        ][which]
+        begin = np.append(0, np.cumsum([len(rows) for _, rows in touched], dtype=np.int64))
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in touched)])
+        values = np.concatenate([np.zeros(0), *(ways[rows, way] for way, rows in touched)])
+        shape = (len(self.run), len(touched))
+        return csr_array(csc_array((values, rows, begin), shape=shape))
 
     def whole(self, which: slice = slice(None)) -> Floats:
         """Return some columns (n, m), zeros included."""
         return np.asarray(self.few(which).toarray())
+
+    def some(self, most: int) -> Floats:
+        """Return all columns, of far more moments than ``most`` those of some, evenly.
+
+        One between two is seen nearly as well.
+        """
+        moments = self.shape[1] // self.width
+        stride = max(1, moments // most)
+        if stride == 1:
+            return self.whole()
+        every = [slice(k * self.width, (k + 1) * self.width) for k in range(0, moments, stride)]
+        return np.column_stack([self.whole(which) for which in every])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +180,9 @@ class Disturbing:
     makes such columns from the computed observations (n,), as a wrong scale does: the observed
     ones hold the very noise that they would explain. ``what`` happens, for people.
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
-    ``family`` has columns of which at most one is there, in the order of time; other columns are
-    there together.
+    ``family`` has members of which at most one is there, in the order of time, each of so many
+    columns as its :attr:`width`; other columns are there together. What ``stays`` does so from
+    its moment on until the run ends, as :class:`Steps` do.
     """
 
     effect: Effect
@@ -143,27 +191,75 @@ class Disturbing:
     largest: float
     unit: Unit = SECONDS
     family: bool = False
+    of_each: int = 1
+    stays: bool = False
+
+    @property
+    def width(self) -> int:
+        """How many columns each member of a family has; of :class:`Steps` they say it."""
+        return self.columns.width if isinstance(self.columns, Steps) else self.of_each
 
     def at(self, computed: Floats) -> Floats | Steps:
         """Return the columns (n, k) where the observations are ``computed`` (n,)."""
         return self.columns(computed) if callable(self.columns) else self.columns
 
     def whole(self, computed: Floats) -> Floats:
-        """Return the same, written out."""
+        """Return the same, written out; of very many moments some, evenly."""
         found = self.at(computed)
-        return found.whole() if isinstance(found, Steps) else found
+        return found.some(MOST_MOMENTS) if isinstance(found, Steps) else found
 
     def mapped(
-        self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats]
+        self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats], *, apart: bool
     ) -> Disturbing:
         """Return the effect on observations that were changed.
 
         ``to`` changes columns (n, k) as observations were, ``back`` takes computed ones (n',) to
-        what they were before.
+        what they were before. ``apart``: each element was changed by itself.
         """
+        if isinstance(self.columns, Steps) and apart:
+            return replace(self, columns=replace(self.columns, ways=to(self.columns.felt)))
         if callable(self.columns):
             return replace(self, columns=lambda computed: to(self.whole(back(computed))))
-        return replace(self, columns=to(self.whole(np.zeros(0))))
+        stays = self.stays or isinstance(self.columns, Steps)
+        whole = to(self.whole(np.zeros(0)))
+        return replace(self, columns=whole, of_each=self.width, stays=stays)
+
+    def beside(self, below: int, above: int = 0) -> Disturbing:
+        """Return the effect beside further observations, below and above, which it spares."""
+        if isinstance(self.columns, Steps):
+            return replace(self, columns=self.columns.with_others(below, above))
+
+        def spread(columns: Floats) -> Floats:
+            return np.pad(columns, ((above, below), (0, 0)))
+
+        def own(computed: Floats) -> Floats:
+            return computed[above : len(computed) - below]
+
+        return self.mapped(spread, own, apart=False)
+
+
+class Expected(NamedTuple):
+    """What may have happened unseen, once, by ``size``, plus or minus: a member of a family.
+
+    With this ``probability`` beforehand, as of a fringe that a counter slips.
+    """
+
+    effect: Disturbing
+    size: float
+    probability: float
+
+
+class KnownRelation(NamedTuple):
+    """What outputs are known to keep, though each is free: ``rows`` (k, o) of them are zero.
+
+    But for a scatter of ``std``: as steps round a circle add up to nothing, or a table comes to
+    an angle again. ``what`` people are told, as in "*the deviation at 0 deg differs when it is
+    measured again*, by 5 ± 1 arcsec".
+    """
+
+    what: str
+    rows: Floats
+    std: float = 0.0
 
 
 def linear(design: Derivatives) -> Equations:
@@ -215,19 +311,7 @@ def knocks(run: Ints, when: Floats, most: int | None = None) -> Floats:
 
     Of far more moments than ``most`` some, evenly: one between two is seen nearly as well.
     """
-    every = Steps(run, when)
-    stride = 1 if most is None else max(1, every.shape[1] // most)
-    return every.whole(slice(None, None, stride))
-
-
-def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
-    """Return what a move by one unit does from each moment within a ``run`` (n,) on: (n, k m).
-
-    ``felt`` (n, k): what each reading feels of k ways to move, one after the other. Of very many
-    moments some, evenly.
-    """
-    some = knocks(run, when, MOST_MOMENTS)
-    return np.column_stack([some * each[:, None] for each in felt.T])
+    return Steps(run, when).some(most or len(run))
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str, str]:
@@ -309,6 +393,10 @@ class Model:
     ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations;
     else they are called by their groups. What is known beforehand joins by :meth:`knowing`. Rows
     that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
+    ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
+    and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
+    ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
+    ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
     """
 
     blocks: Mapping[str, int]
@@ -327,6 +415,11 @@ class Model:
     effects: Sequence[Disturbing] = ()
     row_names: Sequence[str] = ()
     correlated: Sequence[Correlated] = ()
+    element: Ints | None = None
+    mixed: csr_array | None = None
+    definitions: Floats | None = None
+    expected: Sequence[Expected] = ()
+    closures: Sequence[KnownRelation] = ()
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -343,11 +436,22 @@ class Model:
             *((name, rows, (len(rows), p)) for name, rows in self.also.items()),
             ("component", self.of_component, (n,)),
             ("judged", self.may_go, (n,)),
+            *((("element", self.element, (n,)),) if self.element is not None else ()),
+            *(
+                (("definitions", self.definitions, (np.size(self.definitions) // p, p)),)
+                if self.definitions is not None
+                else ()
+            ),
             *((f"numbers of {g.kind}", g.number, (n,)) for g in self.groupings),
             *(
                 (f"places of {g.kind}", g.along, (n,))
                 for g in self.groupings
                 if g.along is not None
+            ),
+            *(
+                (f"places near each other of {g.kind}", g.near, (n, np.size(g.near) // n))
+                for g in self.groupings
+                if g.near is not None
             ),
             *((f"columns of {e.effect}", e.at(self.observed), None) for e in self.effects),
         ):
@@ -362,6 +466,50 @@ class Model:
             raise DataError("std of the model: expected positive numbers")
         if not np.isin(self.of_component, np.arange(len(self.components))).all():
             raise DataError(f"component of the model: expected 0 to {len(self.components) - 1}")
+        self._check_elements()
+
+    def _check_elements(self) -> None:
+        if self.element is None:
+            return
+        first = self.elements[self.of_element, 0]
+        sizes = (self.elements >= 0).sum(axis=1)[self.of_element]
+        for what, each in (("judged", self.may_go), *((g.kind, g.number) for g in self.groupings)):
+            if (each != each[first]).any():
+                raise DataError(f"{what} of the model: expected the same for all of an element")
+        for g in self.groupings:
+            mixed = [k for k, rows in members_of(g, self.may_go).items() if np.ptp(sizes[rows])]
+            if mixed:
+                raise DataError(f"elements of {g.kind} {mixed[0]}: expected as many rows in each")
+
+    @cached_property
+    def of_element(self) -> Ints:
+        """Which of the elements (n,) each observation belongs to."""
+        n = len(self.observed)
+        if self.element is None:
+            return np.arange(n)
+        alone = self.element.max(initial=-1) + 1 + np.arange(n)
+        number = np.where(self.element < 0, alone, self.element)
+        _, first, which = np.unique(number, return_index=True, return_inverse=True)
+        return np.asarray(np.argsort(np.argsort(first))[which])
+
+    @cached_property
+    def elements(self) -> Ints:
+        """Rows (m, c) of each element, -1 where one has fewer."""
+        number = self.of_element
+        at = within(number)
+        found = np.full((int(number.max()) + 1, int(at.max()) + 1), -1)
+        found[number, at] = np.arange(len(number))
+        return found
+
+    @cached_property
+    def rejectable(self) -> int:
+        """How many elements may be left out."""
+        return int(self.may_go[self.elements[:, 0]].sum())
+
+    def rows_of(self, elements: Ints) -> Ints:
+        """Return the rows of some ``elements`` (k,)."""
+        rows = self.elements[elements].ravel()
+        return np.asarray(rows[rows >= 0])
 
     @property
     def size(self) -> tuple[int, int]:
@@ -417,7 +565,8 @@ class Model:
         """What people call each observation: its groups, and which one of several it is."""
         if self.row_names or not self.groupings:
             return self.row_names or [f"observation {k}" for k in range(len(self.observed))]
-        groups = zip(*(g.number.tolist() for g in self.groupings), strict=True)
+        first = self.elements[:, 0]
+        groups = zip(*(g.number[first].tolist() for g in self.groupings), strict=True)
         kinds = [g.kind for g in self.groupings]
         plain = [
             ", ".join(f"{kind} {k}" for kind, k in zip(kinds, numbers, strict=True) if k >= 0)
@@ -427,7 +576,7 @@ class Model:
         for name in plain:
             seen[name] += 1
             found.append(f"{name} ({seen[name]} of {whole[name]})" if whole[name] > 1 else name)
-        return found
+        return [found[k] for k in self.of_element.tolist()]
 
     def linearised(self, x: Floats) -> tuple[Floats, Design]:
         """Return the computed observations (n,) and their design at ``x`` (p,)."""
@@ -444,38 +593,110 @@ class Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
         return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
 
-    def knowing(self, what: str, rows: Floats, values: Floats, std: float) -> Model:
+    def knowing(
+        self, what: str, rows: Floats | csr_array, values: Floats, std: Floats | float
+    ) -> Model:
         """Return the model with what is known beforehand, as from a certificate.
 
         ``rows`` (k, p) times the unknowns are ``values`` (k,), each with ``std``: observations
         that belong to no group, that no effect spoils and that are never left out, with noise of
-        their own. ``what`` they are, for people.
+        their own: one for each ``what`` they are, for people. As ``csr_array`` they fall into
+        blocks with those before.
         """
-        n, k = len(self.observed), len(values)
+        k, every = len(values), tuple(dict.fromkeys([*self.components, what]))
+        before = 0
+        if what in self.components:
+            before = int((self.of_component == every.index(what)).sum())
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
             return np.append(computed, rows @ x), design_of(design).beside(rows)
 
-        def spared(effect: Disturbing) -> Disturbing:
-            if isinstance(effect.columns, Steps):
-                return replace(effect, columns=effect.columns.with_others(k))
-            return effect.mapped(below, lambda computed: computed[:n])
-
-        def below(columns: Floats) -> Floats:
-            return np.pad(columns, ((0, k), (0, 0)))
-
         return replace(
             self,
             observed=np.append(self.observed, values),
-            std=np.append(self.std, np.full(k, std)),
+            std=np.append(self.std, np.broadcast_to(std, k)),
             equations=equations,
-            components=(*self.components, what),
-            component=np.append(self.of_component, np.full(k, len(self.components))),
+            components=every,
+            component=np.append(self.of_component, np.full(k, every.index(what))),
             judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
-            effects=[spared(effect) for effect in self.effects],
-            row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
+            effects=[effect.beside(k) for effect in self.effects],
+            expected=[e._replace(effect=e.effect.beside(k)) for e in self.expected],
+            row_names=[*self.names, *(f"value {before + i} of {what}" for i in range(k))],
+            element=None if self.element is None else np.append(self.element, np.full(k, -1)),
+            mixed=self.mixed
+            if self.mixed is None
+            else csr_array(block_diag([self.mixed, np.eye(k)])),
+        )
+
+    def scattering(
+        self,
+        what: str,
+        rows: Floats | csr_array,
+        size: float | None,
+        largest: float,
+        ways: Sequence[tuple[float, Floats]] = (),
+    ) -> Model:
+        """Return the model with what scatters by a ``size``; None: that is estimated.
+
+        ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
+        and roots (k, r) of its covariance per unit of size; None: of each row by itself.
+        ``largest``: a size that nobody would overlook.
+        """
+        n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
+        k = rows.shape[0]
+        known = self.knowing(what, rows, np.zeros(k), size or largest)
+        scatter = Scattering(
+            np.arange(n, n + k),
+            (tuple(root for _, root in ways),),
+            what,
+            likely / likely.sum(),
+            size,
+        )
+        return replace(known, correlated=(*self.correlated, scatter))
+
+    @property
+    def scatterings(self) -> list[Scattering]:
+        """What scatters by a size that is estimated, or may have to be."""
+        return [each for each in self.correlated if isinstance(each, Scattering)]
+
+    @cached_property
+    def of_scatter(self) -> Bools:
+        """Which components (c,) are a scatter: how large it is is no matter of the noise."""
+        number = [self.of_component[each.rows[0]] for each in self.scatterings]
+        return np.isin(np.arange(len(self.components)), number)
+
+    def scattered(self, sizes: Sequence[float]) -> Model:
+        """Return the model in which what scatters is weighed by such ``sizes``."""
+        std = self.std.copy()
+        for each, size in zip(self.scatterings, sizes, strict=True):
+            std[each.rows] = size
+        return replace(self, std=std)
+
+    def with_unknowns(self, name: str, columns: Floats) -> Model:
+        """Return the model in which ``columns`` (n, r) of errors have unknown sizes."""
+        more, p = columns.shape[1], self.size[1]
+
+        def wider(rows: Floats | Outputs) -> Floats:
+            return np.pad(np.asarray(rows), ((0, 0), (0, more)))
+
+        def equations(x: Floats) -> tuple[Floats, Derivatives]:
+            computed, design = self.equations(x[:p])
+            if isinstance(design, csr_array):
+                design = csr_array(hstack([design, csr_array(columns)], format="csr"))
+            else:
+                design = np.hstack([dense(design), columns])
+            return computed + columns @ x[p:], design
+
+        return replace(
+            self,
+            blocks={**self.blocks, name: more},
+            equations=equations,
+            outputs=wider(self.outputs),
+            also={key: wider(rows) for key, rows in self.also.items()},
+            start=np.append(self.first, np.zeros(more)),
+            definitions=None if self.definitions is None else wider(self.definitions),
         )
 
     def sharing(self, errors: Floats) -> Model:
@@ -494,20 +715,58 @@ class Model:
             white = white + (ways * (by - 1.0)) @ (ways.T @ white)
             return np.asarray((white.T * self.std).T)
 
-        def freed(values: Floats) -> Floats:
-            return changed(values, 1.0 / root)
+        def equations(x: Floats) -> tuple[Floats, Derivatives]:
+            computed, design = self.equations(x)
+            return changed(computed, 1.0 / root), changed(dense(design), 1.0 / root)
+
+        return self._changed(
+            equations, lambda of: changed(of, 1.0 / root), lambda of: changed(of, root), False
+        )
+
+    def with_blocks(self, covariance: Floats) -> Model:
+        """Return the model of elements of c rows whose noise is correlated, made independent.
+
+        ``covariance`` (m, c, c) of each element's. As in :meth:`sharing` by the symmetric root,
+        of the correlations: rows keep their ``std``, which are the roots of its diagonal.
+        """
+        std = np.sqrt(covariance.diagonal(axis1=1, axis2=2))  # (m, c)
+        size, ways = np.linalg.eigh(covariance / std[:, :, None] / std[:, None])
+        scale = std[:, :, None] / std[:, None]
+        there, rows = self.elements >= 0, self.elements[self.elements >= 0]
+        order = np.argsort(rows)
+
+        def blocks(power: float) -> csr_array:
+            each = scale * ((ways * size[:, None] ** power) @ ways.swapaxes(1, 2))
+            whole = block_diag([b[np.ix_(t, t)] for b, t in zip(each, there, strict=True)])
+            return csr_array(csr_array(whole)[order][:, order])
+
+        to, back = blocks(-0.5), blocks(0.5)
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
-            return freed(computed), freed(dense(design))
+            return to @ computed, to @ (design if isinstance(design, csr_array) else dense(design))
 
+        alone = replace(self, std=std[there][order], mixed=back)
+        return alone._changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
+
+    def _changed(
+        self,
+        equations: Equations,
+        to: Callable[[Floats], Floats],
+        back: Callable[[Floats], Floats],
+        apart: bool,
+    ) -> Model:
+        """Return the model of combinations of its observations, which ``back`` takes back."""
+        effects = [e.mapped(to, back, apart=apart) for e in self.effects]
+        expected = [
+            e._replace(effect=e.effect.mapped(to, back, apart=apart)) for e in self.expected
+        ]
         return replace(
             self,
-            observed=freed(self.observed),
+            observed=to(self.observed),
             equations=equations,
-            effects=[
-                e.mapped(freed, lambda computed: changed(computed, root)) for e in self.effects
-            ],
+            effects=effects,
+            expected=expected,
         )
 
     def name_of(self, unknown: int) -> str:
@@ -543,6 +802,9 @@ def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
 
 def gathered_of(grouping: Grouping, members: Ints) -> Bools:
     """Return which members (e,) of a group lie together, (q, e); none where nothing says so."""
-    if grouping.along is None:
-        return np.zeros((0, len(members)), dtype=np.bool_)
-    return runs(grouping.along[members])
+    found = [np.zeros((0, len(members)), dtype=np.bool_)]
+    if grouping.along is not None:
+        found.append(runs(grouping.along[members]))
+    if grouping.near is not None:
+        found.append(neighbourhoods(grouping.near[members]))
+    return distinct(*found)

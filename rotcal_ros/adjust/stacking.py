@@ -17,8 +17,8 @@ import numpy as np
 
 from rotcal_ros.adjust.designs import Derivatives, dense
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.adjust.model import Disturbing, Model, Unit
+from rotcal_ros.foundation.arrays import Floats, Ints
 
 IN_NOISE: Final = Unit("standard deviations", 1.0)
 """In which people read the observations of several instruments."""
@@ -37,6 +37,7 @@ def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model
         equations=equations,
         outputs=model.outputs @ to,
         also={name: rows @ to for name, rows in model.also.items()},
+        definitions=None if model.definitions is None else model.definitions @ to,
         start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
     )
 
@@ -58,7 +59,9 @@ def whitened(model: Model) -> Model:
         std=np.ones(len(std)),
         equations=equations,
         unit=IN_NOISE,
-        effects=[e.mapped(divided, lambda computed: computed * std) for e in model.effects],
+        effects=[
+            e.mapped(divided, lambda computed: computed * std, apart=True) for e in model.effects
+        ],
     )
 
 
@@ -106,7 +109,7 @@ def stacked(
         ),
         judged=np.concatenate([m.may_go for m in parts]),
         groupings=[
-            _grouping(name, grouping, at, n)
+            grouping._replace(kind=f"{name}, {grouping.kind}").with_others(n - at.stop, at.start)
             for (name, model), at, _ in every
             for grouping in model.groupings
         ],
@@ -121,7 +124,15 @@ def stacked(
             for m, at in zip(parts, rows, strict=True)
             for each in m.correlated
         ],
+        element=_elements(parts),
     )
+
+
+def _elements(models: Sequence[Model]) -> Ints | None:
+    if all(model.element is None for model in models):
+        return None
+    first = np.cumsum([0, *(len(m.elements) for m in models)])
+    return np.concatenate([m.of_element + k for m, k in zip(models, first, strict=False)])
 
 
 def _together(
@@ -153,20 +164,6 @@ def _spread(rows: Floats, columns: Floats, unknowns: int) -> Floats:
     return found
 
 
-def _grouping(name: str, grouping: Grouping, at: slice, n: int) -> Grouping:
-    number = np.full(n, -1)
-    number[at] = grouping.number
-    along = None if grouping.along is None else np.zeros(n)
-    if along is not None:
-        along[at] = grouping.along
-    return Grouping(f"{name}, {grouping.kind}", number, along)
-
-
 def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
     """Return the effect on the rows ``at`` of n, which says in whose observations it is."""
-
-    def spread(columns: Floats) -> Floats:
-        return np.pad(columns, ((at.start, n - at.stop), (0, 0)))
-
-    there = replace(effect, what=f"in {name} {effect.what}")
-    return there.mapped(spread, lambda computed: computed[at])
+    return replace(effect, what=f"in {name} {effect.what}").beside(n - at.stop, at.start)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.designs import Derivatives
-from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit, steps
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Steps, Unit
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import MICROMETRE
@@ -83,7 +83,7 @@ def _effects(problem: BallPlateProblem) -> tuple[Disturbing, ...]:
     n, first = problem.centres.size, _in_time(problem)
     motion = model.plate_motion(problem).reshape(n, 6)[first]
     once, when = np.zeros(n, dtype=np.int64), np.repeat(problem.run_time, 3)[first]
-    moved = steps(once, when, motion)
+    moved = Steps(once, when, motion)
     drift = drift_columns(problem.run_time, 1).reshape(n, 3)[first]
     return (
         Disturbing("drift", "the origin of the CMM drifts", drift, LARGEST, UM),

@@ -13,7 +13,7 @@ by their entries, and stations or targets fall into groups (:mod:`rotcal_ros.adj
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -41,19 +41,7 @@ SMALL: Final = 1e-3
 """Variance, as a share of that of the lengths, that is too small to matter."""
 KNOWN: Final = 1e-9
 """Standard deviation (m) of a coordinate that is called known, where others have errors."""
-DATUM: Final = 1e-6
-"""Standard deviation (m) of what is defined: any will do, for no length contradicts it."""
-FIRM: Final = 1e-9
-"""Share below which a turn of targets in one line is none."""
-LARGEST_MOVE: Final = 1e-4
-"""Drift or knock (m) that could not be overlooked."""
-LARGEST_RATIO: Final = 1e-3
-"""Error of the scale, or of the air's index per metre of height, that could not be missed."""
-MOMENTS: Final = 64
-"""Moments at which the instrument may move: one between two is seen nearly as well."""
-PLACES: Final = 4_000_000
-"""Numbers in what is tried of such moves, 32 MB: of very many lengths fewer moments."""
-UM: Final = Unit("um", MICROMETRE)
+DATUM: Final = Unit("um", MICROMETRE)
 PPM: Final = Unit("um/m", 1e-6)
 WORDS: Final = Words(
     "lengths", "warm air, a person or an obstacle", "in the beams", "in its beams"
@@ -145,7 +133,7 @@ class CarriedLengths:
         if self.tilts:
             return np.broadcast_to(np.eye(3), (len(self.places), 3, 3))
         flat = self.places * [1.0, 1.0, 0.0]
-        return (flat / np.linalg.norm(flat, axis=1)[:, None])[:, None]
+        return np.asarray((flat / np.linalg.norm(flat, axis=1)[:, None])[:, None])
 
     def rows_of(self, block: str, number: Sequence[int] | Ints | slice = slice(None)) -> csr_array:
         """Return rows that take unknowns of a block out of all, by their entries."""
@@ -244,9 +232,9 @@ class CarriedLengths:
             Disturbing("recurring drift", f"{frame} in each turn of the table alike", returning,
                        LARGEST_MOVE, UM),
             Disturbing("knock", "the tracer moved on the table", self._knocks, LARGEST_MOVE, UM,
-                       family=True),
+                       family=True, stays=True),
             Disturbing("slip", "lengths shifted", Steps(beam, when), LARGEST_MOVE, UM,
-                       family=True),
+                       family=True, stays=True),
             Disturbing("refraction", "air lies in layers", layered[:, None], LARGEST_RATIO, PPM),
             Disturbing("scale", "the scale of the lengths is wrong", distance[:, None],
                        LARGEST_RATIO, PPM),
@@ -258,8 +246,8 @@ class CarriedLengths:
         return tuple(effects)
 
     @cached_property
-    def _knocks(self) -> Floats:
-        """Moves of each place by a metre out, along and up, from some moments on (k, 3 t)."""
+    def _knocks(self) -> Steps:
+        """Moves of each place by a metre out, along and up, from each moment on."""
         toward = self.beams / np.linalg.norm(self.beams, axis=1)[:, None]
         out = np.hypot(*self.places[:, :2].T)[:, None]
         outward = self.places * [1.0, 1.0, 0.0] / np.where(out > 0.0, out, 1.0)
@@ -268,10 +256,7 @@ class CarriedLengths:
         carried = rotation_about_z(self.angles)[self.position]
         moved = np.einsum("kwj,kij->kwi", ways, carried) @ self.axes.T
         felt = -np.einsum("kwi,ki->kw", moved, toward)
-        steps = Steps(self.place, self.order.astype(np.float64))
-        most = max(1, min(MOMENTS, PLACES // (3 * len(felt))))
-        some = steps.whole(slice(None, None, max(1, -(-steps.shape[1] // most))))
-        return np.concatenate([some * each[:, None] for each in felt.T], axis=1)
+        return Steps(self.place, self.order.astype(np.float64), felt)
 
     def groupings(self, beyond: Ints) -> list[Grouping]:
         """Return what may be spoiled together, none of what is ``beyond`` the lengths."""
@@ -325,14 +310,6 @@ class CarriedLengths:
         component = [components.index(name) for name in names]
         beyond = np.full(known.shape[0], -1)
 
-        def below(effect: Disturbing) -> Disturbing:
-            if isinstance(effect.columns, Steps):
-                return replace(effect, columns=effect.columns.with_others(len(beyond)))
-            return effect.mapped(
-                lambda columns: np.pad(columns, ((0, len(beyond)), (0, 0))),
-                lambda computed: computed[:k],
-            )
-
         return Model(
             blocks=self.blocks,
             observed=np.append(self.observed, np.zeros(len(beyond))),
@@ -345,7 +322,7 @@ class CarriedLengths:
             component=np.repeat(component, counts),
             judged=np.arange(k + len(beyond)) < k,
             groupings=self.groupings(beyond),
-            effects=[below(e) for e in self.effects],
+            effects=[e.beside(len(beyond)) for e in self.effects],
             row_names=self._names
             + [f"value {i} of {s.what}" for s in parts for i in range(len(s.std))],
         )

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotcal_ros.adjust.effects import Unseen, unseen, unseen_family
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Effect
 from rotcal_ros.methods.tracer.solver.observability import check_counts
@@ -49,12 +49,13 @@ class Prediction:
         for effect in timed.effects:
             if effect.effect not in ("drift", "knock"):
                 continue
-            columns = effect.whole(np.zeros(0))
-            more = ((0, self.fit.model.size[0] - len(columns)), (0, 0))
-            seen = seen_by(self.fit, np.pad(columns, more), family=effect.family)
-            worst = (unseen_family if effect.family else unseen)(
-                seen, std, effect.largest, significance=each, power=POWER
-            )
+            columns = effect.beside(self.fit.model.size[0] - len(lengths.row)).at(np.zeros(0))
+            if effect.family:
+                family = family_seen_by(self.fit, columns, effect.width)
+                worst = unseen_family(family, std, effect.largest, significance=each, power=POWER)
+            else:
+                seen = seen_by(self.fit, np.asarray(columns))
+                worst = unseen(seen, std, effect.largest, significance=each, power=POWER)
             if effect.effect not in found or worst.error > found[effect.effect].error:
                 found[effect.effect] = worst
         return found

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from rotcal_ros.adjust.diagnosis import Limits
-from rotcal_ros.adjust.effects import correlations, limit_of_family
+from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
 from rotcal_ros.adjust.error_motion import WHITE
@@ -481,11 +481,9 @@ def unseen_slips(
     steps = steps[:, :: max(1, -(-steps.shape[1] // CANDIDATES))]
     if not steps.shape[1]:
         return None
-    seen = seen_by(fit, steps, family=True)
-    limit = limit_of_family(
-        problem.settings.rejection_significance, correlations(seen.information)
-    )
-    apart = problem.slip * np.sqrt(np.maximum(seen.information.diagonal(), 0.0)) / scale
+    seen = family_seen_by(fit, steps)
+    limit = limit_of_family(problem.settings.rejection_significance, seen.alike)
+    apart = problem.slip * np.sqrt(np.maximum(seen.information[:, 0, 0], 0.0)) / scale
     missed = 1.0 - ndtr(apart - limit)
     moved = problem.slip * seen.moved[:]
     covariance = (moved.T * (SLIPPED / len(missed) * missed)) @ moved
