@@ -41,7 +41,15 @@ SMALL: Final = 1e-3
 """Variance, as a share of that of the lengths, that is too small to matter."""
 KNOWN: Final = 1e-9
 """Standard deviation (m) of a coordinate that is called known, where others have errors."""
-DATUM: Final = Unit("um", MICROMETRE)
+DATUM: Final = 1e-6
+"""Standard deviation (m) of what is defined: any will do, for no length contradicts it."""
+FIRM: Final = 1e-9
+"""Share below which a turn of targets in one line is none."""
+LARGEST_MOVE: Final = 1e-4
+"""Drift or knock (m) that could not be overlooked."""
+LARGEST_RATIO: Final = 1e-3
+"""Error of the scale, or of the air's index per metre of height, that could not be missed."""
+UM: Final = Unit("um", MICROMETRE)
 PPM: Final = Unit("um/m", 1e-6)
 WORDS: Final = Words(
     "lengths", "warm air, a person or an obstacle", "in the beams", "in its beams"

@@ -21,7 +21,7 @@ from rotcal_ros.adjust.error_motion import WHITE
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.other_way import by_other_way
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
