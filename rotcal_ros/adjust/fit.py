@@ -412,6 +412,7 @@ def _damped(model: Model, x: Floats, weight: Floats, extra: Floats) -> Floats | 
         along = np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0)
         firm = squares + damping * np.diag(along)
         step = np.linalg.solve(firm, pull)
+        step = np.asarray(step, dtype=np.float64)
         near = (model.observed - _computed(model, x + BEND * step, extra)[0]) * weight
         bend = 2.0 / BEND * ((white - near) / BEND - design.times(step))
         bent = np.linalg.solve(firm, design.adjoint(-0.5 * bend))

@@ -49,6 +49,10 @@ LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m) that could not be overlooked."""
 LARGEST_RATIO: Final = 1e-3
 """Error of the scale, or of the air's index per metre of height, that could not be missed."""
+MOMENTS: Final = 64
+"""Moments at which the instrument may move: one between two is seen nearly as well."""
+PLACES: Final = 4_000_000
+"""Numbers in what is tried of an effect, 32 MB: of very many lengths fewer moments."""
 UM: Final = Unit("um", MICROMETRE)
 PPM: Final = Unit("um/m", 1e-6)
 WORDS: Final = Words(
@@ -72,7 +76,8 @@ class CarriedLengths:
     ``places`` (p, 3), ``targets`` (n, 3) and ``zeros`` (s,), m. ``row``, ``order`` (k,): of the
     problem, and when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``common`` (k, r), m: independent
     errors that lengths share, each of its standard deviation. ``beam`` (k,): which unbroken beam
-    each length is of; None: zeros are those. ``tilts``: whether the table's are
+    each length is of; None: zeros are those. ``unbroken``: lengths of several stations are of one,
+    whose counter may slip. ``tilts``: whether the table's are
     unknown; one place feels nothing of them that is no shift. ``later`` (k,): which of the
     ``later_zeros`` joins the zero of a length, -1 for none. ``called``: numbers (m,) and (n,) by
     which people call positions and targets; None: as they are. ``more``: blocks of further
@@ -96,6 +101,7 @@ class CarriedLengths:
     common: Floats | None = None
     tilts: bool = False
     beam: Ints | None = None
+    unbroken: bool = False
     later: Ints | None = None
     later_zeros: int = 0
     called: tuple[Ints, Ints] | None = None
@@ -229,7 +235,7 @@ class CarriedLengths:
         machine = np.column_stack([toward, (toward * spin).sum(axis=1)])
         again = passes(self.place, self.position, self.order)
         returning = np.hstack([machine * shape[:, None] for shape in recurring(again, when).T])
-        gone, read = drifts(once, when), drifts(beam, when)
+        gone = drifts(once, when)
         # the index at the mean height of a beam is that along it, for it grows linearly
         height = self.targets[self.target, 2] - 0.5 * self.beams[:, 2]
         layered = distance * (height - height.mean())
@@ -240,22 +246,30 @@ class CarriedLengths:
             Disturbing("recurring drift", f"{frame} in each turn of the table alike", returning,
                        LARGEST_MOVE, UM),
             Disturbing("knock", "the tracer moved on the table", self._knocks, LARGEST_MOVE, UM,
-                       family=True, stays=True),
-            Disturbing("slip", "lengths shifted", Steps(beam, when), LARGEST_MOVE, UM,
-                       family=True, stays=True),
+                       family=True, of_each=3, stays=True),
             Disturbing("refraction", "air lies in layers", layered[:, None], LARGEST_RATIO, PPM),
             Disturbing("scale", "the scale of the lengths is wrong", distance[:, None],
                        LARGEST_RATIO, PPM),
         ]  # fmt: skip
-        if read.shape[1] > 1:
+        if self.unbroken:
+            effects.insert(4, self._slipping(beam, when))
+        if 1 < len(np.unique(beam)) <= PLACES // len(beam):
+            read = drifts(beam, when)
             effects.insert(
                 2, Disturbing("drift", "lengths drift", read, LARGEST_MOVE, UM, family=True)
             )
         return tuple(effects)
 
+    def _slipping(self, beam: Ints, when: Floats) -> Disturbing:
+        """Return that a zero jumps within an unbroken beam."""
+        shifts = Steps(beam, when)
+        return Disturbing(
+            "slip", "lengths shifted", shifts, LARGEST_MOVE, UM, family=True, stays=True
+        )
+
     @cached_property
-    def _knocks(self) -> Steps:
-        """Moves of each place by a metre out, along and up, from each moment on."""
+    def _knocks(self) -> Floats:
+        """Moves of each place by a metre out, along and up, from some moments on, (k, 3 t)."""
         toward = self.beams / np.linalg.norm(self.beams, axis=1)[:, None]
         out = np.hypot(*self.places[:, :2].T)[:, None]
         outward = self.places * [1.0, 1.0, 0.0] / np.where(out > 0.0, out, 1.0)
@@ -264,7 +278,10 @@ class CarriedLengths:
         carried = rotation_about_z(self.angles)[self.position]
         moved = np.einsum("kwj,kij->kwi", ways, carried) @ self.axes.T
         felt = -np.einsum("kwi,ki->kw", moved, toward)
-        return Steps(self.place, self.order.astype(np.float64), felt)
+        steps = Steps(self.place, self.order.astype(np.float64))
+        most = max(1, min(MOMENTS, PLACES // (3 * len(felt))))
+        some = steps.whole(slice(None, None, max(1, -(-steps.shape[1] // most))))
+        return np.asarray((some[:, :, None] * felt[:, None]).reshape(len(felt), -1))
 
     def groupings(self, beyond: Ints) -> list[Grouping]:
         """Return what may be spoiled together, none of what is ``beyond`` the lengths."""

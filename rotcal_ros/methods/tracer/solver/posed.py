@@ -173,6 +173,7 @@ def _lengths(
         axes=axes,
         origin=axes @ [*found[:2], local[:, 2].mean()],
         called=(grid.position_ids, grid.target_ids),
+        unbroken=problem.segment is not None,
         later=later,
         later_zeros=int(later.max(initial=-1)) + 1,
     )

@@ -50,6 +50,7 @@ def curve_model(solution: SixSolution) -> CurveModel:
         origin=curves.origin,
         common=np.hstack([slips, _scattered(solution)[station, target]]),
         tilts=True,
+        unbroken=True,
     )
     named = {
         f"E{axis}C": lengths.rows_of(block, slice(k, None, 3))
