@@ -411,10 +411,9 @@ def _damped(model: Model, x: Floats, weight: Floats, extra: Floats) -> Floats | 
         squares, pull = design.normal(), design.adjoint(white)
         along = np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0)
         firm = squares + damping * np.diag(along)
-        step = np.linalg.solve(firm, pull)
-        step = np.asarray(step, dtype=np.float64)
+        step: Floats = np.asarray(np.linalg.solve(firm, pull), dtype=np.float64)
         near = (model.observed - _computed(model, x + BEND * step, extra)[0]) * weight
-        bend = 2.0 / BEND * ((white - near) / BEND - design.times(step))
+        bend: Floats = np.asarray(2.0 / BEND * ((white - near) / BEND - design.times(step)))
         bent = np.linalg.solve(firm, design.adjoint(-0.5 * bend))
         if np.isfinite(bent).all() and bent @ (along * bent) <= step @ (along * step):
             step = step + bent

@@ -27,8 +27,8 @@ from rotcal_ros.methods.ball_plate.solver import curve_model as plate_model
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.plane_mirror.solver import curve_model as mirror_model
 from rotcal_ros.methods.tracer import solver as tracer
-from rotcal_ros.methods.tracer.solver import carried_lengths
 from rotcal_ros.methods.tracer.solver.solution import adjust as adjust_tracer
+from rotcal_ros.methods.tracer.solver.solution import curve_model as tracer_model
 from rotcal_ros.methods.tracer_six import solver as tracer_six
 from rotcal_ros.methods.tracer_six.solver import curve_model as six_model
 from rotcal_ros.methods.tracer_six.solver.solution import adjust as adjust_six
@@ -50,7 +50,7 @@ def tracer_of(problem, name="tracer"):
         result, solution = tracer.solve(problem), adjust_tracer(problem)
     except ObservabilityError:
         result, solution = None, None
-    model = carried_lengths.curve_model(problem, solution)
+    model = tracer_model(problem, solution)
     return JointInput(name, nothing(model) if result is None else result, model)
 
 
@@ -320,7 +320,7 @@ def test_a_length_that_is_wrong_is_left_out_by_its_number():
 def test_without_an_error_motion_lengths_that_tell_none_have_to_state_it():
     problem = replace(tracer_problem(1, keep=few), error_motion_std=None)
     with pytest.raises(ObservabilityError, match=r"state solver\.error_motion_std_m"):
-        carried_lengths.curve_model(problem, None)
+        tracer_model(problem, None)
 
 
 def test_errors_in_common_are_those_of_the_whole_covariance():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 
 STD = 2e-7

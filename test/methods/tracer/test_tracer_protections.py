@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chances import LONG, most
+from chances import LONG
 
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve

@@ -17,6 +17,7 @@ from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import solve
 
+
 def test_what_the_verdict_rests_on_is_counted():
     """One length twice, two spikes, one station with too few lengths."""
     scene = simulate(3, angles=arc(9), n=24, layout=low_ring)

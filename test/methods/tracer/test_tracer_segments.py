@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from rotcal_ros.methods.tracer.solver.trials import cumulative_deviations, predicted, trials_about
 from segment_scene import LENGTH_STD, Dense, measure
 from tracer_scene import low_ring, paper_block
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.methods.tracer.solver.trials import cumulative_deviations, predicted, trials_about
 
 
 def dense_covariance(dense, x):
@@ -54,11 +54,11 @@ def test_solution_and_covariance_are_those_of_dense_least_squares(datum, by_targ
     scale = np.abs(expected).max()
     # a free network at noisy lengths feels its seventh direction a little, 1e-6 of the others
     near = 1e-9 if datum == "prior" else 1e-5
-    assert np.abs(solution.angles.covariance - expected).max() < near * scale
+    assert np.abs(solution.covariance - expected).max() < near * scale
     redundancy = solve(problem).residuals.redundancy
     assert np.abs(redundancy - (1 - leverage[:140])).max() < 10 * near
-    assert predicted(problem, found.stations).angles.covariance == pytest.approx(
-        solution.angles.covariance, rel=1e-4, abs=1e-4 * scale
+    assert predicted(problem, found.stations).covariance == pytest.approx(
+        solution.covariance, rel=1e-4, abs=1e-4 * scale
     )
 
 
@@ -191,7 +191,7 @@ def test_a_zero_that_wanders_is_that_of_dense_least_squares():
     assert np.abs(solution.fit.stations - at[:21].reshape(7, 3)).max() < 1e-11
     covariance, _ = dense_covariance(dense, at)
     expected = ecc_covariance(solution.fit.stations, run.angles, covariance[:21, :21])
-    assert np.abs(solution.angles.covariance - expected).max() < 1e-8 * np.abs(expected).max()
+    assert np.abs(solution.covariance - expected).max() < 1e-8 * np.abs(expected).max()
     assert solution.fit.dof == 140 + 139 - 21 - 140
     drawn = trials_about(adjust(problem))(np.random.default_rng(1), 1000)
     assert drawn.std(axis=0)[1:] == pytest.approx(solution.angles.std[1:], rel=0.1)

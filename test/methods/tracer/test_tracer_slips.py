@@ -41,13 +41,13 @@ def test_the_share_of_slips_is_that_of_dense_algebra():
     missed = np.where(side < 4, 1.0, norm.cdf(limit - apart))
     chance = 0.5 * missed / len(moments)
     share = ecc_covariance(solution.fit.stations, run.angles, (moved.T * chance) @ moved)
-    alone = adjust(run.problem(0.5, 0, slip=0.0)).angles.covariance
-    stated = solution.angles.covariance - alone
+    alone = adjust(run.problem(0.5, 0, slip=0.0)).covariance
+    stated = solution.covariance - alone
     assert np.abs(stated - share).max() < 1e-5 * share.max()
     assert solution.angles.budget["slips"] == pytest.approx(np.sqrt(share.diagonal()), rel=1e-5)
     assert share.max() > 0.02 * alone.max()
-    foreseen = predicted(problem, solution.fit.stations).angles.covariance
-    assert foreseen == pytest.approx(solution.angles.covariance, rel=1e-4, abs=1e-16)
+    foreseen = predicted(problem, solution.fit.stations).covariance
+    assert foreseen == pytest.approx(solution.covariance, rel=1e-4, abs=1e-16)
 
 
 def test_a_slip_that_cannot_be_missed_costs_nothing_but_at_the_ends():

@@ -8,7 +8,7 @@ import pytest
 from six_scene import scene
 
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.methods.tracer.solver.screening import groups_of
+from rotcal_ros.methods.tracer_six.lengths.screening import groups_of
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 from rotcal_ros.methods.tracer_six.solver.solution import PLACE, _RigidView, adjust
 

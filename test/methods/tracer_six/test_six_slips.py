@@ -12,7 +12,7 @@ from six_scene import good_targets, scene
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.methods.tracer.solver import TracerLimits
-from rotcal_ros.methods.tracer.solver.zeros import Shifts, slips_among
+from rotcal_ros.methods.tracer_six.lengths.zeros import Shifts, slips_among
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 from rotcal_ros.methods.tracer_six.solver.solution import adjust
 

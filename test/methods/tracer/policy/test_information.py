@@ -18,7 +18,7 @@ from tracer_scenes import (
 
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.trials import predicted
+from rotcal_ros.methods.tracer.solver.prediction import predicted
 
 
 def solved(scene, lengths):
@@ -105,7 +105,7 @@ def test_every_variant_is_predicted_as_the_solver_states_it(name):
         segment=lengths.segment if segments else None,
         start_stations=STATIONS,
     )
-    assert_alike(predicted(problem, STATIONS).angles.covariance, problem)
+    assert_alike(predicted(problem, STATIONS).covariance, problem)
     if variant == "joint":
         planned = counted_from_first(Information(scene, lengths, segments or 11))
         assert_alike(planned, replace(problem, slip=0.0))
