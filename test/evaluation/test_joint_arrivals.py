@@ -144,8 +144,8 @@ def test_joined_runs_and_readings_are_one_least_squares():
     columns = ("position", "target", "length_std", "distance_std")
     more = {c: np.append(getattr(broken, c), getattr(broken, c)[row]) for c in columns}
     asked = replace(
-        broken, **more, length=np.append(broken.length, later), run=np.append(run, np.ones(3, int)),
-        again=np.append(0 * run, np.ones(3, int)), order=np.append(
+        broken, **more, length=np.append(broken.length, later),
+        run=np.append(run, np.ones(3, int)), again=np.append(0 * run, np.ones(3, int)), order=np.append(
             np.lexsort((broken.target, broken.position, run)).argsort(), len(run) + np.arange(3)
         ),
     )  # fmt: skip

@@ -27,6 +27,7 @@ from rotcal_ros.methods.ball_plate.solver import curve_model as plate_model
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.plane_mirror.solver import curve_model as mirror_model
 from rotcal_ros.methods.tracer import solver as tracer
+from rotcal_ros.methods.tracer.solver.carried_lengths import WORDS
 from rotcal_ros.methods.tracer.solver.solution import adjust as adjust_tracer
 from rotcal_ros.methods.tracer.solver.solution import curve_model as tracer_model
 from rotcal_ros.methods.tracer_six import solver as tracer_six
@@ -332,7 +333,7 @@ def test_errors_in_common_are_those_of_the_whole_covariance():
         std=np.full(9, 0.5),
         equations=linear(design),
         outputs=np.eye(2),
-        words=carried_lengths.WORDS,
+        words=WORDS,
     )
     shared = model.sharing(common)
     rows = shared.equations(np.zeros(2))[1] / 0.5
