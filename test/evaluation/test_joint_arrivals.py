@@ -143,12 +143,15 @@ def test_joined_runs_and_readings_are_one_least_squares():
     broken = replace(problem, length=problem.length + jump * run)
     columns = ("position", "target", "length_std", "distance_std")
     more = {c: np.append(getattr(broken, c), getattr(broken, c)[row]) for c in columns}
+    when = np.lexsort((broken.target, broken.position, run)).argsort()
     asked = replace(
-        broken, **more, length=np.append(broken.length, later),
-        run=np.append(run, np.ones(3, int)), again=np.append(0 * run, np.ones(3, int)), order=np.append(
-            np.lexsort((broken.target, broken.position, run)).argsort(), len(run) + np.arange(3)
-        ),
-    )  # fmt: skip
+        broken,
+        **more,
+        length=np.append(broken.length, later),
+        run=np.append(run, np.ones(3, int)),
+        again=np.append(0 * run, np.ones(3, int)),
+        order=np.append(when, len(run) + np.arange(3)),
+    )
     solution = adjust_tracer(asked)
     model = curve_model(asked, solution)
     measured = polygon(ALTERNATING, np.random.default_rng(9), noise=ROUGH)

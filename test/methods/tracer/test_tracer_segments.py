@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from rotcal_ros.methods.tracer.solver.trials import predicted
 from segment_scene import LENGTH_STD, measure
 from tracer_scene import low_ring, paper_block
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.solution import adjust
 
 
