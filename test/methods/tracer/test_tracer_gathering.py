@@ -80,7 +80,7 @@ def test_the_warning_names_the_station_and_how_many(one_zero):
     result = solve(problem(here, here.disturbed, one_zero))
     said = " ".join(result.warnings)
     assert f"8 of the 20 lengths of station {station} are off together" in said
-    assert f"one of 8 lengths of station {station} that are off together" in result.rejected[0].why
+    assert f"one of 8 of station {station} that are off together" in result.rejected[0].why
 
 
 def test_a_half_against_the_other_half_is_suspect_and_covered():

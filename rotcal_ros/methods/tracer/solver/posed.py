@@ -22,7 +22,7 @@ from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     CarriedLengths,
@@ -30,8 +30,12 @@ from rotcal_ros.methods.tracer.solver.carried_lengths import (
     of_targets,
     taken,
 )
-from rotcal_ros.methods.tracer.solver.circle import table_motion
-from rotcal_ros.methods.tracer.solver.observability import check_counts
+from rotcal_ros.methods.tracer.solver.circle import check_sense, table_motion
+from rotcal_ros.methods.tracer.solver.observability import (
+    NEVER_TURNED,
+    check_counts,
+    hardly_moved,
+)
 from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
 from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
 
@@ -85,6 +89,11 @@ class Posed:
         given = problem.start_stations
         given = None if given is None else given[grid.position_ids]
         state, ambiguous = find_any_start(grid, given, angles)
+        stations = state[grid.first_strip, :3]
+        if hardly_moved(stations):
+            raise ObservabilityError(NEVER_TURNED)
+        if given is None and len(stations) >= CIRCLE:
+            check_sense(table_motion(stations, angles), stations, angles, grid.position_ids)
         return cls.at(problem, grid, absent, state, ambiguous)
 
     @classmethod

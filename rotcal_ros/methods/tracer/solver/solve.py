@@ -174,7 +174,7 @@ def _doubts(solution: TracerSolution, closing: tuple[Closure, ...]) -> Iterator[
             yield _cause(float(effect.sizes[0]), float(effect.std[0]), solution.problem.slip)
     motion = solution.error_motion
     if solution.contradicted:
-        what = "the table's radial error motion is larger than was stated,"
+        what = "the table's radial error motion is larger than the stated"
         rms = float(np.sqrt(np.mean(solution.motion.radial**2)))
         yield (
             f"the stations leave their circle by {rms:.3g} m (rms): {what} {motion.stated:.2g} m; "
