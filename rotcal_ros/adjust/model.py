@@ -397,6 +397,7 @@ class Model:
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
+    ``unstated``: the noise is not known; ``std`` is a guess, no more than tenfold too large.
     """
 
     blocks: Mapping[str, int]
@@ -420,6 +421,7 @@ class Model:
     definitions: Floats | None = None
     expected: Sequence[Expected] = ()
     closures: Sequence[KnownRelation] = ()
+    unstated: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
