@@ -77,7 +77,7 @@ def stacked(
 
     columns = [np.append(np.arange(width), np.arange(u.start, u.stop)) for u in own]
     every = list(zip(models.items(), rows, columns, strict=True))
-    firsts = np.cumsum([0, *(len(m.components) for m in parts)])
+    begins = np.cumsum([0, *(len(m.components) for m in parts[:-1])]).tolist()
     return Model(
         blocks=blocks,
         observed=np.concatenate([m.observed for m in parts]),
@@ -93,9 +93,7 @@ def stacked(
             for what, further in model.also.items()
         },
         components=[f"{c} of {name}" for name, m in models.items() for c in m.components],
-        component=np.concatenate(
-            [m.of_component + k for m, k in zip(parts, firsts, strict=False)]
-        ),
+        component=np.concatenate([m.of_component + k for m, k in zip(parts, begins, strict=True)]),
         judged=np.concatenate([m.may_go for m in parts]),
         groupings=[
             grouping._replace(kind=f"{name}, {grouping.kind}").with_others(n - at.stop, at.start)
