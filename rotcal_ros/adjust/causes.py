@@ -25,6 +25,7 @@ from rotcal_ros.adjust.noise import (
     NEARLY_SETTLED,
     PRIOR,
     SETTLED,
+    UNKNOWN,
     EstimatedFactors,
     NoiseEvidence,
     bent_squares,
@@ -52,23 +53,27 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
     """
     start, gross = robust_start(model, limits)
     whole = Diagnosis(model, limits, Noise(np.ones(len(model.components))), start)
-    found = _beside_gross(whole, gross)
-    return _with_scatter(found) if model.scatterings else found
+    if not model.scatterings:
+        return _beside_gross(whole, gross)
+    explained = _beside_gross(whole, gross) if len(gross) else None
+    return _with_scatter(whole, explained)
 
 
-def _with_scatter(diagnosis: Diagnosis) -> Diagnosis:
+def _with_scatter(whole: Diagnosis, explained: Diagnosis | None) -> Diagnosis:
     """Return what is believed once what scatters is weighed by the size that is likely.
 
-    Before, it was weighed by a size that nobody would overlook, or as stated.
+    Before, it was weighed by a size that nobody would overlook, or as stated; what was
+    ``explained`` so stays.
     """
+    diagnosis = explained or whole
     for _ in range(SCATTER_ROUNDS):
         fit, model = diagnosis.fit, diagnosis.model
         sizes = [fit.sizes[each].weighing for each in model.scatterings]
         now = [float(model.std[each.rows[0]]) for each in model.scatterings]
-        if np.allclose(sizes, now, rtol=SAME_SIZE):
+        if explained and np.allclose(sizes, now, rtol=SAME_SIZE):
             break
         again = replace(diagnosis, model=model.scattered(sizes), start=fit.x)
-        diagnosis = _explained(again)
+        diagnosis = explained = _explained(again)
     return diagnosis
 
 
@@ -140,7 +145,7 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
     Far, for noise that is stated too small is no rare thing.
     """
     found = _explained_beside_noise(diagnosis)
-    if found.noise.factors.max() <= 1.0:
+    if found.noise.factors.max() <= 1.0 or diagnosis.model.unstated:
         return found
     other = _by_effects(diagnosis)
     if other is None:
@@ -188,9 +193,9 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
         elif not bent:
-            return diagnosis
+            return diagnosis.solved(fit)
         elif noise.estimated is None and _as_stated(diagnosis, fit, bent=False):
-            return replace(diagnosis, start=diagnosis.fit.x)  # whole squares show the same
+            return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
 
@@ -230,6 +235,8 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
 
 def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
     """Whether a fit with the noise as stated contradicts no component of it."""
+    if diagnosis.model.unstated:
+        return False
     chance = _evidence(fit, bent).probabilities()
     return bool(chance.min() >= diagnosis.limits.significance / len(chance))
 
@@ -245,7 +252,7 @@ def _estimated_noise(
         return replace(evidence, present=evidence.present & ~held), fit
 
     start = np.where(held, 1.0, diagnosis.noise.factors)
-    prior = np.eye(len(held)) / PRIOR**2
+    prior = np.eye(len(held)) / (UNKNOWN if diagnosis.model.unstated else PRIOR) ** 2
     return estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
 
 

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.linalg import lapack
 
+from rotcal_ros.adjust.effects import SeenFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
-from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.model import Model, Steps
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -27,6 +28,9 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
+FROZEN, SHRINKS = 0.01, 0.01
+"""Squared step, in standard deviations, from which on derivatives stay as they were, as long as
+the next one is so much smaller."""
 HALVINGS: Final = 20
 MOST_DAMPED: Final = 200
 """Damped steps on the way to a minimum: many, for long bent valleys."""
@@ -90,6 +94,11 @@ class Fit:
     def white(self) -> Floats:
         """Whitened residuals (n,), zero where not used."""
         return np.where(self.used, self.residual / self.std, 0.0)
+
+    @cached_property
+    def families(self) -> dict[Steps, SeenFamily]:
+        """What was worked out of moves that may have begun at any moment."""
+        return {}
 
     @property
     def chi2(self) -> float:
@@ -219,6 +228,10 @@ class Fit:
         """Return what whitened errors (n, k) of what is not correlated do to the outputs."""
         return self.model.output_rows.times(self.kernel.solve(white))
 
+    def moved_by(self, gain: Floats, _white: Floats) -> Floats:
+        """Return the same where the kernel's solution ``gain`` (p + q, k) is known already."""
+        return self.model.output_rows.times(gain)
+
     def covariance(self, count: int) -> Floats:
         """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
         first, whole = self.model.output_rows.first(count), np.zeros((count, count))
@@ -347,13 +360,19 @@ def _defined(model: Model, kernel: Kernel) -> Kernel:
 
 
 def fitted(
-    model: Model, used: Bools, std: Floats, start: Floats, extra: Floats | None = None
+    model: Model,
+    used: Bools,
+    std: Floats,
+    start: Floats,
+    extra: Floats | None = None,
+    settled: float = CONVERGED,
 ) -> Fit:
     """Return the least-squares solution with the observations ``used`` (n,), weighed by ``std``.
 
     ``start`` (p,) or longer; ``extra`` (n, q): columns that are unknowns, too. Gauss-Newton with
     halved steps where the sum of squares would grow; the steps may be rough, what they end at is
-    where the gradient vanishes. Raises ObservabilityError where an output feels what nothing
+    where the gradient vanishes, to a step whose square, in standard deviations and per
+    chi-squared, is ``settled``. Raises ObservabilityError where an output feels what nothing
     tells, DataError where the iteration does not settle.
     """
     n, p = model.size
@@ -363,17 +382,20 @@ def fitted(
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
     steps = _Steps.of(model, jacobian.weighted(weight))
+    if steps.defines:  # what is defined is no step of the iteration
+        x = steps.defined(x)
+        computed, jacobian = _computed(model, x, extra)
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
         step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
-        if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
+        if left <= settled * max(square, 1.0) or 0.25 * before < left < NEARLY:
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
-        before, solved = left, jacobian
+        slow, before, solved = left > SHRINKS * before, left, jacobian
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -384,7 +406,7 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved:
+        if jacobian is not solved and (slow or left > FROZEN):
             steps = _Steps.of(model, jacobian.weighted(weight))
     found = _damped(model, x, weight, extra)
     if found is None:
@@ -476,9 +498,31 @@ class _Steps:
         if step is None:
             return self._by_normal_equations(white, x)
         felt = self.design.times(step)
-        if isinstance(self.by_form, Defined):
-            step = self.by_form.defined(x + step) - x
+        if self.defines:
+            step = self.defined(x + step) - x
         return step, float(felt @ felt)
+
+    @property
+    def defines(self) -> bool:
+        """Whether definitions fix what is open of this design, where that is known beforehand."""
+        return self._fixing is not None
+
+    @cached_property
+    def _fixing(self) -> tuple[Floats, Floats] | None:
+        """Definitions (g, p + q), and what takes what they are off to the unknowns, (p + q, g)."""
+        if isinstance(self.by_form, Defined):
+            return self.by_form.rows, self.by_form.fixing
+        if self.model.definitions is None or (open_ := self.design.open_directions) is None:
+            return None
+        rows = np.pad(self.model.definitions, ((0, 0), (0, len(open_) - self.model.size[1])))
+        return rows, fixed_by(rows, open_, _scale(self.design))[0]
+
+    def defined(self, x: Floats) -> Floats:
+        """Return unknowns ``x`` (p + q,) as they are defined."""
+        if self._fixing is None:
+            return x
+        rows, fixing = self._fixing
+        return np.asarray(x - fixing @ (rows @ x))
 
     def _by_normal_equations(self, white: Floats, x: Floats) -> tuple[Floats, float]:
         model, design = self.model, self.design

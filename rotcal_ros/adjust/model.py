@@ -143,19 +143,25 @@ class Steps:
         ways = None if self.ways is None else np.pad(self.ways, (rows, (0, 0)))
         return Steps(np.pad(self.run, rows, constant_values=-1), np.pad(self.when, rows), ways)
 
-    def few(self, which: slice = slice(None)) -> csr_array:
-        """Return some columns (n, m) by those entries that are not zero."""
-        every, ways = range(self.width), self.felt
-        touched = [
+    @cached_property
+    def _touched(self) -> list[tuple[int, Ints]]:
+        """Of each column its way, and the rows that it touches."""
+        every = range(self.width)
+        return [
             (way, rows[k:]) for rows, first in self.runs for k in first.tolist() for way in every
-        ][which]
+        ]
+
+    def few(self, which: slice | Ints = slice(None)) -> csr_array:
+        """Return some columns (n, m) by those entries that are not zero."""
+        ways, every = self.felt, self._touched
+        touched = every[which] if isinstance(which, slice) else [every[k] for k in which.tolist()]
         begin = np.append(0, np.cumsum([len(rows) for _, rows in touched], dtype=np.int64))
         rows = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in touched)])
         values = np.concatenate([np.zeros(0), *(ways[rows, way] for way, rows in touched)])
         shape = (len(self.run), len(touched))
         return csr_array(csc_array((values, rows, begin), shape=shape))
 
-    def whole(self, which: slice = slice(None)) -> Floats:
+    def whole(self, which: slice | Ints = slice(None)) -> Floats:
         """Return some columns (n, m), zeros included."""
         return np.asarray(self.few(which).toarray())
 
@@ -397,6 +403,8 @@ class Model:
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
+    ``shared``: blocks that rows of many groups feel, where derivatives come as ``csr_array``.
+    ``unstated``: the noise is not known; ``std`` is a guess, no more than tenfold too large.
     """
 
     blocks: Mapping[str, int]
@@ -420,6 +428,8 @@ class Model:
     definitions: Floats | None = None
     expected: Sequence[Expected] = ()
     closures: Sequence[KnownRelation] = ()
+    shared: Sequence[str] = ()
+    unstated: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -477,7 +487,8 @@ class Model:
             if (each != each[first]).any():
                 raise DataError(f"{what} of the model: expected the same for all of an element")
         for g in self.groupings:
-            mixed = [k for k, rows in members_of(g, self.may_go).items() if np.ptp(sizes[rows])]
+            every = members_of(g, self.may_go).items()
+            mixed = [number for number, rows in every if len(np.unique(sizes[rows])) > 1]
             if mixed:
                 raise DataError(f"elements of {g.kind} {mixed[0]}: expected as many rows in each")
 
@@ -587,7 +598,10 @@ class Model:
     def _groups(self) -> Groups | None:
         """Into which groups the unknowns fall, which is asked once."""
         design = design_of(self.equations(self.first)[1])
-        return design.structure if isinstance(design, FewEach) else None
+        if not isinstance(design, FewEach):
+            return None
+        block = np.repeat(list(self.blocks), list(self.blocks.values()))
+        return Groups.of(design.few, np.flatnonzero(np.isin(block, self.shared)))
 
     def at(self, unknowns: Floats) -> Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
@@ -641,19 +655,19 @@ class Model:
         """Return the model with what scatters by a ``size``; None: that is estimated.
 
         ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
-        and roots (k, r) of its covariance per unit of size; None: of each row by itself.
-        ``largest``: a size that nobody would overlook.
+        and roots (k, r) of its covariance per unit of size; none: of each row by itself. Sizes
+        are told as what a row scatters by the first of them, in the mean of squares.
+        ``largest``: one that nobody would overlook.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
-        k = rows.shape[0]
-        known = self.knowing(what, rows, np.zeros(k), size or largest)
-        scatter = Scattering(
-            np.arange(n, n + k),
-            (tuple(root for _, root in ways),),
-            what,
-            likely / likely.sum(),
-            size,
-        )
+        k, unit = rows.shape[0], 1.0
+        if ways:
+            unit = float(np.sqrt((ways[0][1] ** 2).sum() / k))
+        stated = None if size is None else size * unit
+        known = self.knowing(what, rows, np.zeros(k), stated or largest)
+        parts = (tuple(root / unit for _, root in ways),)
+        each = np.arange(n, n + k)
+        scatter = Scattering(each, parts, what, likely / likely.sum(), stated)
         return replace(known, correlated=(*self.correlated, scatter))
 
     @property
@@ -719,7 +733,7 @@ class Model:
             computed, design = self.equations(x)
             return changed(computed, 1.0 / root), changed(dense(design), 1.0 / root)
 
-        return self._changed(
+        return self.changed(
             equations, lambda of: changed(of, 1.0 / root), lambda of: changed(of, root), False
         )
 
@@ -747,16 +761,19 @@ class Model:
             return to @ computed, to @ (design if isinstance(design, csr_array) else dense(design))
 
         alone = replace(self, std=std[there][order], mixed=back)
-        return alone._changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
+        return alone.changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
 
-    def _changed(
+    def changed(
         self,
         equations: Equations,
         to: Callable[[Floats], Floats],
         back: Callable[[Floats], Floats],
         apart: bool,
     ) -> Model:
-        """Return the model of combinations of its observations, which ``back`` takes back."""
+        """Return the model of combinations ``to`` of its observations, which ``back`` takes back.
+
+        Both take (n,) and (n, k). ``apart``: each observation is changed by itself.
+        """
         effects = [e.mapped(to, back, apart=apart) for e in self.effects]
         expected = [
             e._replace(effect=e.effect.mapped(to, back, apart=apart)) for e in self.expected
