@@ -1,9 +1,15 @@
 """A problem as the model of its lengths: start values, zeros, runs, and what is stated.
 
 Each position has a shift and a turn of the table, and a zero, unless that belongs to a segment of
-unbroken beam. The table's axis moves in its plane: shifts there are observed to be zero, about a
-centre that is not known, with the standard deviation of the error motion. What turns is what is
-left along the circle. A stated circle binds shifts across it and along the axis.
+unbroken beam. The table's axis moves in its plane: shifts there are zero about a centre that is
+not known, but for the error motion, which scatters along and across the circle alike. What turns
+is what is left along the circle; so of the error motion the stations show what is across it, and
+what is along it is believed to be as large. Unstated, its size is what they leave open
+(:mod:`~rotcal_ros.adjust.scattering`). A stated circle binds shifts across it and along the axis.
+
+Real axes move in few undulations, which few residuals witness; of order 2 the half that turns the
+way of the table leaves none, for the centre takes it up, and the angle feels it twice. So it is
+open which orders an unstated motion has (:data:`SPECTRA`).
 
 Lengths of a later run count from a zero that is larger by an unknown: steps measured again in both
 show it. A zero that wanders is another one at each length; its steps are observed to be zero.
@@ -11,12 +17,13 @@ show it. A zero that wanders is another one at each length; its steps are observ
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csr_array, kron, vstack
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.model import Model
@@ -43,9 +50,25 @@ CIRCLE: Final = 5
 """Stations from which on their plane gives the direction of the axis."""
 MOST_LENGTHS: Final = 3000
 """Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
-ROUND: Final = 2e-8
+ROUND: Final = 1e-9
 """Error motion (m) of a table that is called perfectly round: what contradicts it has to be able
 to do so."""
+FREE_CIRCLE: Final = 1e-4
+"""Error motion (m) that nobody would overlook."""
+USUAL: Final = 3e-7
+"""Error motion (m) from which that of very many stations is searched for."""
+MOST_WITNESSES: Final = 500
+"""Stations up to which it is asked of which orders an error motion is, or how large it may be; of
+more its size is no question, and it is noise like that of the lengths."""
+SPECTRA: Final[Mapping[Spectrum, float]] = {
+    WHITE: 0.4,
+    **{
+        Spectrum.of_sizes([0.0, *(k**-fall for k in range(2, highest + 1))]): 0.1
+        for highest in (3, 5, 8)
+        for fall in (0.0, 1.0)
+    },
+}
+"""Which orders an error motion may have, with what probability beforehand."""
 ERROR_MOTION: Final = "the error motion"
 STATED_CIRCLE: Final = "the stated circle"
 LATER_RUN: Final = "zero of a later run"
@@ -55,13 +78,11 @@ LATER_RUN: Final = "zero of a later run"
 class Supposed:
     """What is not known beforehand, as it is supposed to be.
 
-    ``motion``: error motion of the axis, m, with a ``spectrum``. ``walk``: standard deviation of a
-    zero's step from one length to the next, m; 0: it stands. ``weight``: share of the reported
-    moves of the targets that lengths follow, ``left``: what that leaves unknown of each, m.
+    ``walk``: standard deviation of a zero's step from one length to the next, m; 0: it stands.
+    ``weight``: share of the reported moves of the targets that lengths follow, ``left``: what that
+    leaves unknown of each, m.
     """
 
-    motion: float
-    spectrum: Spectrum = WHITE
     walk: float = 0.0
     weight: float = 1.0
     left: float = 0.0
@@ -139,15 +160,75 @@ class Posed:
         )
         if supposed.walk:
             lengths = _wandering(lengths)
-        lengths, stated = _about_axis(lengths, self.problem.circle_std, supposed)
+        if self.problem.circle_std is not None:
+            lengths = replace(lengths, more={"lean": 3})
+        stated = of_targets(lengths, self.grid.target_std, self.grid.free)
         if supposed.walk:
             stated.append(_steps_of_zeros(lengths, supposed.walk))
-        targets = of_targets(lengths, self.grid.target_std, self.grid.free)
         begin = lengths.first["turn"]
         first = np.zeros(lengths.size)
         first[begin] = -1.0
         outputs = Outputs.picked(begin + np.arange(len(lengths.angles)), first)
-        return lengths.over(outputs, [*targets, *stated])
+        return self._about_axis(lengths, lengths.over(outputs, stated))
+
+    @property
+    def motion(self) -> float | None:
+        """The error motion of the axis as it is stated, m; None: it is not."""
+        stated = self.problem.error_motion_std
+        return self.problem.circle_std if stated is None else stated
+
+    def _about_axis(self, lengths: CarriedLengths, model: Model) -> Model:
+        """Return the model with what is known of how the table's axis moves.
+
+        What a stated circle says of the places across it, and along the axis, and what the error
+        motion does along it, are contradicted together.
+        """
+        m, angles, circle = len(lengths.angles), lengths.angles, self.problem.circle_std
+        plane = np.arange(3 * m).reshape(m, 3)[:, :2].ravel()
+        off = lengths.rows_of("shift", plane)
+        off = off - csr_array(np.tile(np.eye(2), (m, 1))) @ lengths.rows_of("frame")
+        # across the circle and along it
+        round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
+        turned = np.stack([np.cos(round_), np.sin(round_), -np.sin(round_), np.cos(round_)], axis=1)
+        column = 2 * np.arange(m)[:, None] + np.array([0, 1, 0, 1])
+        entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
+        turning = csr_array(entries, shape=(2 * m, 2 * m))
+        rows, stated, size = csr_array(turning @ off), self.motion, None
+        if stated is not None:
+            size = max(stated, ROUND)
+        if circle is not None:
+            assert size is not None
+            lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
+            height = lengths.rows_of("shift", 3 * np.arange(m) + 2)
+            height = height - lean @ lengths.rows_of("lean")
+            both = [rows[0::2], height, circle / size * rows[1::2]]
+            rows, size = csr_array(vstack(both, format="csr")), circle
+        name = ERROR_MOTION if circle is None else STATED_CIRCLE
+        return with_motion(model, name, rows, size, angles, turning)
+
+
+def with_motion(
+    model: Model,
+    name: str,
+    rows: csr_array,
+    size: float | None,
+    angles: Floats,
+    turning: csr_array,
+) -> Model:
+    """Return the model in which ``rows`` (2 m, p) or more are zero but for an error motion.
+
+    ``size``: as it is stated, m; None: it is not. ``turning`` (2 m, 2 m): what takes moves x and y
+    at each of the ``angles`` (m,) of the table to the rows.
+    """
+    if len(angles) > MOST_WITNESSES:
+        return model.knowing(name, rows, np.zeros(rows.shape[0]), size or USUAL)
+    ways = []
+    if size is None:
+        for spectrum, share in SPECTRA.items():
+            root = spectrum.root(angles)
+            waves = root[:, : 2 * len(spectrum.orders)] if spectrum.orders else root
+            ways.append((share, turning @ np.kron(waves, np.eye(2))))
+    return model.scattering(name, rows, size, FREE_CIRCLE, ways)
 
 
 def _lengths(
@@ -231,44 +312,3 @@ def _steps_of_zeros(lengths: CarriedLengths, walk: float) -> KnownBeforehand:
     linked = np.flatnonzero(np.diff(beam) == 0)
     rows = lengths.rows_of("zero", linked + 1) - lengths.rows_of("zero", linked)
     return KnownBeforehand("the walk of the zero", csr_array(rows), np.full(len(linked), walk))
-
-
-def _about_axis(
-    lengths: CarriedLengths, circle: float | None, supposed: Supposed
-) -> tuple[CarriedLengths, list[KnownBeforehand]]:
-    """Return the lengths, and what is stated of how the table's axis moves.
-
-    An error motion of few orders has amplitudes, of which their size is stated, and a white rest.
-    ``circle``: standard deviation by which stations leave it, m; None: nothing is said of that.
-    """
-    m, angles, name = len(lengths.angles), lengths.angles, ERROR_MOTION
-    waves = supposed.spectrum.root(angles)[:, : 2 * len(supposed.spectrum.orders)]
-    more = {"error motion": 2 * waves.shape[1]} if waves.size else {}
-    lengths = replace(lengths, more=more if circle is None else {**more, "lean": 3})
-    plane = np.arange(3 * m).reshape(m, 3)[:, :2].ravel()
-    off = lengths.rows_of("shift", plane)
-    off = off - csr_array(np.tile(np.eye(2), (m, 1))) @ lengths.rows_of("frame")
-    stated = []
-    if waves.size:
-        amplitudes = lengths.rows_of("error motion")
-        off = off - csr_array(kron(waves, np.eye(2))) @ amplitudes
-        size = np.full(amplitudes.shape[0], max(supposed.motion, ROUND))
-        stated.append(KnownBeforehand(name, amplitudes, size))
-    # across the circle and along it
-    round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
-    turned = np.stack([np.cos(round_), np.sin(round_), -np.sin(round_), np.cos(round_)], axis=1)
-    column = 2 * np.arange(m)[:, None] + np.array([0, 1, 0, 1])
-    entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
-    rows = csr_array(csr_array(entries, shape=(2 * m, 2 * m)) @ off)
-    white = np.sqrt(supposed.spectrum.white)
-    std = np.full(2 * m, max(supposed.motion * white, ROUND))
-    if circle is None:
-        return lengths, [*stated, KnownBeforehand(name, rows, std)]
-    lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
-    height = lengths.rows_of("shift", 3 * np.arange(m) + 2) - lean @ lengths.rows_of("lean")
-    across = csr_array(vstack([rows[0::2], height], format="csr"))
-    return lengths, [
-        *stated,
-        KnownBeforehand(STATED_CIRCLE, across, np.full(2 * m, circle)),
-        KnownBeforehand(name, csr_array(rows[1::2]), std[:m]),
-    ]

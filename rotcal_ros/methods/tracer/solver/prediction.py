@@ -74,18 +74,20 @@ def predicted(problem: TracerProblem, stations: Floats | None = None) -> Predict
         stations = Posed.of(problem).every_station()
     apart = stations[problem.position] - problem.targets[problem.target]
     exact = replace(problem, length=np.sqrt((apart**2).sum(axis=1)), variant="joint")
+    if problem.error_motion_std is None and problem.circle_std is None:
+        exact = replace(exact, error_motion_std=0.0)
     grid, absent = arrange(exact)
     check_counts(grid)
     standing = stations[grid.position_ids][grid.station]
     state = np.column_stack([standing, np.zeros(len(standing))])
     posed = Posed.at(exact, grid, absent, state)
-    motion = problem.error_motion_std
-    motion = problem.circle_std if motion is None else motion
-    model = posed.model(Supposed(motion or 0.0, walk=problem.zero_walk_std or 0.0))
+    model = posed.model(Supposed(walk=problem.zero_walk_std or 0.0))
     require_determined(model)
     computed = model.equations(model.first)[0]
     every = np.ones(len(computed), dtype=np.bool_)
-    fit = fitted(replace(model, observed=computed), every, model.std, model.first)
+    correlated = [each.planned() for each in model.correlated]
+    exact_model = replace(model, observed=computed, correlated=correlated)
+    fit = fitted(exact_model, every, model.std, model.first)
     if problem.variant == "station":
         covariance = ecc_of_stations(posed, fit, state)
     else:

@@ -17,10 +17,10 @@ from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
-from rotcal_ros.adjust.error_motion import WHITE
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import CurveModel
-from rotcal_ros.adjust.other_way import by_other_way
+from rotcal_ros.adjust.look import Look
+from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError, RotcalError
@@ -36,7 +36,6 @@ from rotcal_ros.methods.tracer.solver.circle import (
     check_sense,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.error_motion import error_motion_of
 from rotcal_ros.methods.tracer.solver.observability import (
     check_station_rank,
     check_station_spread,
@@ -44,6 +43,7 @@ from rotcal_ros.methods.tracer.solver.observability import (
 )
 from rotcal_ros.methods.tracer.solver.posed import (
     ERROR_MOTION,
+    FREE_CIRCLE,
     STATED_CIRCLE,
     Posed,
     Supposed,
@@ -51,12 +51,8 @@ from rotcal_ros.methods.tracer.solver.posed import (
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
-FREE_CIRCLE: Final = 1e-4
-"""Deviation (m) from the circle that keeps every station near it and adds no other knowledge."""
 NEARLY: Final = 1e-3
 """How well (m) the targets of a free network are known where it starts."""
-MOST_WITNESSES: Final = 120
-"""Stations that say how large the error motion is: to some percent."""
 CANDIDATES: Final = 256
 """Moments that stand for all at which a counter may slip."""
 SLIPPED: Final = 0.5
@@ -129,7 +125,7 @@ class Slips(NamedTuple):
 class TracerSolution:
     """A solved problem: how it was ``posed``, what the engine ``found`` with what is ``supposed``.
 
-    ``contradicted``: stations leave their circle by more than is stated; what they show is used.
+    ``contradicted``: the error motion that was stated, where stations leave their circle by more.
     ``printed`` (m, 4): stations and distances by the paper's equations; None: those of the model.
     ``slips``: those that would not be found; None where every station has a zero of its own. All
     arrays of stations follow ``positions``.
@@ -138,8 +134,7 @@ class TracerSolution:
     posed: Posed
     found: Adjusted
     supposed: Supposed
-    error_motion: ErrorMotion
-    contradicted: bool = False
+    contradicted: float | None = None
     printed: Floats | None = None
     slips: Slips | None = None
     reported: Reported | None = None
@@ -180,6 +175,23 @@ class TracerSolution:
         """Standard uncertainties (m,) of ECC, rad."""
         unseen = 0.0 if self.slips is None else self.slips.covariance.diagonal()
         return np.sqrt(self.found.std**2 + unseen)
+
+    @cached_property
+    def error_motion(self) -> ErrorMotion:
+        """What is stated of the error motion, and what the circle of the stations shows."""
+        model, fit, stated = self.found.model, self.found.fit, self.posed.motion
+        name = ERROR_MOTION if self.problem.circle_std is None else STATED_CIRCLE
+        rows = np.flatnonzero(model.of_component == model.components.index(name))
+        checked, used = float(fit.redundancy[rows].sum()), float(fit.std[rows[0]])
+        squares = float(((fit.residual[rows] / used) ** 2).sum())
+        likely = used * sqrt(squares / checked) if checked > 0.0 else 0.0
+        dof = max(len(self.stations) - ABSORBED, 0)
+        if stated is not None and model.scatterings:
+            used = stated
+        elif model.scatterings:
+            stated = self.contradicted
+            used = sqrt(fit.sizes[model.scatterings[0]].squares.sum())
+        return ErrorMotion(stated, likely, max(likely, used), dof, used)
 
     @property
     def _unknowns(self) -> Floats:
@@ -276,22 +288,20 @@ def adjust(problem: TracerProblem) -> TracerSolution:
 
 
 def _adjusted(problem: TracerProblem) -> TracerSolution:
-    posed, stated = Posed.of(problem), problem.error_motion_std
-    stated = problem.circle_std if stated is None else stated
+    posed = Posed.of(problem)
     walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
-    begin = Supposed(FREE_CIRCLE if stated is None else stated, walk=walk)
+    begin = Supposed(walk=walk)
     begin = replace(begin, weight=_nearest(posed, begin))
-    motion = ErrorMotion(stated, 0.0, 0.0, 0, begin.motion)
-    solution = TracerSolution(posed, _solved(posed, begin), begin, motion)
+    solution = TracerSolution(posed, _solved(posed, begin), begin)
     for _ in range(MOST_STEPS):
         if solution.lean < LEAN:
             break
         posed = posed.again(solution.stations)
-        solution = TracerSolution(posed, _solved(posed, begin), begin, motion)
+        solution = TracerSolution(posed, _solved(posed, begin), begin)
     solution = _weighed(solution)
     if problem.zero_walk_std is None:
         solution = _walking(solution)
-    solution = _with_error_motion(solution) if stated is None else _believed(solution)
+    solution = _contradicted(solution)
     check_sense(solution.motion, solution.stations, solution.table_angles, solution.positions)
     if not posed.grid.free:  # there a place depends on what defines it, and the angle does not
         check_station_spread(
@@ -320,47 +330,25 @@ def _again(solution: TracerSolution, supposed: Supposed) -> TracerSolution:
     return replace(solution, found=_solved(solution.posed, supposed), supposed=supposed)
 
 
-def _believed(solution: TracerSolution) -> TracerSolution:
-    """Return the solution with the error motion that is stated, or what contradicts it.
+def _contradicted(solution: TracerSolution) -> TracerSolution:
+    """Return the solution with the error motion that the stations show, if it is larger.
 
-    Then it is that which the circle of the stations leaves open, if the lengths alone place them.
+    Larger than stated; the lengths alone have to place them.
     """
-    found, motion = solution.found, solution.error_motion
-    estimated, names = found.diagnosis.noise.estimated, found.model.components
-    about = [k for k, name in enumerate(names) if name in (ERROR_MOTION, STATED_CIRCLE)]
-    rows = np.isin(found.model.of_component, about)
-    checked = float(found.fit.redundancy[rows].sum())
-    stated = found.model.std[rows]
-    squares = float(((found.fit.residual[rows] / stated) ** 2).sum())
-    likely = motion.used * sqrt(squares / checked) if checked > 0.0 else 0.0
-    dof = max(len(solution.stations) - ABSORBED, 0)
-    if estimated is not None:
-        beyond = estimated.contradicted(found.diagnosis.limits.significance)
-        if any(beyond[k] and estimated.factors[k] > 1.0 for k in about):
-            try:
-                posed = replace(solution.posed, problem=replace(solution.problem, circle_std=None))
-                free = replace(solution.supposed, motion=FREE_CIRCLE)
-                alone = replace(_again(replace(solution, posed=posed), free), error_motion=motion)
-                return replace(_with_error_motion(alone), contradicted=True)
-            except RotcalError:
-                pass  # without the circle the lengths do not even place the stations
-    known = ErrorMotion(motion.stated, likely, max(likely, motion.used), dof, motion.used)
-    return replace(solution, error_motion=known)
-
-
-def _with_error_motion(alone: TracerSolution) -> TracerSolution:
-    """Return the solution with the error motion that stations ``alone`` leave their circle by."""
-    m = len(alone.stations)
-    which = np.arange(m)[:: -(-m // MOST_WITNESSES)]
-    stations, angles = alone.stations[which], alone.table_angles[which]
-    motion, spectrum = error_motion_of(
-        stations, table_motion(stations, angles), alone.station_covariance(which)
-    )
-    stated = alone.error_motion.stated
-    if stated is not None and motion.used < stated:
-        motion, spectrum = replace(motion, used=stated), WHITE
-    supposed = replace(alone.supposed, motion=motion.used, spectrum=spectrum)
-    return replace(_again(alone, supposed), error_motion=replace(motion, stated=stated))
+    sizes, stated = next(iter(solution.found.fit.sizes.values()), None), solution.posed.motion
+    limits = limits_of(solution.problem.settings)
+    if stated is None or sizes is None or sizes.probability >= limits.significance:
+        return solution
+    unstated = replace(solution.problem, circle_std=None, error_motion_std=None)
+    here = replace(solution, posed=replace(solution.posed, problem=unstated))
+    try:
+        alone = _again(here, solution.supposed)
+    except RotcalError:
+        return solution  # without the circle the lengths do not even place the stations
+    stated = solution.problem.circle_std or stated
+    if alone.error_motion.used <= stated:
+        return solution
+    return replace(alone, contradicted=stated)
 
 
 def _walking(solution: TracerSolution) -> TracerSolution:
@@ -526,7 +514,10 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
         own = slice(found.model.size[1], len(fit.x))
         sizes = fit.gain(own) / fit.std
         felt = felt - (felt @ np.hstack(taken)) @ sizes
-    return replace(here, found=by_other_way(found, here.motion.cumulative, felt))
+    white = felt * np.where(fit.used, fit.std, 0.0)
+    other = replaced(found, here.motion.cumulative, white, np.zeros(len(white)))
+    judged = Look(found.diagnosis, other.fit).diagnosis
+    return replace(here, found=Adjusted(judged, other.fit))
 
 
 def ecc_of_stations(posed: Posed, fit: Fit, state: Floats) -> Floats:
@@ -584,15 +575,13 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
     if solution is not None:
         posed, supposed = solution.posed, solution.supposed
     else:
-        stated = problem.error_motion_std
-        stated = problem.circle_std if stated is None else stated
-        if stated is None:
+        if problem.error_motion_std is None and problem.circle_std is None:
             raise ObservabilityError(
                 "these lengths alone do not determine the error motion of the table, which they "
                 "have to be weighed by beside other instruments: state solver.error_motion_std_m"
             )
         few = replace(problem, variant="joint", circle_std=problem.circle_std or FREE_CIRCLE)
-        posed, supposed = Posed.of(few), Supposed(stated, walk=problem.zero_walk_std or 0.0)
+        posed, supposed = Posed.of(few), Supposed(walk=problem.zero_walk_std or 0.0)
     model = posed.model(supposed)
     m, begin = len(posed.lengths.angles), posed.lengths.first["turn"]
     model = replace(model, outputs=np.zeros((0, model.size[1])))

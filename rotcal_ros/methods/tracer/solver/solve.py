@@ -148,21 +148,32 @@ def _raw_data(solution: TracerSolution) -> RawData:
 
 
 def _budget(solution: TracerSolution) -> dict[str, Floats]:
-    """Return standard uncertainties (m,) of ECC by source; they add in squares."""
-    found, names = solution.found, solution.found.model.components
-    part = found.model.of_component == np.arange(len(names))[:, None]
-    variance = found.scale**2 * found.fit.variance_from(part)[: len(solution.std)]
-    sources = {"lengths": "lengths", "error motion": "error_motion", "circle": "circle"}
-    budget = dict[str, Floats]()
-    for name, each in zip(names, variance.T, strict=True):
-        source = next((to for word, to in sources.items() if word in name), "targets")
-        budget[source] = budget.get(source, 0.0) + each
+    """Return standard uncertainties (m,) of ECC by source; they add in squares.
+
+    What is not known of the size of a source is shared out among them.
+    """
+    found, model, m = solution.found, solution.found.model, len(solution.std)
+    component = np.array(model.components)[model.of_component]
+    along = np.arange(len(component)) >= len(component) - m  # what a stated circle does not bind
+    source = np.full(len(component), "targets", dtype=object)
+    source[np.char.find(component, "lengths") >= 0] = "lengths"
+    source[component == STATED_CIRCLE] = "circle"
+    source[(component == ERROR_MOTION) | ((component == STATED_CIRCLE) & along)] = "error_motion"
+    names = sorted(set(source.tolist()))
+    part = np.array([source == name for name in names])
+    variance = found.scale**2 * found.fit.variance_from(part)[:m]
+    gathered = found.diagnosis.gathering.covariance()
+    beside = np.zeros(m) if gathered is None else gathered.diagonal()[:m]
+    contested = [weight * change[:m] ** 2 for weight, change in found.diagnosis.contested()]
+    beside = np.sum([beside, *contested], axis=0)
+    whole = variance.sum(axis=1)
+    larger = np.where(whole > 0.0, (found.std**2 - beside) / np.where(whole > 0.0, whole, 1.0), 0)
+    budget = dict(zip(names, (variance * larger[:, None]).T, strict=True))
     if solution.slips is not None:
         budget["slips"] = solution.slips.covariance.diagonal()
-    rest = solution.std**2 - sum(budget.values())
-    if rest.max(initial=0.0) > 1e-9 * float((solution.std**2).max(initial=0.0)):
-        budget["gathered"] = np.maximum(rest, 0.0)
-    return {source: np.sqrt(np.maximum(each, 0.0)) for source, each in budget.items()}
+    if beside.any():
+        budget["gathered"] = beside
+    return {name: np.sqrt(np.maximum(each, 0.0)) for name, each in budget.items()}
 
 
 def _doubts(solution: TracerSolution, closing: tuple[Closure, ...]) -> Iterator[str]:
@@ -173,7 +184,7 @@ def _doubts(solution: TracerSolution, closing: tuple[Closure, ...]) -> Iterator[
         if effect.effect.effect == "slip":
             yield _cause(float(effect.sizes[0]), float(effect.std[0]), solution.problem.slip)
     motion = solution.error_motion
-    if solution.contradicted:
+    if solution.contradicted is not None:
         what = "the table's radial error motion is larger than the stated"
         rms = float(np.sqrt(np.mean(solution.motion.radial**2)))
         yield (
