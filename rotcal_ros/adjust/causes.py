@@ -165,8 +165,9 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     for _ in range(FEW_EFFECTS):
         fit = diagnosis.fitted(ones, diagnosis.start)
         look = Look(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
-        found = [e for e in look.significant() if _bearable(look.before, e)]
-        best = max(found, key=lambda e: e.support, default=None)
+        if not any(look.significant_effects()):
+            return None
+        best = _best(look, look.before)
         if best is None or best.effect is None:
             return None
         diagnosis = look.diagnosis.holding(best, look.rivals(best))
@@ -188,8 +189,7 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
         look = Look(diagnosis, fit)
         diagnosis = look.diagnosis
-        found = sorted(look.significant(), key=lambda e: -round(e.support / TIED))
-        best = next((e for e in found if _bearable(diagnosis, e)), None)
+        best = _best(look, diagnosis)
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
         elif not bent:
@@ -198,6 +198,12 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
             return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
+
+
+def _best(look: Look, diagnosis: Diagnosis) -> Explanation | None:
+    """Return the most probable explanation that a ``diagnosis`` can hold; None: there is none."""
+    found = sorted(look.significant(), key=lambda e: -round(e.support / TIED))
+    return next((e for e in found if _bearable(diagnosis, e)), None)
 
 
 def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
