@@ -58,7 +58,7 @@ class Fit:
         """The derivatives (n, p + q) of the computed observations."""
         return self.jacobian.dense()
 
-    @property
+    @cached_property
     def _white_design(self) -> Design:
         return self.jacobian.weighted(self.used / self.std)
 
@@ -72,6 +72,16 @@ class Fit:
             return found
         _require_told(self.model, design)
         return _whole(self.model, design)
+
+    def weighed_by(self, std: Floats) -> Fit:
+        """Return the solution weighed by other ``std`` (n,), by the derivatives of this one."""
+        weight = self.used / std
+        steps = _Steps.of(self.model, self.jacobian.weighted(weight))
+        step, _ = steps(self.residual * weight, self.x)
+        residual = self.residual - self.jacobian.times(step)
+        return Fit(
+            self.model, self.x + step, residual, std, self.used, self.jacobian, steps.by_form
+        )
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
@@ -97,7 +107,7 @@ class Fit:
         """The sum of squares of what is used."""
         return float(self.white @ self.white)
 
-    @property
+    @cached_property
     def dof(self) -> int:
         """Observations in use minus unknowns that they determine."""
         return int(self.used.sum()) - self.kernel.rank
