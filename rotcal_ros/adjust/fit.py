@@ -32,6 +32,8 @@ FROZEN, SHRINKS = 0.01, 0.01
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
 the next one is so much smaller."""
 HALVINGS: Final = 20
+FEW: Final = 2_000_000
+"""Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -176,13 +178,22 @@ class Fit:
 
     def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
         """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
+        every = self._influence if outputs is None else None
         outputs = self.model.output_rows if outputs is None else outputs
-        found = self.kernel.response(outputs, rows)
+        found = self.kernel.response(outputs, rows) if every is None else every[:, rows]
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
                 found[:, mine] = self._spread[number][1][: len(outputs), at]
         return found
+
+    @cached_property
+    def _influence(self) -> Floats | None:
+        """What whitened errors do to the outputs (o + a, n), each as it is; None: too many."""
+        outputs, n = self.model.output_rows, len(self.std)
+        if len(outputs) * n > FEW:
+            return None
+        return self.kernel.response(outputs, np.arange(n))
 
     @cached_property
     def _spread(self) -> list[tuple[Floats, Floats]]:
@@ -220,10 +231,15 @@ class Fit:
 
         Each as it is, whatever they have in common.
         """
+        every = self._influence
+        if every is not None:
+            return every[:, rows]
         return self.kernel.response(self.model.output_rows, rows)
 
     def sensitivity(self, rows: Ints) -> Sensitivity:
         """Return the same in parts that are few."""
+        if self._influence is not None:
+            return Sensitivity.whole(self._influence[:, rows])
         return self.kernel.sensitivity(self.model.output_rows, rows)
 
     def moved(self, white: Floats) -> Floats:

@@ -25,7 +25,6 @@ from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
 from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
-from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
 RARER: Final = 3.0
@@ -328,13 +327,9 @@ class Look:
         fit, gathered = self.fit, gathered_of(grouping, members)
         table = fit.model.elements[members]
         rows = table[:, : int((table[0] >= 0).sum())]
-        # of others it is not asked what gathers, nor what that would do
-        felt = Sensitivity.whole(np.zeros((0, rows.size)))
-        if len(gathered):
-            felt = fit.sensitivity(rows.ravel())
         return Group.of(
             grouping.kind, name, members, fit.white[rows], 1.0 / fit.std[rows],
-            fit.kernel.among(rows.ravel()), felt, gathered, lost,
+            fit.kernel.among(rows.ravel()), lambda: fit.sensitivity(rows.ravel()), gathered, lost,
         )  # fmt: skip
 
 
