@@ -152,8 +152,8 @@ def groups_of(
         found.append(
             Group.of(
                 places.kind, places.name, number, white[:, None], unit[:, None],
-                leverage * unit * unit[:, None], partial(sensitivity.weighted, unit), places.gathered,
-                places.lost,
+                leverage * unit * unit[:, None], partial(sensitivity.weighted, unit),
+                places.gathered, places.lost,
             )
         )  # fmt: skip
     return tuple(found)
