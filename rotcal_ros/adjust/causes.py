@@ -44,6 +44,8 @@ SAME_SIZE: Final = 0.05
 """Relative change of the size of a scatter that is no matter to what is judged."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
+GENEROUSLY: Final = 3.0
+"""Times what few effects explain each that they may explain together."""
 
 
 def found_causes(model: Model, limits: Limits) -> Diagnosis:
@@ -163,9 +165,12 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
 def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     """Return how few effects explain what else had to be noise; None if they do not."""
     ones = np.ones(len(diagnosis.model.components))
-    for _ in range(FEW_EFFECTS):
+    for left in range(FEW_EFFECTS, 0, -1):
         fit = diagnosis.fitted(ones, diagnosis.start)
         look = Look(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
+        most = sum(sorted(look.squares)[-left:])
+        if _excess(fit) > GENEROUSLY * most:
+            return None
         best = _first(look.significant_effects(), look.before)
         if best is None:
             return None
@@ -179,6 +184,13 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
         if after.noise.estimated is None:
             return after
     return None
+
+
+def _excess(fit: Fit) -> float:
+    """Return by how much squared residuals exceed what noise as stated would make of them."""
+    expected = float(fit.redundancy.sum())
+    squares = float(bent_squares(fit.white**2, fit.redundancy, CHECKED).sum())
+    return squares - expected - 3.0 * float(np.sqrt(2.0 * expected))
 
 
 def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:

@@ -28,9 +28,9 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
-FROZEN, SHRINKS = 0.01, 0.01
+FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
-the next one is so much smaller."""
+the next one is so much smaller; and how much smaller it is where they hardly change at all."""
 HALVINGS: Final = 20
 FEW: Final = 2_000_000
 """Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
@@ -399,21 +399,26 @@ def fitted(
     x[: min(len(start), len(x))] = start[: len(x)]
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
-    steps = _Steps.of(model, jacobian.weighted(weight))
+    steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
     if steps.defines:  # what is defined is no step of the iteration
         x = steps.defined(x)
         computed, jacobian = _computed(model, x, extra)
+        solved = jacobian
+    slow = False
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
         step, left = steps(white, x)
+        if jacobian is not solved and left > STRAIGHT * before and (slow or before > FROZEN):
+            steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
+            step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= settled * max(square, 1.0) or 0.25 * before < left < NEARLY:
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
-        slow, before, solved = left > SHRINKS * before, left, jacobian
+        slow, before = left > SHRINKS * before, left
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -424,8 +429,6 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved and (slow or left > FROZEN):
-            steps = _Steps.of(model, jacobian.weighted(weight))
     raise _unsettled()
 
 

@@ -202,6 +202,11 @@ class Look:
         """
         return [list(self._members(*each)) for each in self._tested]
 
+    @property
+    def squares(self) -> list[float]:
+        """What chi-squared falls by for each declared effect alone."""
+        return [test.squares for _, _, test in self._tested]
+
     @cached_property
     def _tested(self) -> list[tuple[Disturbing, Seen | SeenFamily, EffectTest]]:
         """The declared effects that residuals can show, with their tests.
