@@ -241,13 +241,14 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
         return Noise(ones), stated
     evidence = _evidence(stated, bent)
     checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
-    held = np.zeros(len(ones), dtype=np.bool_)
+    held, fit, factors = np.zeros(len(ones), dtype=np.bool_), stated, diagnosis.noise.factors
     while True:
-        found, fit = _estimated_noise(diagnosis, stated, bent, held)
+        start = np.where(held, 1.0, factors)
+        found, fit = _estimated_noise(diagnosis, fit, start, bent, held)
         exact = ~held & (found.factors < LEAST_FACTOR * (1.0 + 1e-9))
         if not exact.any():
             return Noise(found.factors, found), fit
-        held |= exact
+        held, factors = held | exact, found.factors
         if held[checked].all():
             return Noise(ones), stated
 
@@ -261,11 +262,12 @@ def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
 
 
 def _estimated_noise(
-    diagnosis: Diagnosis, stated: Fit, bent: bool, held: Bools
+    diagnosis: Diagnosis, near: Fit, start: Floats, bent: bool, held: Bools
 ) -> tuple[EstimatedFactors, Fit]:
-    """Return the factors of the components but those that are ``held`` (c,) at one.
+    """Return the factors of the components but those that are ``held`` (c,), from a ``start``.
 
-    Other weights hardly move the solution: its derivatives are those ``stated``, but at the end.
+    Other weights hardly move the solution: its derivatives are those of one ``near``, but at the
+    end.
     """
     model = diagnosis.model
 
@@ -274,9 +276,8 @@ def _estimated_noise(
         evidence = _evidence(fit, bent)
         return replace(evidence, present=evidence.present & ~held), fit
 
-    start = np.where(held, 1.0, diagnosis.noise.factors)
     prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
-    found, fit = estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
+    found, fit = estimate_factors(at, near, start, prior, NEARLY_SETTLED if bent else SETTLED)
     return found, diagnosis.fitted(found.factors, fit.x)
 
 
