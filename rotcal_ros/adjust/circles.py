@@ -513,7 +513,8 @@ class ByOrder(Kernel):
         """
         turns = self.turns
         wave = _waves(turns, np.arange(turns.size // 2 + 1))
-        orders = np.einsum("tch,hcd,udh->tuh", wave, self.inverse, wave.conj())
+        wave = wave.transpose(2, 0, 1)
+        orders = (wave @ self.inverse @ wave.conj().swapaxes(1, 2)).transpose(1, 2, 0)
         at_zero = np.hstack([turns.sign, np.sqrt(turns.size) * turns.tied])
         orders[:, :, 0] = at_zero @ self.zero @ at_zero.T
         return np.asarray(np.fft.irfft(orders, turns.size, axis=2))
