@@ -197,6 +197,10 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
         noise, fit = _settled_noise(diagnosis, bent)
+        if bent and noise.estimated is not None:
+            whole = _settled_noise(replace(diagnosis, noise=noise, start=fit.x), bent=False)
+            if _alike(noise, whole[0]):  # nothing bends it
+                bent, (noise, fit) = False, whole
         # what was judged before is judged anew: large groups are not kept twice
         gathering = replace(diagnosis.gathering, judgement=None)
         diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
@@ -251,6 +255,14 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
         held, factors = held | exact, found.factors
         if held[checked].all():
             return Noise(ones), stated
+
+
+def _alike(bent: Noise, whole: Noise) -> bool:
+    """Whether two estimates of the noise agree as well as they are known."""
+    if bent.estimated is None or whole.estimated is None:
+        return False
+    apart = np.abs(np.log(whole.factors / bent.factors))
+    return not (apart > bent.estimated.log_std).any()  # NaN, absent, does not matter
 
 
 def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
