@@ -250,13 +250,14 @@ class Fit:
         """Return the same where the kernel's solution ``gain`` (p + q, k) is known already."""
         return self.model.output_rows.times(gain)
 
-    def covariance(self, count: int) -> Floats:
-        """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
-        first, whole = self.model.output_rows.first(count), np.zeros((count, count))
-        for here, rows in first.parts(len(self.x)):
-            whole[:, here] = first.times(self.kernel.times(rows.T))
+    def covariance(self, part: slice) -> Floats:
+        """Return the covariance (o', o') of a ``part`` of the outputs, by the noise alone: B B'."""
+        mine = self.model.output_rows.part(part)
+        whole = np.zeros((len(mine), len(mine)))
+        for here, rows in mine.parts(len(self.x)):
+            whole[:, here] = mine.times(self.kernel.times(rows.T))
         for alone, spread in self._spread:
-            whole += spread[:count] @ spread[:count].T - alone[:count] @ alone[:count].T
+            whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         whole += whole.T.copy()
         whole *= 0.5
         return whole
@@ -306,7 +307,7 @@ class Fit:
 
         Raises ObservabilityError where one is not determined at all.
         """
-        outputs = self.model.output_rows.first(len(self.model.outputs))
+        outputs = self.model.output_rows.part(slice(len(self.model.outputs)))
         if self._white_design.never_worse(other._white_design, outputs, factor):
             return False
         return bool((self.output_std > factor * other.output_std).any())
