@@ -251,7 +251,7 @@ class Fit:
         return self.model.output_rows.times(gain)
 
     def covariance(self, part: slice) -> Floats:
-        """Return the covariance (o', o') of a ``part`` of the outputs, by the noise alone: B B'."""
+        """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
         mine = self.model.output_rows.part(part)
         whole = np.zeros((len(mine), len(mine)))
         for here, rows in mine.parts(len(self.x)):
