@@ -285,33 +285,24 @@ def _estimated_noise(
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
         fit = before.weighed_by(model.std * factors[model.of_component])
-        evidence = _evidence(fit, bent, average=True)
+        evidence = _evidence(fit, bent)
         return replace(evidence, present=evidence.present & ~held), fit
 
     prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
     found, fit = estimate_factors(at, near, start, prior, NEARLY_SETTLED if bent else SETTLED)
-    information = 2.0 * _evidence(fit, bent).information + prior
-    log_std = np.sqrt(np.linalg.inv(information).diagonal())
-    known = found._replace(log_std=np.where(np.isnan(found.log_std), np.nan, log_std))
-    return known, diagnosis.fitted(found.factors, fit.x)
+    return found, diagnosis.fitted(found.factors, fit.x)
 
 
-def _evidence(fit: Fit, bent: bool, *, average: bool = False) -> NoiseEvidence:
-    """Return what the residuals say of each component of the noise.
-
-    ``average``: with the average of observed and expected information (Gilmour, Thompson and
-    Cullis, Biometrics 51, 1440, 1995), by which fewer steps lead to the estimate.
-    """
+def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
+    """Return what the residuals say of each component of the noise."""
     model, count = fit.model, len(fit.model.components)
     squares, redundancy = fit.white**2, fit.redundancy
     if bent:
         squares = bent_squares(squares, redundancy, CHECKED)
     part = (model.of_component == np.arange(count)[:, None]) & fit.used
-    if average:
-        mine = (part * np.sqrt(squares) * np.sign(fit.white)).T
-        information = mine.T @ fit.left_of(mine)
-    else:
-        # R is a projection: the squared sums of its blocks follow from those of its complement
-        information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
+    # R is a projection: the squared sums of its blocks follow from those of its complement
+    information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
     present = part.any(axis=1) & ~model.of_scatter
-    return NoiseEvidence(present, part @ squares, part @ redundancy, information)
+    mine = (part * np.sqrt(squares) * np.sign(fit.white)).T
+    average = mine.T @ fit.left_of(mine)
+    return NoiseEvidence(present, part @ squares, part @ redundancy, information, average)
