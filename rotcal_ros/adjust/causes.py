@@ -246,6 +246,8 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     evidence = _evidence(stated, bent)
     checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
     held, fit, factors = np.zeros(len(ones), dtype=np.bool_), stated, diagnosis.noise.factors
+    if diagnosis.noise.estimated is not None:  # what was exact is so still
+        held = evidence.present & np.isnan(diagnosis.noise.estimated.log_std)
     while True:
         start = np.where(held, 1.0, factors)
         found, fit = _estimated_noise(diagnosis, fit, start, bent, held)
