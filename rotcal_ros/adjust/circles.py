@@ -377,7 +377,7 @@ class ByOrder(Kernel):
         orders = np.fft.rfft(np.ascontiguousarray(right[:, :count]).reshape(-1, circles, size))
         sums = np.concatenate([orders[:, :, 0].real / np.sqrt(size), right[:, count:]], axis=1)
         zero = sums @ self.zero
-        found = np.einsum("cdh,kdh->kch", self._by_circle, orders)
+        found = (self.inverse @ orders.transpose(2, 1, 0)).transpose(2, 1, 0)
         found[:, :, 0] = zero[:, :circles] * np.sqrt(size)
         places = np.fft.irfft(found, size).reshape(-1, count)
         whole = np.concatenate([places, zero[:, circles:]], axis=1)
