@@ -326,8 +326,8 @@ class ByOrder(Kernel):
         None where an order is so badly determined that digits go.
         """
         size, orders = turns.size, np.arange(turns.size // 2 + 1)
-        wave = _waves(turns, orders)
-        normal = np.einsum("t,tch,tdh->hcd", share, wave.conj(), wave)
+        wave = _waves(turns, orders).transpose(2, 0, 1)
+        normal = (wave.conj() * share[:, None]).swapaxes(1, 2) @ wave
         at_zero = np.hstack([turns.sign, np.sqrt(size) * turns.tied])
         values, vectors, scale = _of_unit_diagonal((at_zero * share[:, None]).T @ at_zero)
         seen = values > OPEN
