@@ -200,7 +200,8 @@ class Look:
 
         What moves may do so in one way alone, which costs less.
         """
-        return [list(self._members(*each)) for each in self._tested]
+        tried = [list(self._members(*each)) for each in self._tested]
+        return [members for members in tried if members]
 
     @property
     def squares(self) -> list[float]:
