@@ -28,18 +28,12 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
-FROZEN, SHRINKS = 0.01, 0.01
+FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
-the next one is so much smaller."""
+the next one is so much smaller; and how much smaller it is where they hardly change at all."""
 HALVINGS: Final = 20
-MOST_DAMPED: Final = 200
-"""Damped steps on the way to a minimum: many, for long bent valleys."""
-LEAST_DAMPING, STIFF = 1e-12, 1e12
-"""Damping that is none, and from which on nothing moves, as shares of the squares."""
-BEND: Final = 0.1
-"""Share of a step by which it is asked how equations bend along it."""
-FLAT: Final = 1e-6
-"""Fall of chi-squared, per chi-squared, that is no more matter; and damping that is hardly any."""
+FEW: Final = 2_000_000
+"""Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -66,7 +60,7 @@ class Fit:
         """The derivatives (n, p + q) of the computed observations."""
         return self.jacobian.dense()
 
-    @property
+    @cached_property
     def _white_design(self) -> Design:
         return self.jacobian.weighted(self.used / self.std)
 
@@ -80,6 +74,16 @@ class Fit:
             return found
         _require_told(self.model, design)
         return _whole(self.model, design)
+
+    def weighed_by(self, std: Floats) -> Fit:
+        """Return the solution weighed by other ``std`` (n,), by the derivatives of this one."""
+        weight = self.used / std
+        steps = _Steps.of(self.model, self.jacobian.weighted(weight))
+        step, _ = steps(self.residual * weight, self.x)
+        residual = self.residual - self.jacobian.times(step)
+        return Fit(
+            self.model, self.x + step, residual, std, self.used, self.jacobian, steps.by_form
+        )
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
@@ -105,7 +109,7 @@ class Fit:
         """The sum of squares of what is used."""
         return float(self.white @ self.white)
 
-    @property
+    @cached_property
     def dof(self) -> int:
         """Observations in use minus unknowns that they determine."""
         return int(self.used.sum()) - self.kernel.rank
@@ -174,13 +178,22 @@ class Fit:
 
     def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
         """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
+        every = self._influence if outputs is None else None
         outputs = self.model.output_rows if outputs is None else outputs
-        found = self.kernel.response(outputs, rows)
+        found = self.kernel.response(outputs, rows) if every is None else every[:, rows]
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
                 found[:, mine] = self._spread[number][1][: len(outputs), at]
         return found
+
+    @cached_property
+    def _influence(self) -> Floats | None:
+        """What whitened errors do to the outputs (o + a, n), each as it is; None: too many."""
+        outputs, n = self.model.output_rows, len(self.std)
+        if len(outputs) * n > FEW:
+            return None
+        return self.kernel.response(outputs, np.arange(n))
 
     @cached_property
     def _spread(self) -> list[tuple[Floats, Floats]]:
@@ -218,10 +231,15 @@ class Fit:
 
         Each as it is, whatever they have in common.
         """
+        every = self._influence
+        if every is not None:
+            return every[:, rows]
         return self.kernel.response(self.model.output_rows, rows)
 
     def sensitivity(self, rows: Ints) -> Sensitivity:
         """Return the same in parts that are few."""
+        if self._influence is not None:
+            return Sensitivity.whole(self._influence[:, rows])
         return self.kernel.sensitivity(self.model.output_rows, rows)
 
     def moved(self, white: Floats) -> Floats:
@@ -232,13 +250,14 @@ class Fit:
         """Return the same where the kernel's solution ``gain`` (p + q, k) is known already."""
         return self.model.output_rows.times(gain)
 
-    def covariance(self, count: int) -> Floats:
-        """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
-        first, whole = self.model.output_rows.first(count), np.zeros((count, count))
-        for here, rows in first.parts(len(self.x)):
-            whole[:, here] = first.times(self.kernel.times(rows.T))
+    def covariance(self, part: slice) -> Floats:
+        """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
+        mine = self.model.output_rows.part(part)
+        whole = np.zeros((len(mine), len(mine)))
+        for here, rows in mine.parts(len(self.x)):
+            whole[:, here] = mine.times(self.kernel.times(rows.T))
         for alone, spread in self._spread:
-            whole += spread[:count] @ spread[:count].T - alone[:count] @ alone[:count].T
+            whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         whole += whole.T.copy()
         whole *= 0.5
         return whole
@@ -288,7 +307,7 @@ class Fit:
 
         Raises ObservabilityError where one is not determined at all.
         """
-        outputs = self.model.output_rows.first(len(self.model.outputs))
+        outputs = self.model.output_rows.part(slice(len(self.model.outputs)))
         if self._white_design.never_worse(other._white_design, outputs, factor):
             return False
         return bool((self.output_std > factor * other.output_std).any())
@@ -381,21 +400,26 @@ def fitted(
     x[: min(len(start), len(x))] = start[: len(x)]
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
-    steps = _Steps.of(model, jacobian.weighted(weight))
+    steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
     if steps.defines:  # what is defined is no step of the iteration
         x = steps.defined(x)
         computed, jacobian = _computed(model, x, extra)
+        solved = jacobian
+    slow = False
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
         step, left = steps(white, x)
+        if jacobian is not solved and left > STRAIGHT * before and (slow or before > FROZEN):
+            steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
+            step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= settled * max(square, 1.0) or 0.25 * before < left < NEARLY:
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
-        slow, before, solved = left > SHRINKS * before, left, jacobian
+        slow, before = left > SHRINKS * before, left
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -406,54 +430,7 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved and (slow or left > FROZEN):
-            steps = _Steps.of(model, jacobian.weighted(weight))
-    found = _damped(model, x, weight, extra)
-    if found is None:
-        raise _unsettled()
-    computed, jacobian = _computed(model, found, extra)
-    form = _Steps.of(model, jacobian.weighted(weight)).by_form
-    return Fit(model, found, model.observed - computed, std, used, jacobian, form)
-
-
-def _damped(model: Model, x: Floats, weight: Floats, extra: Floats) -> Floats | None:
-    """Return the unknowns (p + q,) where damped steps from ``x`` end; None where they do not.
-
-    After Levenberg and Marquardt, for long bent valleys, which steps follow (Transtrum and Sethna,
-    arXiv:1201.5885): whole ones leave them, and shortened ones creep. Where a valley is flat, any
-    place of it will do.
-    """
-    computed, jacobian = _computed(model, x, extra)
-    white = (model.observed - computed) * weight
-    square, damping = float(white @ white), 1e-3
-    for _ in range(MOST_DAMPED):
-        design = jacobian.weighted(weight)
-        if design.large or not (np.isfinite(square) and jacobian.finite):
-            return None
-        squares, pull = design.normal(), design.adjoint(white)
-        along = np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0)
-        firm = squares + damping * np.diag(along)
-        step: Floats = np.asarray(np.linalg.solve(firm, pull), dtype=np.float64)
-        near = (model.observed - _computed(model, x + BEND * step, extra)[0]) * weight
-        bend: Floats = np.asarray(2.0 / BEND * ((white - near) / BEND - design.times(step)))
-        bent = np.linalg.solve(firm, design.adjoint(-0.5 * bend))
-        if np.isfinite(bent).all() and bent @ (along * bent) <= step @ (along * step):
-            step = step + bent
-        computed, ahead = _computed(model, x + step, extra)
-        after = (model.observed - computed) * weight
-        if not (ahead.finite and float(after @ after) <= square):
-            if float(pull @ step) <= FLAT * max(square, 1.0):
-                return x  # what is left to gain drowns in rounding
-            damping *= 10.0
-            if damping > STIFF:
-                return None
-            continue
-        gained = square - float(after @ after)
-        x, white, square, jacobian = x + step, after, float(after @ after), ahead
-        damping = max(0.1 * damping, LEAST_DAMPING)
-        if gained <= FLAT * max(square, 1.0) and damping <= FLAT:
-            return x
-    return None
+    raise _unsettled()
 
 
 def _unsettled() -> DataError:

@@ -91,6 +91,6 @@ def predicted(problem: TracerProblem, stations: Floats | None = None) -> Predict
     if problem.variant == "station":
         covariance = ecc_of_stations(posed, fit, state)
     else:
-        covariance = fit.covariance(len(model.outputs))
+        covariance = fit.covariance(slice(len(model.outputs)))
     slips = unseen_slips(problem, fit, np.sqrt(covariance.diagonal()))
     return Prediction(posed, fit, covariance if slips is None else covariance + slips.covariance)
