@@ -69,14 +69,15 @@ class Grouping(NamedTuple):
 
     ``number`` (n,): which one each belongs to, -1 for none. ``along`` (n,): a time or place along
     which neighbours are spoiled together. ``near`` (n, k): places with neighbours all round, unit
-    vectors for directions, of which a sector closes round the circle. Of neither: only the whole
-    group is judged.
+    vectors for directions. ``closed``: ``along`` is a bearing, of which the last is followed by
+    the first. Of neither: only the whole group is judged.
     """
 
     kind: str
     number: Ints
     along: Floats | None = None
     near: Floats | None = None
+    closed: bool = False
 
     @property
     def gathers(self) -> bool:
@@ -86,16 +87,15 @@ class Grouping(NamedTuple):
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
         along, near = (None if each is None else each[rows] for each in (self.along, self.near))
-        return Grouping(self.kind, self.number[rows], along, near)
+        return self._replace(number=self.number[rows], along=along, near=near)
 
     def with_others(self, below: int, above: int = 0) -> Grouping:
         """Return the same beside further observations, below and above, that belong to none."""
         rows = (above, below)
-        return Grouping(
-            self.kind,
-            np.pad(self.number, rows, constant_values=-1),
-            None if self.along is None else np.pad(self.along, rows),
-            None if self.near is None else np.pad(self.near, (rows, (0, 0))),
+        return self._replace(
+            number=np.pad(self.number, rows, constant_values=-1),
+            along=None if self.along is None else np.pad(self.along, rows),
+            near=None if self.near is None else np.pad(self.near, (rows, (0, 0))),
         )
 
 
@@ -821,7 +821,7 @@ def gathered_of(grouping: Grouping, members: Ints) -> Bools:
     """Return which members (e,) of a group lie together, (q, e); none where nothing says so."""
     found = [np.zeros((0, len(members)), dtype=np.bool_)]
     if grouping.along is not None:
-        found.append(runs(grouping.along[members]))
+        found.append(runs(grouping.along[members], grouping.closed))
     if grouping.near is not None:
         found.append(neighbourhoods(grouping.near[members]))
     return distinct(*found)

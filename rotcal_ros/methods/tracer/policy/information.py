@@ -41,7 +41,6 @@ from rotcal_ros.methods.tracer.solver.circle import (
     circle_contrasts,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.error_motion import error_motion_spread
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
@@ -113,8 +112,9 @@ class Scene:
     @cached_property
     def error_motion_angles(self) -> Floats:
         """What the error motion adds to the covariance (m, m) of the zero-mean angles, rad^2."""
-        motion = error_motion_spread(self.motion, self.error_motion_std or 0.0).dense()
-        return np.asarray(self.turning @ motion @ self.turning.T, dtype=np.float64)
+        turning = self.turning.reshape(len(self.turning), -1, 3) @ self.motion.plane.basis().T
+        felt = (self.error_motion_std or 0.0) * turning.reshape(len(turning), -1)
+        return np.asarray(felt @ felt.T, dtype=np.float64)
 
     def beams(self, position: Ints, target: Ints) -> tuple[Floats, Floats]:
         """Return unit vectors (k, 3) from targets to stations and variances (k,) of lengths."""

@@ -290,7 +290,11 @@ class CarriedLengths:
             np.arange(len(self.targets)),
         )
         round_ = np.append(np.arctan2(self.beams[:, 1], self.beams[:, 0]), np.zeros(len(beyond)))
-        station = Grouping("station", np.append(position[self.position], beyond), round_)
+        toward = self.beams / np.linalg.norm(self.beams, axis=1)[:, None]
+        toward = np.pad(toward, ((0, len(beyond)), (0, 0)))
+        station = Grouping(
+            "station", np.append(position[self.position], beyond), round_, toward, closed=True
+        )
         found = [station, Grouping("target", np.append(target[self.target], beyond))]
         if len(self.places) > 1:
             found.insert(0, Grouping("place", np.append(self.place, beyond)))
