@@ -41,6 +41,7 @@ from rotcal_ros.methods.tracer.solver.circle import check_sense, table_motion
 from rotcal_ros.methods.tracer.solver.observability import (
     NEVER_TURNED,
     check_counts,
+    check_each_alone,
     hardly_moved,
 )
 from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
@@ -113,6 +114,8 @@ class Posed:
         stations = state[grid.first_strip, :3]
         if hardly_moved(stations):
             raise ObservabilityError(NEVER_TURNED)
+        if problem.variant == "station":
+            check_each_alone(grid, state, problem.settings.max_station_std)
         if given is None and len(stations) >= CIRCLE:
             check_sense(table_motion(stations, angles), stations, angles, grid.position_ids)
         return cls.at(problem, grid, absent, state, ambiguous)

@@ -322,7 +322,8 @@ def _solved(posed: Posed, supposed: Supposed) -> Adjusted:
         near = replace(posed, grid=replace(posed.grid, free=False, target_std=std))
         loose = near.model(supposed)
         every = np.ones(loose.size[0], dtype=np.bool_)
-        model = replace(model, start=fitted(loose, every, loose.std, loose.first).x)
+        missed = np.abs(loose.observed - loose.equations(loose.first)[0])
+        model = replace(model, start=fitted(loose, every, loose.std + missed, loose.first).x)
     return adjusted(model, limits_of(posed.problem.settings))
 
 
