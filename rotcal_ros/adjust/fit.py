@@ -226,6 +226,20 @@ class Fit:
         variances, weight = joined(every, np.random.default_rng(0))
         return enlargement(np.maximum(fixed, 0.0), self.variance, variances, weight)
 
+    def response_to(self, asked: Floats) -> Floats:
+        """Return what whitened errors do to combinations ``asked`` (k, o) of the outputs, (k, n).
+
+        Correlated ones as independent.
+        """
+        at = np.flatnonzero(asked.any(axis=0))
+        outputs = self.model.output_rows.some(at)
+        rows = np.zeros((len(asked), len(self.x)))
+        rows[:, : outputs.shape[1]] = asked[:, at] @ outputs
+        felt = self.kernel.adjusted(rows.T).T
+        for mine, spread in self.in_common():
+            felt[:, mine] = asked @ spread[: asked.shape[1]]
+        return np.asarray(felt)
+
     def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).
 

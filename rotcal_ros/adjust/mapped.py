@@ -58,6 +58,13 @@ class MappedFit(Fit):
         """Return the same of some ``rows`` (k,)."""
         return self.response[:, rows]
 
+    def response_to(self, asked: Floats) -> Floats:
+        """Return what whitened errors do to combinations ``asked`` (k, o) of the outputs, (k, n).
+
+        Correlated ones as independent.
+        """
+        return np.asarray(asked @ self.response[: asked.shape[1]])
+
     def sensitivity(self, rows: Ints) -> Sensitivity:
         """Return the same in parts that are few."""
         return Sensitivity.whole(self.by[:, rows])

@@ -26,7 +26,8 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.error_motion import WHITE, Spectrum
-from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.closures import coming_again
+from rotcal_ros.adjust.model import KnownRelation, Model
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -172,7 +173,22 @@ class Posed:
         first = np.zeros(lengths.size)
         first[begin] = -1.0
         outputs = Outputs.picked(begin + np.arange(len(lengths.angles)), first)
-        return self._about_axis(lengths, lengths.over(outputs, stated))
+        model = self._about_axis(lengths, lengths.over(outputs, stated))
+        return replace(model, closures=self._closures)
+
+    @property
+    def _closures(self) -> list[KnownRelation]:
+        """That stations at one angle see the same deviation, unless runs are repeated."""
+        angles, number, found = self.lengths.angles, self.grid.position_ids, []
+        if self.problem.repeated_runs:
+            return []
+        for first, last in coming_again(angles):
+            rows = np.zeros((1, len(angles)))
+            rows[0, [first, last]] = -1.0, 1.0
+            same = "stand at the same table angle but differ"
+            what = f"stations {number[first]} and {number[last]} {same}"
+            found.append(KnownRelation(what, rows))
+        return found
 
     @property
     def motion(self) -> float | None:

@@ -63,7 +63,7 @@ def result_of(solution: TracerSolution) -> Result:
     closing: tuple[Closure, ...] = ()
     if not solution.problem.repeated_runs:
         closing = closures(angles, solution.deviations, spread, solution.positions)
-    doubts = tuple(_doubts(solution, closing))
+    doubts = tuple(_doubts(solution))
     verdict: Verdict = "suspect" if doubts and found.verdict == "ok" else found.verdict
     numbering = _numbering(solution)
     verdict, warnings = numbering.judged(verdict, (*found.doubts, *doubts, *_remarks(solution)))
@@ -176,10 +176,8 @@ def _budget(solution: TracerSolution) -> dict[str, Floats]:
     return {name: np.sqrt(np.maximum(each, 0.0)) for name, each in budget.items()}
 
 
-def _doubts(solution: TracerSolution, closing: tuple[Closure, ...]) -> Iterator[str]:
+def _doubts(solution: TracerSolution) -> Iterator[str]:
     """Yield what the method doubts beside the engine."""
-    significance = solution.problem.settings.test_significance
-    yield from (doubt_closure(c) for c in closing if c.open(significance))
     for effect in solution.found.found_effects:
         if effect.effect.effect == "slip":
             yield _cause(float(effect.sizes[0]), float(effect.std[0]), solution.problem.slip)
