@@ -547,8 +547,9 @@ def _doubts(found: Adjusted) -> Iterator[str]:
 
 def _open(found: Adjusted) -> Iterator[str]:
     """Yield what outputs do not keep, and effects that it shows where residuals alone do not."""
-    limits, unit = found.diagnosis.limits, found.model.unit
+    limits = found.diagnosis.limits
     for closed in found.closed:
+        unit = closed.relation.unit or found.model.unit
         if closed.probability < limits.significance / len(found.closed):
             pairs = zip(closed.error.tolist(), closed.std.tolist(), strict=True)
             each = ", ".join(f"{e / unit.si:.3g} ± {2.0 * u / unit.si:.2g}" for e, u in pairs)

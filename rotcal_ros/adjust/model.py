@@ -260,12 +260,13 @@ class KnownRelation(NamedTuple):
 
     But for a scatter of ``std``: as steps round a circle add up to nothing, or a table comes to
     an angle again. ``what`` people are told, as in "*the deviation at 0 deg differs when it is
-    measured again*, by 5 ± 1 arcsec".
+    measured again*, by 5 ± 1 arcsec", in the ``unit`` of the outputs; None: of the model.
     """
 
     what: str
     rows: Floats
     std: float = 0.0
+    unit: Unit | None = None
 
 
 def linear(design: Derivatives) -> Equations:

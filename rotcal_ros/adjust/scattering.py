@@ -79,7 +79,7 @@ class Sizes:
 
     @property
     def squares(self) -> Floats:
-        """Squared sizes (k,) times their weights; one beyond CLIPPED counts in an interval only."""
+        """Squared sizes (k,) times weights; those beyond CLIPPED count in an interval only."""
         return np.asarray(np.minimum(self.size, self.quantile(CLIPPED)) ** 2 * self.weight)
 
     def quantile(self, share: float) -> float:

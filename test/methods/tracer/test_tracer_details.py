@@ -119,7 +119,7 @@ def test_the_weakest_direction_is_the_longest_axis_of_all_ellipsoids(options):
 
 @pytest.mark.parametrize("options", VARIANTS)
 def test_tests_follow_from_residuals_and_redundancies(options):
-    problem, result = solved(options)
+    _, result = solved(options)
     found, rows = result.details, result.residuals
     assert found["coverage_factor"] == pytest.approx(norm.ppf(0.975), rel=1e-12)
     table = rows.redundancy.reshape(M, N)

@@ -25,9 +25,9 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.closures import coming_again
-from rotcal_ros.adjust.model import KnownRelation, Model
+from rotcal_ros.adjust.error_motion import WHITE, Spectrum
+from rotcal_ros.adjust.model import SECONDS, KnownRelation, Model
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -187,7 +187,7 @@ class Posed:
             rows[0, [first, last]] = -1.0, 1.0
             same = "stand at the same table angle but differ"
             what = f"stations {number[first]} and {number[last]} {same}"
-            found.append(KnownRelation(what, rows))
+            found.append(KnownRelation(what, rows, unit=SECONDS))
         return found
 
     @property
@@ -208,7 +208,8 @@ class Posed:
         off = off - csr_array(np.tile(np.eye(2), (m, 1))) @ lengths.rows_of("frame")
         # across the circle and along it
         round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
-        turned = np.stack([np.cos(round_), np.sin(round_), -np.sin(round_), np.cos(round_)], axis=1)
+        cos, sin = np.cos(round_), np.sin(round_)
+        turned = np.stack([cos, sin, -sin, cos], axis=1)
         column = 2 * np.arange(m)[:, None] + np.array([0, 1, 0, 1])
         entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
         turning = csr_array(entries, shape=(2 * m, 2 * m))
@@ -223,7 +224,10 @@ class Posed:
             both = [rows[0::2], height, circle / size * rows[1::2]]
             rows, size = csr_array(vstack(both, format="csr")), circle
         name = ERROR_MOTION if circle is None else STATED_CIRCLE
-        return with_motion(model, name, rows, size, angles, turning)
+        model = with_motion(model, name, rows, size, angles, turning)
+        significance = self.problem.settings.test_significance
+        scattering = [replace(each, significance=significance) for each in model.scatterings]
+        return replace(model, correlated=scattering)
 
 
 def with_motion(

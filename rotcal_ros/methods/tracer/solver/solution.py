@@ -18,9 +18,9 @@ from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
 from rotcal_ros.adjust.fit import Fit, fitted
-from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.look import Look
 from rotcal_ros.adjust.mapped import replaced
+from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError, RotcalError
@@ -337,8 +337,8 @@ def _contradicted(solution: TracerSolution) -> TracerSolution:
     Larger than stated; the lengths alone have to place them.
     """
     sizes, stated = next(iter(solution.found.fit.sizes.values()), None), solution.posed.motion
-    limits = limits_of(solution.problem.settings)
-    if stated is None or sizes is None or sizes.probability >= limits.significance:
+    significance = solution.problem.settings.test_significance
+    if stated is None or sizes is None or sizes.probability >= significance:
         return solution
     unstated = replace(solution.problem, circle_std=None, error_motion_std=None)
     here = replace(solution, posed=replace(solution.posed, problem=unstated))
