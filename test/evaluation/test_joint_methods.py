@@ -112,7 +112,7 @@ def test_lengths_and_readings_are_one_least_squares(keep):
     inverse = (np.linalg.pinv(best.jac / scale, rcond=1e-6) / scale[:, None])[:GRID]
     std = np.sqrt(((MEAN @ inverse) ** 2).sum(axis=1))
     assert found.std["ECC"] == pytest.approx(std, rel=2e-3)
-    assert np.abs(found.deviations["ECC"] - MEAN @ best.x[:GRID]).max() < 0.02 * std.min()
+    assert np.abs(found.deviations["ECC"] - MEAN @ best.x[:GRID]).max() < 0.1 * std.min()
 
 
 def test_a_plate_and_readings_are_the_combination():

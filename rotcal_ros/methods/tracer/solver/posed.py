@@ -104,10 +104,14 @@ class Posed:
     ambiguous: bool
 
     @classmethod
-    def of(cls, problem: TracerProblem) -> Posed:
-        """Return what ``problem`` poses; raises what arranging and the start values raise."""
+    def of(cls, problem: TracerProblem, alone: bool = True) -> Posed:
+        """Return what ``problem`` poses; raises what arranging and the start values raise.
+
+        ``alone``: its lengths have to be enough for all unknowns.
+        """
         grid, absent = arrange(problem)
-        check_counts(grid, absent.unfit.values())
+        if alone:
+            check_counts(grid, absent.unfit.values())
         angles = problem.table_angles[grid.position_ids]
         given = problem.start_stations
         given = None if given is None else given[grid.position_ids]

@@ -582,7 +582,7 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
                 "have to be weighed by beside other instruments: state solver.error_motion_std_m"
             )
         few = replace(problem, variant="joint", circle_std=problem.circle_std or FREE_CIRCLE)
-        posed, supposed = Posed.of(few), Supposed(walk=problem.zero_walk_std or 0.0)
+        posed, supposed = Posed.of(few, alone=False), Supposed(walk=problem.zero_walk_std or 0.0)
     model = posed.model(supposed)
     m, begin = len(posed.lengths.angles), posed.lengths.first["turn"]
     model = replace(model, outputs=np.zeros((0, model.size[1])))
