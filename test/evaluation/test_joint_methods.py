@@ -311,7 +311,7 @@ def test_a_length_that_is_wrong_is_left_out_by_its_number():
     length = problem.length.copy()
     length[100] += 2e-5
     found = solve_together([tracer_of(replace(problem, length=length)), rough_polygon(7)]).result
-    assert any("length 100 of tracer" in r.why for r in found.rejected)
+    assert any("station 5, target 10 of tracer" in r.why for r in found.rejected)
     assert np.abs(found.deviations["ECC"] - ALTERNATING).max() < 4.0 * found.std["ECC"].max()
 
 

@@ -581,8 +581,11 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
                 "these lengths alone do not determine the error motion of the table, which they "
                 "have to be weighed by beside other instruments: state solver.error_motion_std_m"
             )
-        few = replace(problem, variant="joint", circle_std=problem.circle_std or FREE_CIRCLE)
-        posed, supposed = Posed.of(few, alone=False), Supposed(walk=problem.zero_walk_std or 0.0)
+        joint = replace(problem, variant="joint")
+        # as many lengths as a circle asks for: the error motion ties stations to theirs
+        few = replace(joint, circle_std=problem.circle_std or FREE_CIRCLE)
+        posed = replace(Posed.of(few, alone=False), problem=joint)
+        supposed = Supposed(walk=problem.zero_walk_std or 0.0)
     model = posed.model(supposed)
     m, begin = len(posed.lengths.angles), posed.lengths.first["turn"]
     model = replace(model, outputs=np.zeros((0, model.size[1])))
