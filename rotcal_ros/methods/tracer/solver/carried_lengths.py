@@ -232,18 +232,20 @@ class CarriedLengths:
         arms = self.targets - self.origin
         reach = float(np.linalg.norm(arms, axis=1).max())
         spin = (cross_matrix(self.axes[None, :, 2])[0] @ arms.T).T[self.target] / reach
-        machine = np.column_stack([toward, (toward * spin).sum(axis=1)])
+        turning = (toward * spin).sum(axis=1)[:, None]
+        machine = np.hstack([toward, turning])
         again = passes(self.place, self.position, self.order)
         returning = np.hstack([machine * shape[:, None] for shape in recurring(again, when).T])
         gone = drifts(once, when)
         # the index at the mean height of a beam is that along it, for it grows linearly
         height = self.targets[self.target, 2] - 0.5 * self.beams[:, 2]
         layered = distance * (height - height.mean())
-        frame = "the machine's frame drifts or turns"
+        frame = "the machine's frame drifts"
         effects = [
-            Disturbing("drift", frame, gone * machine, LARGEST_MOVE, UM),
+            Disturbing("drift", frame, gone * toward, LARGEST_MOVE, UM),
+            Disturbing("drift", "the machine's frame turns", gone * turning, LARGEST_MOVE, UM),
             Disturbing("drift", "all lengths drift", gone, LARGEST_MOVE, UM),
-            Disturbing("recurring drift", f"{frame} in each turn of the table alike", returning,
+            Disturbing("recurring drift", f"{frame} or turns in each turn of the table alike", returning,
                        LARGEST_MOVE, UM),
             Disturbing("knock", "the tracer moved on the table", self._knocks, LARGEST_MOVE, UM,
                        family=True, of_each=3, stays=True),
@@ -252,11 +254,11 @@ class CarriedLengths:
                        LARGEST_RATIO, PPM),
         ]  # fmt: skip
         if self.unbroken:
-            effects.insert(4, self._slipping(beam, when))
+            effects.insert(5, self._slipping(beam, when))
         if 1 < len(np.unique(beam)) <= PLACES // len(beam):
             read = drifts(beam, when)
             effects.insert(
-                2, Disturbing("drift", "lengths drift", read, LARGEST_MOVE, UM, family=True)
+                3, Disturbing("drift", "lengths drift", read, LARGEST_MOVE, UM, family=True)
             )
         return tuple(effects)
 

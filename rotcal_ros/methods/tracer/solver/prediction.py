@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotcal_ros.adjust.effects import Unseen, unseen, unseen_family
+from rotcal_ros.adjust.closures import Closed
+from rotcal_ros.adjust.effects import Seen, SeenFamily, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -45,17 +46,24 @@ class Prediction:
         timed = replace(lengths, order=order[lengths.row])
         limits = limits_of(self.posed.problem.settings)
         each, std = limits.of_each_effect(self.fit.model), np.sqrt(self.covariance.diagonal())
+        closed = [Closed(self.fit, known, 1.0, np.inf) for known in self.fit.model.closures]
         found = dict[Effect, Unseen]()
         for effect in timed.effects:
             if effect.effect not in ("drift", "knock"):
                 continue
-            columns = effect.beside(self.fit.model.size[0] - len(lengths.row)).at(np.zeros(0))
-            if effect.family:
-                family = family_seen_by(self.fit, columns, effect.width)
-                worst = unseen_family(family, std, effect.largest, significance=each, power=POWER)
+            known = effect.beside(self.fit.model.size[0] - len(lengths.row))
+            columns = known.at(np.zeros(0))
+            seen: Seen | SeenFamily
+            if known.family:
+                seen = family_seen_by(self.fit, columns, known.width)
             else:
                 seen = seen_by(self.fit, np.asarray(columns))
-                worst = unseen(seen, std, effect.largest, significance=each, power=POWER)
+            for relation in closed:
+                seen = relation.beside(known, seen)
+            if isinstance(seen, SeenFamily):
+                worst = unseen_family(seen, std, known.largest, significance=each, power=POWER)
+            else:
+                worst = unseen(seen, std, known.largest, significance=each, power=POWER)
             if effect.effect not in found or worst.error > found[effect.effect].error:
                 found[effect.effect] = worst
         return found
