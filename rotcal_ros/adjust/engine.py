@@ -172,15 +172,14 @@ class Adjusted:
         Degrees of freedom after Satterthwaite, from how well the factors of the noise are known. A
         component that nothing checks was not estimated: its statement stands.
         """
-        estimated, model = self.diagnosis.noise.estimated, self.model
+        estimated = self.diagnosis.noise.estimated
         if estimated is None:
             return self.fit.enlargement
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
         known = np.where(checked, estimated.log_std, 0.0)
         if known.max(initial=0.0) < SURE:
             return self.fit.enlargement
-        part = model.of_component == np.arange(len(model.components))[:, None]
-        variance = self.fit.variance_from(part)  # (o, c)
+        variance = self.fit.variance_by_component
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)

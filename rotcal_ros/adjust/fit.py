@@ -313,6 +313,12 @@ class Fit:
         return found
 
     @cached_property
+    def variance_by_component(self) -> Floats:
+        """Variances (o + a, c) of the outputs by the noise of each component of it."""
+        every = np.arange(len(self.model.components))
+        return self.variance_from(self.model.of_component == every[:, None])
+
+    @cached_property
     def output_std(self) -> Floats:
         """Standard deviations (o + a,) of the outputs; infinite for those that count nowhere.
 

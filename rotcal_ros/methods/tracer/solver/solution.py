@@ -303,16 +303,18 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
         solution = _walking(solution)
     solution = _contradicted(solution)
     check_sense(solution.motion, solution.stations, solution.table_angles, solution.positions)
+    if problem.variant == "station":
+        solution = as_printed(solution)
+    else:
+        found = solution.found
+        slips = unseen_slips(problem, found.fit, found.std, found.scale)
+        solution = replace(solution, slips=slips)
     if not posed.grid.free:  # there a place depends on what defines it, and the angle does not
         check_station_spread(
             solution.stations, solution.station_blocks, solution.positions,
             problem.settings.max_station_std,
         )  # fmt: skip
-    if problem.variant == "station":
-        return as_printed(solution)
-    found = solution.found
-    slips = unseen_slips(problem, found.fit, found.std, found.scale)
-    return replace(solution, slips=slips)
+    return solution
 
 
 def _solved(posed: Posed, supposed: Supposed) -> Adjusted:

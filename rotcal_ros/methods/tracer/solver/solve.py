@@ -153,22 +153,22 @@ def _budget(solution: TracerSolution) -> dict[str, Floats]:
     What is not known of the size of a source is shared out among them.
     """
     found, model, m = solution.found, solution.found.model, len(solution.std)
-    component = np.array(model.components)[model.of_component]
-    along = np.arange(len(component)) >= len(component) - m  # what a stated circle does not bind
-    source = np.full(len(component), "targets", dtype=object)
-    source[np.char.find(component, "lengths") >= 0] = "lengths"
-    source[component == STATED_CIRCLE] = "circle"
-    source[(component == ERROR_MOTION) | ((component == STATED_CIRCLE) & along)] = "error_motion"
-    names = sorted(set(source.tolist()))
-    part = np.array([source == name for name in names])
-    variance = found.scale**2 * found.fit.variance_from(part)[:m]
+    sources = {"the lengths": "lengths", ERROR_MOTION: "error_motion", STATED_CIRCLE: "circle"}
+    budget = dict[str, Floats]()
+    for name, each in zip(model.components, found.fit.variance_by_component[:m].T, strict=True):
+        source = sources.get(name, "targets")
+        budget[source] = budget.get(source, 0.0) + found.scale**2 * each
+    if "circle" in budget:  # at the end is what a stated circle does not bind
+        along = found.fit.response_of(np.arange(model.size[0] - m, model.size[0]))[:m]
+        budget["error_motion"] = found.scale**2 * (along**2).sum(axis=1)
+        budget["circle"] = budget["circle"] - budget["error_motion"]
     gathered = found.diagnosis.gathering.covariance()
     beside = np.zeros(m) if gathered is None else gathered.diagonal()[:m]
     contested = [weight * change[:m] ** 2 for weight, change in found.diagnosis.contested()]
     beside = np.sum([beside, *contested], axis=0)
-    whole = variance.sum(axis=1)
+    whole = sum(budget.values(), np.zeros(m))
     larger = np.where(whole > 0.0, (found.std**2 - beside) / np.where(whole > 0.0, whole, 1.0), 0)
-    budget = dict(zip(names, (variance * larger[:, None]).T, strict=True))
+    budget = {source: each * larger for source, each in budget.items()}
     if solution.slips is not None:
         budget["slips"] = solution.slips.covariance.diagonal()
     if beside.any():
