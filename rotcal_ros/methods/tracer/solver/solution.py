@@ -77,7 +77,7 @@ def limits_of(settings: TracerLimits) -> Limits:
     )
 
 
-class Reported(NamedTuple):
+class ReportedPlaces(NamedTuple):
     """The ``weight`` of the reported places, 0 to 1, with its standard deviation ``std``.
 
     ``along``: by how much the reports of one target scatter along the beams, m (standard
@@ -94,7 +94,7 @@ class Reported(NamedTuple):
     spoils: float = 0.0
 
 
-class Slips(NamedTuple):
+class UnseenSlips(NamedTuple):
     """A fringe of ``size`` (m) slipped unseen: what it adds to the ``covariance`` (m, m), rad^2.
 
     ``found``: how probably one at any moment is found; ``worst``: what one that is not may do, in
@@ -136,8 +136,8 @@ class TracerSolution:
     supposed: Supposed
     contradicted: float | None = None
     printed: Floats | None = None
-    slips: Slips | None = None
-    reported: Reported | None = None
+    slips: UnseenSlips | None = None
+    reported: ReportedPlaces | None = None
 
     @property
     def problem(self) -> TracerProblem:
@@ -387,7 +387,7 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
     scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
     beyond, information = _slope(solution.posed, found.fit)
     if not information or found.fit.dof < 2:
-        return replace(solution, reported=Reported(1.0, 0.0, scatter, 0.0))
+        return replace(solution, reported=ReportedPlaces(1.0, 0.0, scatter, 0.0))
     squares = max(found.fit.chi2 - information * beyond**2, 0.0) / (found.fit.dof - 1)
     std = sqrt(max(squares, 1e-2) / information)
     weight = solution.supposed.weight + beyond
@@ -406,14 +406,14 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
         spoiled = 0.0 < share < 1.0 and abs(weight - 1.0 + share) < CONSISTENT * std
         spoils = excess if spoiled else 0.0
         if unmoved is None or _excess(unmoved) >= spoils:
-            reported = Reported(1.0, std, scatter, 0.0, spoils=spoils)
+            reported = ReportedPlaces(1.0, std, scatter, 0.0, spoils=spoils)
             return replace(believed, reported=reported)
     if unmoved is not None:
-        return replace(unmoved, reported=Reported(0.0, std, scatter, 0.0))
+        return replace(unmoved, reported=ReportedPlaces(0.0, std, scatter, 0.0))
     weight = min(max(weight, 0.0), 1.0)
     left = scatter * sqrt(weight * (1.0 - weight) + std**2)
     supposed = replace(solution.supposed, weight=weight, left=left)
-    reported = Reported(weight, std, scatter, left, estimated=True)
+    reported = ReportedPlaces(weight, std, scatter, left, estimated=True)
     return replace(_again(solution, supposed), reported=reported)
 
 
@@ -458,7 +458,7 @@ def _excess(solution: TracerSolution) -> float:
 
 def unseen_slips(
     problem: TracerProblem, fit: Fit, std: Floats, scale: float = 1.0
-) -> Slips | None:
+) -> UnseenSlips | None:
     """Return what a fringe that slipped unseen does, where lengths share zeros; else None.
 
     A measurement with one slip is taken to be as likely as one with none, and any moment of it as
@@ -481,7 +481,7 @@ def unseen_slips(
     counts = std > 0.0
     hidden = moved[missed > 1.0 - POWER][:, counts] / std[counts]
     worst = float(np.abs(hidden).max(initial=0.0))
-    return Slips(problem.slip, 1.0 - float(missed.mean()), covariance, worst)
+    return UnseenSlips(problem.slip, 1.0 - float(missed.mean()), covariance, worst)
 
 
 def as_printed(solution: TracerSolution) -> TracerSolution:
@@ -573,7 +573,7 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
 
     What these lengths say of the error motion, their zeros and reported places comes from their
     ``solution``; None where they have none alone, and then ObservabilityError if no error motion
-    is stated. Slips that would not be found are errors that lengths have in common.
+    is stated. UnseenSlips that would not be found are errors that lengths have in common.
     """
     if solution is not None:
         posed, supposed = solution.posed, solution.supposed

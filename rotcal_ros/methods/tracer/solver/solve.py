@@ -29,7 +29,7 @@ from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
 from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, LATER_RUN, STATED_CIRCLE
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
-from rotcal_ros.methods.tracer.solver.solution import Reported, TracerSolution, adjust
+from rotcal_ros.methods.tracer.solver.solution import ReportedPlaces, TracerSolution, adjust
 
 METHOD = "tracer_multistation"
 MOST_FRINGES: Final = 3
@@ -236,7 +236,7 @@ def _remarks(solution: TracerSolution) -> Iterator[str]:
         yield from _weighed(solution.reported)
 
 
-def _weighed(reported: Reported) -> Iterator[str]:
+def _weighed(reported: ReportedPlaces) -> Iterator[str]:
     """Yield what was made of the reported places, where they are not simply believed."""
     along, spoils = reported.along / MICROMETRE, reported.spoils / MICROMETRE
     if reported.weight == 1.0 and not reported.estimated:
