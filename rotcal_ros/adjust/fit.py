@@ -339,13 +339,19 @@ def _defined(model: Model, kernel: Kernel) -> Kernel:
 
 
 def fitted(
-    model: Model, used: Bools, std: Floats, start: Floats, extra: Floats | None = None
+    model: Model,
+    used: Bools,
+    std: Floats,
+    start: Floats,
+    extra: Floats | None = None,
+    settled: float = CONVERGED,
 ) -> Fit:
     """Return the least-squares solution with the observations ``used`` (n,), weighed by ``std``.
 
     ``start`` (p,) or longer; ``extra`` (n, q): columns that are unknowns, too. Gauss-Newton with
     halved steps where the sum of squares would grow; the steps may be rough, what they end at is
-    where the gradient vanishes. Raises ObservabilityError where an output feels what nothing
+    where the gradient vanishes, to a step whose square, in standard deviations and per
+    chi-squared, is ``settled``. Raises ObservabilityError where an output feels what nothing
     tells, DataError where the iteration does not settle.
     """
     n, p = model.size
@@ -361,7 +367,7 @@ def fitted(
         step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
-        if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
+        if left <= settled * max(square, 1.0) or 0.25 * before < left < NEARLY:
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)

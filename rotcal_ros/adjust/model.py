@@ -143,19 +143,25 @@ class Steps:
         ways = None if self.ways is None else np.pad(self.ways, (rows, (0, 0)))
         return Steps(np.pad(self.run, rows, constant_values=-1), np.pad(self.when, rows), ways)
 
-    def few(self, which: slice = slice(None)) -> csr_array:
-        """Return some columns (n, m) by those entries that are not zero."""
-        every, ways = range(self.width), self.felt
-        touched = [
+    @cached_property
+    def _touched(self) -> list[tuple[int, Ints]]:
+        """Of each column its way, and the rows that it touches."""
+        every = range(self.width)
+        return [
             (way, rows[k:]) for rows, first in self.runs for k in first.tolist() for way in every
-        ][which]
+        ]
+
+    def few(self, which: slice | Ints = slice(None)) -> csr_array:
+        """Return some columns (n, m) by those entries that are not zero."""
+        ways, every = self.felt, self._touched
+        touched = every[which] if isinstance(which, slice) else [every[k] for k in which.tolist()]
         begin = np.append(0, np.cumsum([len(rows) for _, rows in touched], dtype=np.int64))
         rows = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in touched)])
         values = np.concatenate([np.zeros(0), *(ways[rows, way] for way, rows in touched)])
         shape = (len(self.run), len(touched))
         return csr_array(csc_array((values, rows, begin), shape=shape))
 
-    def whole(self, which: slice = slice(None)) -> Floats:
+    def whole(self, which: slice | Ints = slice(None)) -> Floats:
         """Return some columns (n, m), zeros included."""
         return np.asarray(self.few(which).toarray())
 
@@ -397,6 +403,7 @@ class Model:
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
+    ``shared``: blocks that rows of many groups feel, where derivatives come as ``csr_array``.
     """
 
     blocks: Mapping[str, int]
@@ -420,6 +427,7 @@ class Model:
     definitions: Floats | None = None
     expected: Sequence[Expected] = ()
     closures: Sequence[KnownRelation] = ()
+    shared: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -587,7 +595,10 @@ class Model:
     def _groups(self) -> Groups | None:
         """Into which groups the unknowns fall, which is asked once."""
         design = design_of(self.equations(self.first)[1])
-        return design.structure if isinstance(design, FewEach) else None
+        if not isinstance(design, FewEach):
+            return None
+        block = np.repeat(list(self.blocks), list(self.blocks.values()))
+        return Groups.of(design.few, np.flatnonzero(np.isin(block, self.shared)))
 
     def at(self, unknowns: Floats) -> Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""

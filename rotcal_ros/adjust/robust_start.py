@@ -20,6 +20,8 @@ FAR_WORSE: Final = 5.0
 """Times the standard uncertainty that all give an output: a part that does worse misses some."""
 GROSS: Final = 5.0
 """Times the limit of an outlier, in the scatter of the others, that bends a start."""
+ROUGHLY: Final = 1e-8
+"""Squared step per chi-squared that is no matter to where the adjustment starts."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 
@@ -43,11 +45,11 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     miss = np.maximum(np.abs(model.observed - model.equations(model.first)[0]) / model.std, 1.0)
     if model.linearised(model.first)[1].large:
         miss = np.sqrt(miss)  # no more, for what is iterated
-    fit = fitted(model, every, model.std * miss, model.first)
+    fit = fitted(model, every, model.std * miss, model.first, settled=ROUGHLY)
     for _ in range(ROUNDS):
         # weights of least absolute deviations, which are those of least squares for small ones
         miss = np.maximum(np.abs(fit.residual) / model.std, 1.0)
-        after = fitted(model, every, model.std * np.sqrt(miss), fit.x)
+        after = fitted(model, every, model.std * np.sqrt(miss), fit.x, settled=ROUGHLY)
         moved = np.abs((after.residual - fit.residual) / model.std).max()
         fit = after
         if moved < 0.01:
@@ -58,7 +60,7 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     gross = (miss > GROSS * limits.outlier(model) * scatter) & model.may_go
     gross = np.isin(model.of_element, model.of_element[gross])
     try:
-        fitted(model, ~gross, model.std, fit.x)
+        fitted(model, ~gross, model.std, fit.x, settled=ROUGHLY)
     except RotcalError:
         return fit.x[:p], np.zeros(0, dtype=np.int64)  # too many: they are judged with the rest
     return fit.x[:p], np.flatnonzero(gross)
@@ -76,7 +78,7 @@ def _concentrated(model: Model, fit: Fit) -> Fit:
         if (better == used).all():
             break
         try:
-            after = fitted(model, better, model.std, fit.x)
+            after = fitted(model, better, model.std, fit.x, settled=ROUGHLY)
             if after.far_worse_than(usual, FAR_WORSE):
                 break
         except RotcalError:
