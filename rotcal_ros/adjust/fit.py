@@ -27,6 +27,8 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
+FROZEN: Final = 1.0
+"""Squared step from which on derivatives are as they were: no step changes them any more."""
 HALVINGS: Final = 20
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
@@ -382,7 +384,7 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved:
+        if jacobian is not solved and left > FROZEN:
             steps = _Steps.of(model, jacobian.weighted(weight))
     raise _unsettled()
 

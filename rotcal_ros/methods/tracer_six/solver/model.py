@@ -181,7 +181,7 @@ class SixLengths:
         away = stands - self.targets[self.target]
         return away / np.linalg.norm(away, axis=1)[:, None], arm @ axes.T
 
-    def _of_stations(self, columns: Floats) -> Floats:
+    def of_stations(self, columns: Floats) -> Floats:
         """Return what moves (k, 3) of each station's lengths by itself are, (k, 3 V)."""
         k, v = len(columns), len(self.layout.position)
         found = np.zeros((k, v, 3))
@@ -191,8 +191,8 @@ class SixLengths:
 
 def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
     """Return the model of all that the lengths and what is stated say."""
-    layout, k, m = lengths.layout, len(lengths.row), len(lengths.layout.angles)
-    grid, size = layout.grid, sum(lengths.blocks.values())
+    layout, m = lengths.layout, len(lengths.layout.angles)
+    grid = layout.grid
     unit, arm = lengths.at_start
     names = [
         f"{layout.station_name(s)}, target {grid.target_ids[t]}"
@@ -217,24 +217,34 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
         effects=effects_of(lengths),
         row_names=names,
         definitions=_definitions(lengths),
+        shared=("place", "zero", "target", "axis", "lean"),
         closures=_closures(problem, lengths),
     )
+    size = model.size[1]
+
+    def wide(rows: Floats) -> csr_array:
+        return csr_array(np.pad(rows, ((0, 0), (0, size - rows.shape[1]))))
+
     if problem.slip and problem.zero != "per_station":
         slips = next(e for e in model.effects if e.effect == "slip")
         model = replace(model, expected=[Expected(slips, problem.slip, SLIPPED)])
+    scatters = problem.scatter_translation_std != 0.0 or problem.scatter_rotation_std != 0.0
+    if scatters:
+        model = model.with_unknowns("scatter of an arrival", lengths.of_stations(unit))
+        size = model.size[1]
     if not grid.free:
         for axis in range(3):
-            rows = csr_array(lengths.rows_of("target")[axis::3])
+            rows = wide(lengths.rows_of("target")[axis::3])
             std = np.maximum(grid.target_std[:, axis], KNOWN)
             model = model.knowing(
                 f"the targets along {'xyz'[axis]}", rows, np.zeros(len(std)), std
             )
     if problem.tilt_std is not None:
-        tilts = lengths.rows_of("turn").reshape(m, 3, size)[:, :2].reshape(2 * m, size)
+        tilts = lengths.rows_of("turn").reshape(m, 3, -1)[:, :2].reshape(2 * m, -1)
         lean = gauge_design(layout.angles)[0] @ lengths.rows_of("lean")
         start = lengths.turn[:, :2].ravel()
-        model = model.knowing("the tilts", csr_array(tilts - lean), -start, problem.tilt_std)
-    return _with_scatter(problem, lengths, model, unit, arm)
+        model = model.knowing("the tilts", wide(tilts - lean), -start, problem.tilt_std)
+    return _with_scatter(problem, lengths, model, arm) if scatters else model
 
 
 def _equations(lengths: SixLengths):  # type: ignore[no-untyped-def]
@@ -258,22 +268,15 @@ def _definitions(lengths: SixLengths) -> Floats:
     return np.concatenate(found)
 
 
-def _with_scatter(
-    problem: SixProblem, lengths: SixLengths, model: Model, unit: Floats, arm: Floats
-) -> Model:
-    """Return the model whose stations scatter from arrival to arrival."""
+def _with_scatter(problem: SixProblem, lengths: SixLengths, model: Model, arm: Floats) -> Model:
+    """Return the model whose stations scatter from arrival to arrival, its last unknowns."""
     shift, turn = problem.scatter_translation_std, problem.scatter_rotation_std
-    if shift == turn == 0.0:
-        return model
-    rows, places = len(model.observed), lengths.places - lengths.places.mean(axis=0)
-    columns = np.zeros((rows, 3 * len(lengths.layout.position)))
-    columns[: len(unit)] = lengths._of_stations(unit)
-    before = model.size[1]
-    model = model.with_unknowns("scatter of an arrival", columns)
+    places = lengths.places - lengths.places.mean(axis=0)
     arms = np.zeros((len(lengths.layout.position), 3))
     arms[lengths.station] = arm
     radius = float(np.sqrt((places**2).sum() / len(places)))
-    known = csr_array(np.eye(columns.shape[1], model.size[1], before))
+    before = model.size[1] - arms.size
+    known = csr_array(np.eye(arms.size, model.size[1], before))
     name = "the scatter of arrivals"
     if shift is not None and turn is not None:
         ways = [(1.0, roots_of(shift, turn, arms))]
