@@ -7,8 +7,10 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.distributions import chi2_sf, sidak
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
 
@@ -20,6 +22,8 @@ FAR_WORSE: Final = 5.0
 """Times the standard uncertainty that all give an output: a part that does worse misses some."""
 GROSS: Final = 5.0
 """Times the limit of an outlier, in the scatter of the others, that bends a start."""
+SURELY: Final = 0.1
+"""Chance of a kind of groups to scatter as much, from which on something may bend the start."""
 ROUGHLY: Final = 1e-8
 """Squared step per chi-squared that is no matter to where the adjustment starts."""
 NORMAL_QUARTILE: Final = 0.6745
@@ -29,13 +33,38 @@ NORMAL_QUARTILE: Final = 0.6745
 def robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     """Return unknowns (p,) that gross errors do not bend, and the observations that are gross.
 
-    From start values that are too poor for that, plain least squares may settle all the same.
+    Observations that fit as they are need nothing robust. From start values that are too poor for that, plain least squares may settle all the same.
     """
+    every = np.ones(len(model.observed), dtype=np.bool_)
+    try:
+        fit = fitted(model, every, model.std, model.first)
+        if _sound(fit, limits):
+            return fit.x, np.zeros(0, dtype=np.int64)
+    except DataError:
+        pass
     try:
         return _unbent(model, limits)
     except DataError:
-        every = np.ones(len(model.observed), dtype=np.bool_)
         return fitted(model, every, model.std, model.first).x, np.zeros(0, dtype=np.int64)
+
+
+def _sound(fit: Fit, limits: Limits) -> bool:
+    """Whether no element stands out, and no component of the noise or group scatters too much."""
+    model = fit.model
+    squares, rank = fit.element_test
+    if (squares > limits.of_squares(model, rank)).any():
+        return False
+    parts = [(model.of_component, len(model.components))]
+    parts += [(g.number, int(g.number.max(initial=-1)) + 1) for g in model.groupings]
+    for number, count in parts:
+        mine = number >= 0
+        scatter = np.bincount(number[mine], fit.white[mine] ** 2, count)
+        checked = np.bincount(number[mine], fit.redundancy[mine], count)
+        least = sidak(SURELY, int((checked > LEAST_REDUNDANCY).sum()))
+        for q, r in zip(scatter.tolist(), checked.tolist(), strict=True):
+            if r > LEAST_REDUNDANCY and chi2_sf(q, r) < least:
+                return False
+    return True
 
 
 def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
