@@ -33,7 +33,8 @@ NORMAL_QUARTILE: Final = 0.6745
 def robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     """Return unknowns (p,) that gross errors do not bend, and the observations that are gross.
 
-    Observations that fit as they are need nothing robust. From start values that are too poor for that, plain least squares may settle all the same.
+    Observations that fit as they are need nothing robust. From start values that are too poor for
+    that, plain least squares may settle all the same.
     """
     every = np.ones(len(model.observed), dtype=np.bool_)
     try:
