@@ -192,9 +192,9 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
         elif not bent:
-            return diagnosis
+            return diagnosis.solved(fit)
         elif noise.estimated is None and _as_stated(diagnosis, fit, bent=False):
-            return replace(diagnosis, start=diagnosis.fit.x)  # whole squares show the same
+            return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
 

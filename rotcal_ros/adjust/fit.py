@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.linalg import lapack
 
+from rotcal_ros.adjust.effects import SeenFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
-from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.model import Model, Steps
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -84,6 +85,11 @@ class Fit:
     def white(self) -> Floats:
         """Whitened residuals (n,), zero where not used."""
         return np.where(self.used, self.residual / self.std, 0.0)
+
+    @cached_property
+    def families(self) -> dict[Steps, SeenFamily]:
+        """What was worked out of moves that may have begun at any moment."""
+        return {}
 
     @property
     def chi2(self) -> float:

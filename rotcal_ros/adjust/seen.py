@@ -34,8 +34,10 @@ def seen_by(fit: Fit, columns: Floats) -> Seen:
 
 def family_seen_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> SeenFamily:
     """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
-    if isinstance(columns, Steps):
-        return _steps_seen_by(fit, columns)
+    if isinstance(columns, Steps):  # which are asked for again and again
+        if columns not in fit.families:
+            fit.families[columns] = _steps_seen_by(fit, columns)
+        return fit.families[columns]
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     gain, felt = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
     mine, solved, adjoint = (
