@@ -20,7 +20,6 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.model import (
     Disturbing,
     Expected,
@@ -31,7 +30,6 @@ from rotcal_ros.adjust.model import (
     Unit,
     block_rows,
     drifts,
-    recurring,
 )
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
@@ -39,8 +37,9 @@ from rotcal_ros.foundation.units import MICROMETRE, TURN
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.tracer.solver.protections import LARGEST_MOVE, LARGEST_RATIO
 from rotcal_ros.methods.tracer.solver.screening import WORDS
-from rotcal_ros.methods.tracer_six.solver.network import NetworkState, gauge_design, table_curves
+from rotcal_ros.methods.tracer_six.solver.curves import gauge_design, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout
+from rotcal_ros.methods.tracer_six.solver.start import Start
 
 UM: Final = Unit("um", MICROMETRE)
 PPM: Final = Unit("um/m", 1e-6)
@@ -63,8 +62,8 @@ class SixLengths:
     """Lengths (k,) in the order of the problem's ``row`` (k,), and where they were taken.
 
     ``position``, ``station``, ``place``, ``target``, ``zero`` (k,): indices into those of the
-    ``layout``, ``order`` (k,): when. ``axes`` U (3, 3), ``origin`` v (3,) m, ``places`` (p, 3) m in
-    the table's frame, ``targets`` (n, 3), ``zeros`` (s,) m: start values, with ``shift`` and
+    ``layout``, ``order`` (k,): when. ``axes`` U (3, 3), ``origin`` v (3,) m, ``places`` (p, 3) m,
+    in the table's frame, ``targets`` (n, 3), ``zeros`` (s,) m: start values, with ``shift`` and
     ``turn`` (m, 3).
     """
 
@@ -82,7 +81,7 @@ class SixLengths:
     turn: Floats
 
     @classmethod
-    def of(cls, problem: SixProblem, layout: StationLayout, state: NetworkState) -> SixLengths:
+    def of(cls, problem: SixProblem, layout: StationLayout, state: Start) -> SixLengths:
         """Return those of a ``layout`` about the start values ``state``."""
         curves = table_curves(state.rotation, state.translation, layout.angles)
         station, target = np.nonzero(layout.grid.row >= 0)
@@ -92,7 +91,7 @@ class SixLengths:
         return cls(
             layout, row, station[first], target[first], problem.measuring_order[row],
             curves.axes, curves.origin, (state.places - curves.table_origin) @ curves.table_turn,
-            state.targets, state.zeros, curves.translation, curves.rotation,
+            layout.grid.targets, state.zeros, curves.translation, curves.rotation,
         )  # fmt: skip
 
     @cached_property
@@ -203,10 +202,10 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
         blocks=lengths.blocks,
         observed=grid.length[lengths.station, lengths.target],
         std=grid.length_std[lengths.station, lengths.target],
-        equations=_equations(lengths),
+        equations=lengths.computed,
         outputs=np.concatenate(
             [lengths.rows_of(b)[a::3] for b in ("shift", "turn") for a in range(3)]
-        ),  # fmt: skip
+        ),
         words=WORDS,
         unit=UM,
         components=["the lengths"],
@@ -247,13 +246,6 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
     return _with_scatter(problem, lengths, model, arm) if scatters else model
 
 
-def _equations(lengths: SixLengths):  # type: ignore[no-untyped-def]
-    def equations(x: Floats) -> tuple[Floats, Derivatives]:
-        return lengths.computed(x)
-
-    return equations
-
-
 def _definitions(lengths: SixLengths) -> Floats:
     """Return rows of what the deviations have none of: means, and parts that turn."""
     m, found = len(lengths.layout.angles), []
@@ -283,8 +275,8 @@ def _with_scatter(problem: SixProblem, lengths: SixLengths, model: Model, arm: F
         return model.scattering(name, known, 1.0, LARGEST_SCATTER, ways)
     mixtures = np.column_stack([np.cos(MIXTURES), np.sin(MIXTURES) / radius])
     ways = [
-        (share, roots_of(*mixture, arms))
-        for share, mixture in zip(MIXTURE_PRIOR, mixtures.tolist(), strict=True)
+        (share, roots_of(along, about, arms))
+        for share, (along, about) in zip(MIXTURE_PRIOR, mixtures.tolist(), strict=True)
     ]
     return model.scattering(name, known, None, LARGEST_SCATTER, ways)
 
@@ -333,7 +325,8 @@ def effects_of(lengths: SixLengths) -> tuple[Disturbing, ...]:
                    family=True),
         Disturbing("scale", "the scale of the lengths is wrong", distance[:, None], LARGEST_RATIO,
                    PPM),
-        Disturbing("refraction", "air in layers bends the beams", air[:, None], LARGEST_RATIO, PPM),
+        Disturbing("refraction", "air in layers bends the beams", air[:, None], LARGEST_RATIO,
+                   PPM),
     )  # fmt: skip
 
 
