@@ -26,7 +26,7 @@ ROUNDS: Final = 2
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Poses ``rotation`` (m, 3, 3), ``translation`` (m, 3), ``places`` (p, 3), ``zeros`` (s,), m."""
+    """``rotation`` (m, 3, 3), ``translation`` (m, 3) of poses, ``places`` (p, 3), ``zeros`` (s,)."""
 
     rotation: Floats
     translation: Floats
