@@ -28,8 +28,9 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
-FROZEN: Final = 1.0
-"""Squared step from which on derivatives are as they were: no step changes them any more."""
+FROZEN, SHRINKS = 0.01, 0.01
+"""Squared step, in standard deviations, from which on derivatives stay as they were, as long as
+the next one is so much smaller."""
 HALVINGS: Final = 20
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
@@ -379,7 +380,7 @@ def fitted(
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
-        before, solved = left, jacobian
+        slow, before, solved = left > SHRINKS * before, left, jacobian
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -390,7 +391,7 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved and left > FROZEN:
+        if jacobian is not solved and (slow or left > FROZEN):
             steps = _Steps.of(model, jacobian.weighted(weight))
     raise _unsettled()
 
