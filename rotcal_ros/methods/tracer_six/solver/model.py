@@ -150,9 +150,11 @@ class SixLengths:
         distance = np.linalg.norm(away, axis=1)
         unit = away / distance[:, None]
         felt = unit @ axes
-        slope = np.eye(3) + 0.5 * cross_matrix(c)  # of R(c), to the first order of c
-        turned = np.einsum("ki,kij->kj", np.cross(arm, felt), slope[self.position])
-        leaned = np.cross((stands - self.origin) @ axes, felt)[:, :2]
+        turned = np.einsum("ki,kij->kj", np.cross(arm, felt), _slope(c)[self.position])
+        axis = x[first["axis"] : first["lean"]]
+        lean = np.array([axis[2], axis[3], 0.0])
+        out = (stands - self.origin - np.array([axis[0], axis[1], 0.0])) @ self.axes
+        leaned = (np.cross(out, unit @ self.axes) @ _slope(lean))[:, :2]
         parts = (
             ("shift", self.position, felt),
             ("turn", self.position, turned),
@@ -279,6 +281,12 @@ def _with_scatter(problem: SixProblem, lengths: SixLengths, model: Model, arm: F
         for share, (along, about) in zip(MIXTURE_PRIOR, mixtures.tolist(), strict=True)
     ]
     return model.scattering(name, known, None, LARGEST_SCATTER, ways)
+
+
+def _slope(vector: Floats) -> Floats:
+    """Return how R(c) turns further with its vector c (..., 3), to the third order of it."""
+    across = cross_matrix(vector)
+    return np.asarray(np.eye(3) + 0.5 * across + across @ across / 6.0)
 
 
 def roots_of(shift: float, turn: float, arms: Floats) -> Floats:
