@@ -47,7 +47,7 @@ SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""
 KNOWN: Final = 1e-9
 """Standard deviation, m, of what is stated to be exact."""
-LARGEST_SCATTER: Final = 1e-4
+LARGEST_SCATTER: Final = 1e-5
 """Scatter, m, that nobody would overlook."""
 MIXTURES: Final = np.radians([0.0, 22.5, 45.0, 67.5, 90.0])
 """Direction of (shift, turn times radius): from shifts alone to turns alone."""
