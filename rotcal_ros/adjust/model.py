@@ -652,19 +652,19 @@ class Model:
         """Return the model with what scatters by a ``size``; None: that is estimated.
 
         ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
-        and roots (k, r) of its covariance per unit of size; None: of each row by itself.
-        ``largest``: a size that nobody would overlook.
+        and roots (k, r) of its covariance per unit of size; none: of each row by itself. Sizes
+        are told as what a row scatters by the first of them, in the mean of squares.
+        ``largest``: one that nobody would overlook.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
-        k = rows.shape[0]
-        known = self.knowing(what, rows, np.zeros(k), size or largest)
-        scatter = Scattering(
-            np.arange(n, n + k),
-            (tuple(root for _, root in ways),),
-            what,
-            likely / likely.sum(),
-            size,
-        )
+        k, unit = rows.shape[0], 1.0
+        if ways:
+            unit = float(np.sqrt((ways[0][1] ** 2).sum() / k))
+        stated = None if size is None else size * unit
+        known = self.knowing(what, rows, np.zeros(k), stated or largest)
+        parts = (tuple(root / unit for _, root in ways),)
+        each = np.arange(n, n + k)
+        scatter = Scattering(each, parts, what, likely / likely.sum(), stated)
         return replace(known, correlated=(*self.correlated, scatter))
 
     @property
