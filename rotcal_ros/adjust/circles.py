@@ -89,7 +89,12 @@ class Turns:
             kinds[:, 2 * circles :], turn.ravel(), begin,
         )  # fmt: skip
         usual, odd = found.shares(np.ones(n))[1:]
-        return found if usual.all() and odd.sum() <= size else None
+        return found if usual.all() and odd.sum() <= found.few else None
+
+    @property
+    def few(self) -> int:
+        """How many cells may differ from the others as a low rank beside the orders."""
+        return max(self.size, self.unknowns // 4)
 
     @property
     def circles(self) -> int:
@@ -194,6 +199,11 @@ class Circular(Design):
         extra = self.extra * weight[:, None]
         return replace(self, few=few, weight=self.weight * weight, extra=extra)
 
+    def normal(self) -> Floats:
+        """Return the normal matrix (p + q, p + q)."""
+        own, beside = (self.few.T @ self.few).toarray(), self.few.T @ self.extra
+        return np.asarray(np.block([[own, beside], [beside.T, self.extra.T @ self.extra]]))
+
     def times(self, x: Floats) -> Floats:
         """Return the design times ``x`` (p + q,) or (p + q, k)."""
         p = self.few.shape[1]
@@ -228,7 +238,7 @@ class Circular(Design):
         Or where so many rows are missing that they are no low rank.
         """
         share, usual, odd = self.turns.shares(self.weight)
-        orders = ByOrder.of(self.turns, usual) if odd.sum() <= self.turns.size else None
+        orders = ByOrder.of(self.turns, usual) if odd.sum() <= self.turns.few else None
         if orders is None:
             return None
         changed = self.turns.rows_of(*np.nonzero(odd)), (share - usual[:, None])[odd]
@@ -254,8 +264,17 @@ class Circular(Design):
     def _eliminated(self) -> Eliminated | None:
         return Eliminated.of(self)
 
+    @property
+    def open_directions(self) -> Floats | None:
+        """What complete turns leave open (p, k); None where that is not known."""
+        return None if self._iterated is None else self._iterated.orders.directions
+
     def roughly(self, white: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares with any weights; None: nothing does."""
+        if not self.large and self._eliminated is not None:
+            return self._eliminated.solved(self, white)
+        if not (self.large or self.lengths.all()):
+            return None
         found = None if self._iterated is None else self._iterated.solved(self, white)
         if found is None and self._eliminated is not None:
             found = self._eliminated.solved(self, white)
@@ -270,6 +289,8 @@ class Circular(Design):
 
     def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
+        if not self.large and self._eliminated is not None:
+            return False
         mine, others = self._iterated, other._iterated if isinstance(other, Circular) else None
         if mine is None or others is None:
             return False
@@ -388,8 +409,8 @@ class ByOrder(Kernel):
             )
         found += ((sums @ self.zero) * sums).sum(axis=1)
         carried = self.times(outputs.common.T)
-        both = (outputs.few @ carried)[np.arange(len(outputs)), outputs.part]
-        own = (outputs.common.T * carried).sum(axis=0)[outputs.part]
+        both = ((outputs.few @ carried) * outputs.share).sum(axis=1)
+        own = ((outputs.share @ (outputs.common @ carried)) * outputs.share).sum(axis=1)
         return np.asarray(found + 2.0 * both + own)
 
     @cached_property
@@ -411,7 +432,7 @@ class ByOrder(Kernel):
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
         if outputs.each != 1:
-            return super().response(outputs, rows)
+            return self._response_of_few(outputs, rows)
         (circles, size), (places, others) = (self.turns.circles, self.turns.size), self._felt
         turn, place = self.turns.turn[rows], self.turns.place[rows]
         column, value = (each[:, 0] for each in outputs.entries)
@@ -430,10 +451,29 @@ class ByOrder(Kernel):
         found[:, beyond] = others[turn[:, None], column[beyond] - circles * size] * value[beyond]
         return self._beside_common(found, outputs, turn, place)
 
+    def _response_of_few(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return the same of outputs that read several places each, (o, k)."""
+        (circles, size), (places, others) = (self.turns.circles, self.turns.size), self._felt
+        turn, place = self.turns.turn[rows], self.turns.place[rows]
+        found = np.zeros((len(rows), len(outputs)))
+        for column, value in zip(*(each.T for each in outputs.entries), strict=True):
+            circle, at = np.divmod(np.minimum(column, circles * size - 1), size)
+            inside = column < circles * size
+            own = places.reshape(len(places), -1)
+            for k in np.unique(turn).tolist():
+                here = np.flatnonzero(turn == k)
+                step = circle * size + (at - place[here, None]) % size
+                found[here] += own[k][step] * np.where(inside, value, 0.0)
+            beyond = np.flatnonzero(~inside)
+            if len(beyond):
+                felt = others[turn[:, None], column[beyond] - circles * size]
+                found[:, beyond] += felt * value[beyond]
+        return self._beside_common(found, outputs, turn, place)
+
     def _beside_common(self, found: Floats, outputs: Outputs, turn: Ints, place: Ints) -> Floats:
         """Return what rows (k,) do to ``outputs``, from what they do beside the common ones."""
         carried = self.turns.rows_of(turn, place) @ self.times(outputs.common.T)
-        found += carried if carried.shape[1] == 1 else carried[:, outputs.part]
+        found += carried @ outputs.share.T
         return np.asarray(found.T)
 
     def among(self, rows: Ints) -> Floats:
@@ -454,6 +494,16 @@ class ByOrder(Kernel):
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""
         return np.asarray(self.between[self.turns.turn, self.turns.turn, 0])
+
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
+        turns = self.turns
+        cell, whole = turns.turn * turns.size + turns.place, len(turns.sign) * turns.size
+        cells = np.stack([np.bincount(cell, part, whole) for part in share])
+        orders = np.fft.rfft(cells.reshape(len(share), -1, turns.size), axis=2)
+        between = np.fft.rfft(self.between**2, axis=2)
+        found = np.einsum("atq,tuq,buq->abq", orders.conj(), between, orders, optimize=True)
+        return np.asarray(np.fft.irfft(found, turns.size, axis=2)[:, :, 0])
 
     @cached_property
     def between(self) -> Floats:
@@ -540,7 +590,7 @@ class Eliminated:
 
 @dataclass(frozen=True, eq=False)
 class Iterated:
-    """The normal equations of a large circular ``design`` with any weights, by iteration.
+    """The normal equations of a circular ``design`` with any weights, by iteration.
 
     Conjugate gradients, led by the ``orders`` of complete turns of the mean weight.
     """
@@ -550,12 +600,12 @@ class Iterated:
 
     @classmethod
     def of(cls, design: Circular) -> Iterated | None:
-        """Return those of a large ``design``; None of a small one, or where an order is lost."""
+        """Return those of a ``design``; None where it has extra columns, or is not firm."""
         turns = design.turns
-        if turns.size < LARGE or design.extra.shape[1]:
+        if design.extra.shape[1]:
             return None
         orders = ByOrder.of(turns, turns.shares(design.weight)[0].mean(axis=1))
-        return None if orders is None or len(orders.lost[0]) else cls(design, orders)
+        return None if orders is None else cls(design, orders)
 
     @cached_property
     def _share(self) -> Floats:

@@ -66,6 +66,8 @@ FAILED_FACTOR: Final = 10.0
 """Times the stated noise from which the model does not describe the observations."""
 COVERED: Final = 1.959964
 """Standard uncertainties on either side that hold 95 % of a normal distribution."""
+SURE: Final = 0.01
+"""Standard deviation of the logarithm of a noise up to which Student's t is the normal one."""
 UNCHECKED: Final = 0.99
 """Share of its prior from which on the factor of a component is no estimate."""
 MOST_SIZES: Final = 6
@@ -175,10 +177,12 @@ class Adjusted:
         estimated, model = self.diagnosis.noise.estimated, self.model
         if estimated is None:
             return self.fit.enlargement
-        part = model.of_component == np.arange(len(model.components))[:, None]
-        variance = self.fit.variance_from(part)  # (o, c)
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
         known = np.where(checked, estimated.log_std, 0.0)
+        if known.max(initial=0.0) < SURE:
+            return self.fit.enlargement
+        part = model.of_component == np.arange(len(model.components))[:, None]
+        variance = self.fit.variance_from(part)  # (o, c)
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)
@@ -266,7 +270,7 @@ class Adjusted:
         """Whether the model describes the observations."""
         share = self.diagnosis.lost / max(self.model.rejectable, 1)
         larger = self.scale * self.diagnosis.noise.factors.max(initial=1.0)
-        if share > FAILED_SHARE or larger > FAILED_FACTOR:
+        if share > FAILED_SHARE or (larger > FAILED_FACTOR and not self.model.unstated):
             return "failed"
         return "suspect" if self.doubts else "ok"
 
@@ -569,7 +573,7 @@ def _open(found: Adjusted) -> Iterator[str]:
 def _larger(found: Adjusted) -> Bools:
     """Return which components of the noise are larger than stated."""
     estimated = found.diagnosis.noise.estimated
-    if estimated is None:
+    if estimated is None or found.model.unstated:
         return np.zeros(len(found.model.components), dtype=np.bool_)
     beyond = estimated.contradicted(found.diagnosis.limits.significance)
     return np.asarray(beyond & (estimated.factors > 1.0), dtype=np.bool_)

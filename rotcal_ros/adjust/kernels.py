@@ -94,6 +94,11 @@ class Design(ABC):
         """Return the kernel of its form; None where it has none, or that is not firm."""
         return None
 
+    @property
+    def open_directions(self) -> Floats | None:
+        """What its rows leave open (p, k) with any weights; None: that is not known beforehand."""
+        return None
+
     def roughly(self, white: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares where no kernel does; None: nothing does."""
         return None
@@ -226,6 +231,10 @@ class Kernel(ABC):
     def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
         """Return the same in parts that are few, where they are."""
         return Sensitivity.whole(self.response(outputs, rows))
+
+    def squares_between(self, share: Floats) -> Floats | None:
+        """Return the same of rows that count ``share`` (c, n) in parts; None: the form cannot."""
+        return None
 
     def shared(self, parts: Bools) -> Floats:
         """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows.
@@ -436,6 +445,24 @@ class Updated(Kernel):
             found += (low @ self.core) @ low.swapaxes(1, 2)
         return np.asarray(found)
 
+    def shared(self, parts: Bools) -> Floats:
+        """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows.
+
+        Of a base B and a low rank L C L': those of B, of both, and of the low rank alone.
+        """
+        found = self.base.squares_between(parts * self.share**2)
+        if found is None:
+            return super().shared(parts)
+        low, p = self.design.times(self.columns), self.base.directions.shape[0]
+        each = [part[:, None] * low for part in parts]
+        taken = np.zeros((len(parts), *self.columns.shape))
+        taken[:, :p] = [self.base.times(self.design.adjoint(own)[:p]) for own in each]
+        squares = np.stack([own.T @ own for own in each])
+        mixed = np.stack([[other.T @ self.design.times(own) for other in each] for own in taken])
+        found = found + 2.0 * (mixed * self.core).sum(axis=(2, 3))
+        spread = self.core @ squares @ self.core
+        return np.asarray(found + (spread[:, None] * squares).sum(axis=(2, 3)))
+
     @property
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""
@@ -516,6 +543,14 @@ class Defined(Kernel):
     def variances(self, rows: Floats) -> Floats:
         """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
         return self.base.variances(rows - (rows @ self.fixing) @ self.rows)
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        return self.base.variances_of(outputs.fixed(self.fixing, self.rows))
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        return self.base.response(outputs.fixed(self.fixing, self.rows), rows)
 
     def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs``, in few parts."""

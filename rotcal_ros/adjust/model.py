@@ -404,6 +404,7 @@ class Model:
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
     ``shared``: blocks that rows of many groups feel, where derivatives come as ``csr_array``.
+    ``unstated``: the noise is not known; ``std`` is a guess, no more than tenfold too large.
     """
 
     blocks: Mapping[str, int]
@@ -428,6 +429,7 @@ class Model:
     expected: Sequence[Expected] = ()
     closures: Sequence[KnownRelation] = ()
     shared: Sequence[str] = ()
+    unstated: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -485,7 +487,8 @@ class Model:
             if (each != each[first]).any():
                 raise DataError(f"{what} of the model: expected the same for all of an element")
         for g in self.groupings:
-            mixed = [k for k, rows in members_of(g, self.may_go).items() if np.ptp(sizes[rows])]
+            every = members_of(g, self.may_go).items()
+            mixed = [number for number, rows in every if len(np.unique(sizes[rows])) > 1]
             if mixed:
                 raise DataError(f"elements of {g.kind} {mixed[0]}: expected as many rows in each")
 
@@ -730,7 +733,7 @@ class Model:
             computed, design = self.equations(x)
             return changed(computed, 1.0 / root), changed(dense(design), 1.0 / root)
 
-        return self._changed(
+        return self.changed(
             equations, lambda of: changed(of, 1.0 / root), lambda of: changed(of, root), False
         )
 
@@ -758,16 +761,19 @@ class Model:
             return to @ computed, to @ (design if isinstance(design, csr_array) else dense(design))
 
         alone = replace(self, std=std[there][order], mixed=back)
-        return alone._changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
+        return alone.changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
 
-    def _changed(
+    def changed(
         self,
         equations: Equations,
         to: Callable[[Floats], Floats],
         back: Callable[[Floats], Floats],
         apart: bool,
     ) -> Model:
-        """Return the model of combinations of its observations, which ``back`` takes back."""
+        """Return the model of combinations ``to`` of its observations, which ``back`` takes back.
+
+        Both take (n,) and (n, k). ``apart``: each observation is changed by itself.
+        """
         effects = [e.mapped(to, back, apart=apart) for e in self.effects]
         expected = [
             e._replace(effect=e.effect.mapped(to, back, apart=apart)) for e in self.expected
