@@ -1,10 +1,10 @@
 """The lengths from several places of a rigid table as a model of the engine: all six deviations.
 
-A place q of the tracer stands at v + U (d + R(c) Rz(angle) q) while the table is at an angle, with
-its deviations d, m, and c, rad; lengths to the targets count from zeros. The axis (v, U) and the
-places are unknown, too: what leans or shifts the machine, or the table's own frame, is open, and
-the definition of the deviations fixes it. They have no mean and, of those across the axis, no part
-that turns with the table.
+A place q of the tracer stands at v + U (d + R(c) Rz(angle) q) while the table is at an angle;
+lengths to the targets count from zeros. The poses d, m, and c, rad, are unknown at every angle, in
+a frame (v, U) along the axis that the start values have. Places may move against each other, but
+not all together: that is what the poses do. So nothing is open. The deviations are what is left of
+the poses without their means and, of those across the axis, without what turns with the table.
 
 Each arrival may scatter, by a shift and by a turn that moves a station at its arm. Of the six
 motions one size and five mixtures are held to be possible; turns alone weigh most, for they move
@@ -18,7 +18,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.linalg import null_space
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.model import (
     Disturbing,
@@ -28,9 +29,9 @@ from rotcal_ros.adjust.model import (
     Model,
     Steps,
     Unit,
-    block_rows,
     drifts,
 )
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import MICROMETRE, TURN
@@ -53,6 +54,12 @@ MIXTURES: Final = np.radians([0.0, 22.5, 45.0, 67.5, 90.0])
 """Direction of (shift, turn times radius): from shifts alone to turns alone."""
 MIXTURE_PRIOR: Final = (0.1, 0.05, 0.05, 0.1, 0.7)
 """How likely each is beforehand."""
+SCATTER: Final = "scatter of an arrival"
+"""The block of how far each station is off, when the table does not repeat."""
+ALIKE: Final = 1e-9
+"""Share of the largest singular value below which one is rounding."""
+NOTHING: Final = 1e-13
+"""Share of the largest eigenvalue of a direction that the lengths leave open."""
 CLOSES: Final = 1e-7
 """Rad by which angles that are whole turns apart may miss them."""
 
@@ -61,10 +68,11 @@ CLOSES: Final = 1e-7
 class SixLengths:
     """Lengths (k,) in the order of the problem's ``row`` (k,), and where they were taken.
 
-    ``position``, ``station``, ``place``, ``target``, ``zero`` (k,): indices into those of the
-    ``layout``, ``order`` (k,): when. ``axes`` U (3, 3), ``origin`` v (3,) m, ``places`` (p, 3) m,
-    in the table's frame, ``targets`` (n, 3), ``zeros`` (s,) m: start values, with ``shift`` and
-    ``turn`` (m, 3).
+    ``station``, ``target``, ``order`` (k,): indices into those of the ``layout``, and when.
+    ``axes`` U (3, 3), ``origin`` v (3,) m, ``places`` (p, 3) m, in the table's frame, ``targets``
+    (n, 3), ``zeros`` (s,) m: start values, with ``shift`` and ``turn`` (m, 3). ``blocks``: the
+    unknowns, all changes of these. ``place_ways`` (3 p, a), ``target_ways`` (3 n, b): how places
+    and targets may move; None: in any way.
     """
 
     layout: StationLayout
@@ -79,6 +87,9 @@ class SixLengths:
     zeros: Floats
     shift: Floats
     turn: Floats
+    blocks: dict[str, int]
+    place_ways: Floats
+    target_ways: Floats | None = None
 
     @classmethod
     def of(cls, problem: SixProblem, layout: StationLayout, state: Start) -> SixLengths:
@@ -86,13 +97,40 @@ class SixLengths:
         curves = table_curves(state.rotation, state.translation, layout.angles)
         station, target = np.nonzero(layout.grid.row >= 0)
         row = layout.grid.row[station, target]
-        first = np.argsort(row)
-        row = row[first]
-        return cls(
+        first, m, grid = np.argsort(row), len(layout.angles), layout.grid
+        row, places = row[first], (state.places - curves.table_origin) @ curves.table_turn
+        ways = null_space(_rigid(places).T, rcond=ALIKE)
+        blocks = {
+            "shift": 3 * m, "turn": 3 * m, "place": ways.shape[1], "zero": len(state.zeros),
+            "target": grid.targets.size,
+        }  # fmt: skip
+        if problem.tilt_std is not None:
+            blocks["lean"] = 4
+        if problem.scatter_translation_std != 0.0 or problem.scatter_rotation_std != 0.0:
+            blocks[SCATTER] = 3 * len(layout.position)
+        found = cls(
             layout, row, station[first], target[first], problem.measuring_order[row],
-            curves.axes, curves.origin, (state.places - curves.table_origin) @ curves.table_turn,
-            layout.grid.targets, state.zeros, curves.translation, curves.rotation,
+            curves.axes, curves.origin, places, grid.targets, state.zeros, curves.translation,
+            curves.rotation, blocks, ways,
         )  # fmt: skip
+        if not grid.free:
+            return found
+        ways = found._told_of_targets()
+        return replace(found, blocks=blocks | {"target": ways.shape[1]}, target_ways=ways)
+
+    def _told_of_targets(self) -> Floats:
+        """Return the moves of targets (3 n, b) that lengths tell of, were there no deviations.
+
+        Not how all stand, nor how all bend while places of one height draw together.
+        """
+        plain = replace(self, shift=0.0 * self.shift, turn=0.0 * self.turn)
+        design = plain.computed(np.zeros(sum(self.blocks.values())))[1]
+        square = (design.T @ design).toarray()
+        scale = np.sqrt(np.where(square.diagonal() > 0.0, square.diagonal(), 1.0))
+        values, ways = np.linalg.eigh(square / scale / scale[:, None])
+        at = self.first["target"]
+        open_ = (ways[:, values < NOTHING * values[-1]] / scale[:, None])[at : at + self.targets.size]
+        return null_space(open_.T, rcond=ALIKE)
 
     @cached_property
     def position(self) -> Ints:
@@ -110,104 +148,101 @@ class SixLengths:
         return self.layout.zero[self.station, self.target]
 
     @cached_property
-    def blocks(self) -> dict[str, int]:
-        """The unknowns, all changes of the start values."""
-        m = len(self.layout.angles)
-        return {
-            "shift": 3 * m, "turn": 3 * m, "place": self.places.size, "zero": len(self.zeros),
-            "target": self.targets.size, "axis": 4, "lean": 4,
-        }  # fmt: skip
-
-    @cached_property
     def first(self) -> dict[str, int]:
         """Where the unknowns of each block begin."""
         ends = np.cumsum([0, *self.blocks.values()]).tolist()
         return dict(zip(self.blocks, ends, strict=False))
 
-    def rows_of(self, block: str) -> Floats:
-        """Return rows that take the unknowns of a block out of all."""
-        return block_rows(self.blocks, block)
+    def picked(self, block: str, begin: int = 0, step: int = 1) -> csr_array:
+        """Return rows (k, p) that take unknowns of a block out of all: every ``step``-th."""
+        which = self.first[block] + np.arange(begin, self.blocks[block], step)
+        shape = len(which), sum(self.blocks.values())
+        return csr_array((np.ones(len(which)), which, np.arange(len(which) + 1)), shape=shape)
 
-    def stands(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return where the tracer stands (k, 3), axes U (3, 3), arms (k, 3), R(c) Rz (k, 3, 3)."""
-        parts = np.split(x, np.cumsum(list(self.blocks.values()))[:-1])
-        shift, turn, place, _, _, axis, _ = parts
-        axes = self.axes @ rotation_from_vector(np.array([axis[2], axis[3], 0.0]))
-        c = self.turn + turn.reshape(-1, 3)
-        carry = (rotation_from_vector(c) @ rotation_about_z(self.layout.angles))[self.position]
-        arm = (carry @ (self.places + place.reshape(-1, 3))[self.place][:, :, None])[:, :, 0]
-        out = (self.shift + shift.reshape(-1, 3))[self.position] + arm
-        origin = self.origin + np.array([axis[0], axis[1], 0.0])
-        return origin + out @ axes.T, axes, arm, carry
+    def part(self, x: Floats, block: str) -> Floats:
+        """Return the unknowns of a block; of a shift or turn, or of points, what moves (k, 3)."""
+        found = x[self.first[block] : self.first[block] + self.blocks[block]]
+        if block == "zero":
+            return found
+        ways = {"place": self.place_ways, "target": self.target_ways}.get(block)
+        return (found if ways is None else ways @ found).reshape(-1, 3)
+
+    def stands(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return where the tracer stands (k, 3), arms R(c) Rz q (k, 3), R(c) Rz (k, 3, 3)."""
+        turned = rotation_from_vector(self.turn + self.part(x, "turn"))
+        carry = (turned @ rotation_about_z(self.layout.angles))[self.position]
+        arm = (carry @ (self.places + self.part(x, "place"))[self.place][:, :, None])[:, :, 0]
+        out = (self.shift + self.part(x, "shift"))[self.position] + arm
+        stands = self.origin + out @ self.axes.T
+        if SCATTER in self.blocks:
+            stands = stands + self.part(x, SCATTER)[self.station]
+        return stands, arm, carry
 
     def computed(self, x: Floats) -> tuple[Floats, csr_array]:
         """Return the lengths (k,) and their derivatives (k, p) at the unknowns."""
-        stands, axes, arm, carry = self.stands(x)
+        stands, arm, carry = self.stands(x)
         first, k = self.first, len(self.row)
-        c = self.turn + x[first["turn"] : first["place"]].reshape(-1, 3)
-        moved_target = x[first["target"] : first["axis"]].reshape(-1, 3)
-        away = stands - (self.targets + moved_target)[self.target]
+        away = stands - (self.targets + self.part(x, "target"))[self.target]
         distance = np.linalg.norm(away, axis=1)
         unit = away / distance[:, None]
-        felt = unit @ axes
-        turned = np.einsum("ki,kij->kj", np.cross(arm, felt), _slope(c)[self.position])
-        axis = x[first["axis"] : first["lean"]]
-        lean = np.array([axis[2], axis[3], 0.0])
-        out = (stands - self.origin - np.array([axis[0], axis[1], 0.0])) @ self.axes
-        leaned = (np.cross(out, unit @ self.axes) @ _slope(lean))[:, :2]
-        parts = (
-            ("shift", self.position, felt),
-            ("turn", self.position, turned),
-            ("place", self.place, np.einsum("ki,kij->kj", felt, carry)),
-            ("zero", self.zero, np.full((k, 1), -1.0)),
-            ("target", self.target, -unit),
-            ("axis", np.zeros(k, dtype=np.int64), np.hstack([unit[:, :2], leaned])),
-        )
-        columns = [
-            first[block] + rows.shape[1] * index[:, None] + np.arange(rows.shape[1])
-            for block, index, rows in parts
+        felt = unit @ self.axes
+        further = _slope(self.turn + self.part(x, "turn"))[self.position]
+        parts = [
+            ("shift", self.position, felt, None),
+            ("turn", self.position, np.einsum("ki,kij->kj", np.cross(arm, felt), further), None),
+            ("place", self.place, np.einsum("ki,kij->kj", felt, carry), self.place_ways),
+            ("zero", self.zero, np.full((k, 1), -1.0), None),
+            ("target", self.target, -unit, self.target_ways),
         ]
-        column, value = np.hstack(columns), np.hstack([rows for _, _, rows in parts])
+        if SCATTER in self.blocks:
+            parts.append((SCATTER, self.station, unit, None))
+        columns, values = list[Ints](), list[Floats]()
+        for block, number, rows, ways in parts:
+            if ways is None:
+                size = rows.shape[1]
+                columns.append(first[block] + size * number[:, None] + np.arange(size))
+            else:
+                size = ways.shape[1]
+                columns.append(np.broadcast_to(first[block] + np.arange(size), (k, size)))
+                rows = np.einsum("ki,kij->kj", rows, ways.reshape(-1, 3, size)[number])
+            values.append(rows)
+        column, value = np.hstack(columns), np.hstack(values)
         begin = np.arange(k + 1) * column.shape[1]
         shape = (k, sum(self.blocks.values()))
         design = csr_array((value.ravel(), column.ravel(), begin), shape=shape)
-        zero = self.zeros + x[first["zero"] : first["target"]]
+        zero = self.zeros + self.part(x, "zero")
         return distance - zero[self.zero], design
 
     @cached_property
     def at_start(self) -> tuple[Floats, Floats]:
         """What lengths feel (k, 3) of a move of the tracer in the machine, and its arms (k, 3)."""
-        x = np.zeros(sum(self.blocks.values()))
-        stands, axes, arm, _ = self.stands(x)
+        stands, arm, _ = self.stands(np.zeros(sum(self.blocks.values())))
         away = stands - self.targets[self.target]
-        return away / np.linalg.norm(away, axis=1)[:, None], arm @ axes.T
+        return away / np.linalg.norm(away, axis=1)[:, None], arm @ self.axes.T
 
-    def of_stations(self, columns: Floats) -> Floats:
-        """Return what moves (k, 3) of each station's lengths by itself are, (k, 3 V)."""
-        k, v = len(columns), len(self.layout.position)
-        found = np.zeros((k, v, 3))
-        found[np.arange(k), self.station] = columns
-        return found.reshape(k, 3 * v)
+
+def _rigid(points: Floats) -> Floats:
+    """Return what shifts and turns of all do to ``points`` (k, 3), as columns (3 k, 6)."""
+    turns = -cross_matrix(points - points.mean(axis=0))
+    shifts = np.broadcast_to(np.eye(3), turns.shape)
+    return np.concatenate([shifts, turns], axis=2).reshape(-1, 6)
 
 
 def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
     """Return the model of all that the lengths and what is stated say."""
-    layout, m = lengths.layout, len(lengths.layout.angles)
-    grid = layout.grid
+    layout, grid = lengths.layout, lengths.layout.grid
     unit, arm = lengths.at_start
-    names = [
-        f"{layout.station_name(s)}, target {grid.target_ids[t]}"
-        for s, t in zip(lengths.station.tolist(), lengths.target.tolist(), strict=True)
-    ]
-    when = lengths.order.astype(np.float64)
+    stations = [layout.station_name(k) for k in range(len(layout.position))]
+    when, effects = lengths.order.astype(np.float64), effects_of(lengths)
+    slips = [e for e in effects if e.effect == "slip"]
+    if not problem.slip or problem.zero == "per_station":
+        slips = []
     model = Model(
         blocks=lengths.blocks,
         observed=grid.length[lengths.station, lengths.target],
         std=grid.length_std[lengths.station, lengths.target],
         equations=lengths.computed,
-        outputs=np.concatenate(
-            [lengths.rows_of(b)[a::3] for b in ("shift", "turn") for a in range(3)]
-        ),
+        outputs=_curves(lengths),
         words=WORDS,
         unit=UM,
         components=["the lengths"],
@@ -215,72 +250,55 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
             Grouping("station", lengths.station, near=unit),
             Grouping("target", lengths.target, when),
         ],
-        effects=effects_of(lengths),
-        row_names=names,
-        definitions=_definitions(lengths),
-        shared=("place", "zero", "target", "axis", "lean"),
+        effects=effects,
+        row_names=[
+            f"{stations[s]}, target {grid.target_ids[t]}"
+            for s, t in zip(lengths.station.tolist(), lengths.target.tolist(), strict=True)
+        ],
+        shared=("place", "zero", "target", "lean"),
+        expected=[Expected(each, problem.slip, SLIPPED) for each in slips],
         closures=_closures(problem, lengths),
     )
-    size = model.size[1]
-
-    def wide(rows: Floats) -> csr_array:
-        return csr_array(np.pad(rows, ((0, 0), (0, size - rows.shape[1]))))
-
-    if problem.slip and problem.zero != "per_station":
-        slips = next(e for e in model.effects if e.effect == "slip")
-        model = replace(model, expected=[Expected(slips, problem.slip, SLIPPED)])
-    scatters = problem.scatter_translation_std != 0.0 or problem.scatter_rotation_std != 0.0
-    if scatters:
-        model = model.with_unknowns("scatter of an arrival", lengths.of_stations(unit))
-        size = model.size[1]
-    if not grid.free:
-        for axis in range(3):
-            rows = wide(lengths.rows_of("target")[axis::3])
-            std = np.maximum(grid.target_std[:, axis], KNOWN)
-            model = model.knowing(
-                f"the targets along {'xyz'[axis]}", rows, np.zeros(len(std)), std
-            )
+    for axis in range(0 if grid.free else 3):
+        rows = lengths.picked("target", axis, 3)
+        std = np.maximum(grid.target_std[:, axis], KNOWN)
+        model = model.knowing(f"the targets along {'xyz'[axis]}", rows, np.zeros(len(std)), std)
     if problem.tilt_std is not None:
-        tilts = lengths.rows_of("turn").reshape(m, 3, -1)[:, :2].reshape(2 * m, -1)
-        lean = gauge_design(layout.angles)[0] @ lengths.rows_of("lean")
-        start = lengths.turn[:, :2].ravel()
-        model = model.knowing("the tilts", wide(tilts - lean), -start, problem.tilt_std)
-    return _with_scatter(problem, lengths, model, arm) if scatters else model
-
-
-def _definitions(lengths: SixLengths) -> Floats:
-    """Return rows of what the deviations have none of: means, and parts that turn."""
-    m, found = len(lengths.layout.angles), []
-    in_plane = gauge_design(lengths.layout.angles)[1]  # (4, 2 m)
-    for block in ("shift", "turn"):
-        rows = lengths.rows_of(block).reshape(m, 3, -1)
-        found += [in_plane @ rows[:, :2].reshape(2 * m, -1), rows[:, 2].mean(axis=0)[None]]
-    if lengths.layout.grid.free:  # and the targets, as a whole, stay where they are
-        rows = lengths.rows_of("target").reshape(len(lengths.targets), 3, -1)
-        apart = cross_matrix(lengths.targets - lengths.targets.mean(axis=0))
-        found += [rows.sum(axis=0), np.einsum("nij,njp->ip", apart, rows)]
-    return np.concatenate(found)
-
-
-def _with_scatter(problem: SixProblem, lengths: SixLengths, model: Model, arm: Floats) -> Model:
-    """Return the model whose stations scatter from arrival to arrival, its last unknowns."""
-    shift, turn = problem.scatter_translation_std, problem.scatter_rotation_std
-    places = lengths.places - lengths.places.mean(axis=0)
-    arms = np.zeros((len(lengths.layout.position), 3))
+        lean = gauge_design(layout.angles)[0]
+        both = np.concatenate([lengths.picked("turn", axis, 3).toarray() for axis in range(2)])
+        both[:, lengths.first["lean"] :][:, :4] = -np.concatenate([lean[::2], lean[1::2]])
+        start = lengths.turn[:, :2].T.ravel()
+        model = model.knowing("the tilts", csr_array(both), -start, problem.tilt_std)
+    if SCATTER not in lengths.blocks:
+        return model
+    arms = np.zeros((len(stations), 3))
     arms[lengths.station] = arm
+    places = lengths.places - lengths.places.mean(axis=0)
     radius = float(np.sqrt((places**2).sum() / len(places)))
-    before = model.size[1] - arms.size
-    known = csr_array(np.eye(arms.size, model.size[1], before))
-    name = "the scatter of arrivals"
+    shift, turn = problem.scatter_translation_std, problem.scatter_rotation_std
+    mixed = np.column_stack([np.cos(MIXTURES), np.sin(MIXTURES) / radius]).tolist()
+    size, possible = None, list(zip(MIXTURE_PRIOR, mixed, strict=True))
     if shift is not None and turn is not None:
-        ways = [(1.0, roots_of(shift, turn, arms))]
-        return model.scattering(name, known, 1.0, LARGEST_SCATTER, ways)
-    mixtures = np.column_stack([np.cos(MIXTURES), np.sin(MIXTURES) / radius])
-    ways = [
-        (share, roots_of(along, about, arms))
-        for share, (along, about) in zip(MIXTURE_PRIOR, mixtures.tolist(), strict=True)
-    ]
-    return model.scattering(name, known, None, LARGEST_SCATTER, ways)
+        size, possible = 1.0, [(1.0, [shift, turn])]
+    ways = [(share, roots_of(along, about, arms)) for share, (along, about) in possible]
+    rows = lengths.picked(SCATTER)
+    return model.scattering("the scatter of arrivals", rows, size, LARGEST_SCATTER, ways)
+
+
+def _curves(lengths: SixLengths) -> Outputs:
+    """Return the six curves (6 m, p) from changes of poses: less means, and parts that turn."""
+    angles, p, found = lengths.layout.angles, sum(lengths.blocks.values()), []
+    design, inverse = gauge_design(angles)  # (2 m, 4), (4, 2 m)
+    for block in ("shift", "turn"):
+        picked = [lengths.picked(block, axis, 3) for axis in range(3)]
+        common = np.zeros((5, p))
+        common[:4] = inverse[:, ::2] @ picked[0] + inverse[:, 1::2] @ picked[1]
+        common[4] = picked[2].sum(axis=0) / len(angles)
+        share = np.zeros((3, len(angles), 5))
+        share[0, :, :4], share[1, :, :4], share[2, :, 4] = -design[::2], -design[1::2], -1.0
+        few = csr_array(vstack(picked, format="csr"))
+        found.append(Outputs(few, common, share.reshape(-1, 5)))
+    return Outputs.of(found)
 
 
 def _slope(vector: Floats) -> Floats:
@@ -303,7 +321,7 @@ def roots_of(shift: float, turn: float, arms: Floats) -> Floats:
 
 def effects_of(lengths: SixLengths) -> tuple[Disturbing, ...]:
     """Return what could spoil the lengths."""
-    unit, _ = lengths.at_start
+    unit, arm = lengths.at_start
     once, when = np.zeros_like(lengths.order), lengths.order.astype(np.float64)
     distance = lengths.computed(np.zeros(sum(lengths.blocks.values())))[0]
     distance = distance + lengths.zeros[lengths.zero]
@@ -319,7 +337,6 @@ def effects_of(lengths: SixLengths) -> tuple[Disturbing, ...]:
         unit @ lengths.axes,
         rotation_about_z(lengths.layout.angles)[lengths.position],
     )
-    _, _, arm, _ = lengths.stands(np.zeros(sum(lengths.blocks.values())))
     height = lengths.targets[lengths.target, 2] + lengths.origin[2] + arm[:, 2]
     air = distance * (0.5 * height - 0.5 * height.mean())
     return (

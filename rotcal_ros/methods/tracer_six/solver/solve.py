@@ -70,38 +70,34 @@ class SixSolution:
     found: Adjusted
     absent: dict[int, str]
 
-    def unknown(self, block: str) -> Floats:
-        """Return the unknowns of a block, (k, 3) of points."""
-        first, size = self.lengths.first[block], self.lengths.blocks[block]
-        own = self.found.fit.x[first : first + size]
-        return own if block in ("zero", "axis", "lean") else own.reshape(-1, 3)
+    def moved(self, block: str) -> Floats:
+        """Return how far what a block moves is from its start values; (k, 3) of points."""
+        return self.lengths.part(self.found.fit.x, block)
 
     @cached_property
     def curves(self) -> Curves:
         """The curves and frames of the solved poses."""
-        lengths, axis = self.lengths, self.unknown("axis")
-        axes = lengths.axes @ rotation_from_vector(np.array([axis[2], axis[3], 0.0]))
-        turned = rotation_from_vector(lengths.turn + self.unknown("turn"))
-        rotation = axes @ turned @ rotation_about_z(self.layout.angles)
-        origin = lengths.origin + np.array([axis[0], axis[1], 0.0])
-        translation = origin + (lengths.shift + self.unknown("shift")) @ axes.T
+        lengths = self.lengths
+        turned = rotation_from_vector(lengths.turn + self.moved("turn"))
+        rotation = lengths.axes @ turned @ rotation_about_z(self.layout.angles)
+        translation = lengths.origin + (lengths.shift + self.moved("shift")) @ lengths.axes.T
         return table_curves(rotation, translation, self.layout.angles)
 
     @property
     def places(self) -> Floats:
         """The places (p, 3), m, in the frame that turns with the table, z along the axis."""
-        moved = self.lengths.places + self.unknown("place")
+        moved = self.lengths.places + self.moved("place")
         return np.asarray((moved - self.curves.table_origin) @ self.curves.table_turn)
 
     @property
     def targets(self) -> Floats:
         """The targets (n, 3), m."""
-        return np.asarray(self.lengths.targets + self.unknown("target"))
+        return np.asarray(self.lengths.targets + self.moved("target"))
 
     @property
     def zeros(self) -> Floats:
         """The zeros (s,) of the counter as the lengths of the problem have them, m."""
-        return np.asarray(self.lengths.zeros + self.unknown("zero") + self.layout.offset)
+        return np.asarray(self.lengths.zeros + self.moved("zero") + self.layout.offset)
 
     @property
     def positions(self) -> Ints:
@@ -110,14 +106,14 @@ class SixSolution:
 
     def deviations(self) -> Floats:
         """Return the six curves (6, m), m and rad."""
-        start = np.concatenate([self.lengths.shift.T, self.lengths.turn.T])
-        return np.asarray(start + self.found.value.reshape(6, -1))
+        return np.concatenate([self.curves.translation.T, self.curves.rotation.T])
 
     def covariance_among(self, block: str) -> Floats:
-        """Return the covariance of the unknowns of a block, m^2."""
-        size = len(self.found.fit.x)
-        rows = np.zeros((self.lengths.blocks[block], size))
-        rows[np.arange(len(rows)), self.lengths.first[block] + np.arange(len(rows))] = 1.0
+        """Return the covariance of a block's unknowns, or of the points that they move, m^2."""
+        rows = self.lengths.picked(block).toarray()
+        if block == "target" and self.lengths.target_ways is not None:
+            rows = self.lengths.target_ways @ rows
+        rows = np.pad(rows, ((0, 0), (0, len(self.found.fit.x) - rows.shape[1])))
         return np.asarray(self.found.scale**2 * rows @ self.found.fit.kernel.times(rows.T))
 
     @property
@@ -319,7 +315,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
     the problem's; ``axis``: where the axis meets the machine's z = 0, and its direction.
     """
     problem, curves, grid = solution.problem, solution.curves, solution.layout.grid
-    moved, covariance = solution.unknown("target"), solution.covariance_among("target")
+    moved, covariance = solution.moved("target"), solution.covariance_among("target")
     std = np.sqrt(covariance.diagonal()).reshape(moved.shape)
     if grid.free:
         moved, std = less_rigid(grid.targets, moved, covariance)
@@ -385,7 +381,7 @@ class Upward:
     def of(cls, solution: SixSolution) -> Upward:
         """Return that of all lengths that were used, in the stated frame."""
         lengths, fit = solution.lengths, solution.found.fit
-        stands = lengths.stands(fit.x[: sum(lengths.blocks.values())])[0]
+        stands = lengths.stands(fit.x)[0]
         beam = solution.targets[lengths.target] - stands
         rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[fit.used[: len(beam)]]
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))
@@ -459,7 +455,10 @@ def slope_along(solution: SixSolution, errors: Floats) -> Slope:
 
 def curve_model(solution: SixSolution) -> CurveModel:
     """Return the model of a solution, to be solved with other instruments."""
-    model, m = solution.found.model, len(solution.layout.angles)
-    whole = np.asarray(model.outputs)
-    curves = {name: whole[k * m : (k + 1) * m] for k, name in enumerate(COMPONENTS)}
-    return CurveModel(replace(model, outputs=whole[:0]), solution.layout.angles, curves)
+    lengths, model = solution.lengths, solution.found.model
+    curves = {
+        name: lengths.picked("shift" if k < 3 else "turn", k % 3, 3).toarray()
+        for k, name in enumerate(COMPONENTS)
+    }
+    nothing = np.zeros((0, model.size[1]))
+    return CurveModel(replace(model, outputs=nothing), solution.layout.angles, curves)
