@@ -72,7 +72,8 @@ class SixLengths:
     ``axes`` U (3, 3), ``origin`` v (3,) m, ``places`` (p, 3) m, in the table's frame, ``targets``
     (n, 3), ``zeros`` (s,) m: start values, with ``shift`` and ``turn`` (m, 3). ``blocks``: the
     unknowns, all changes of these. ``place_ways`` (3 p, a), ``target_ways`` (3 n, b): how places
-    and targets may move; None: in any way.
+    and targets may move; None: in any way. ``lean_ways`` (4, c): how the axis may lean, in the
+    machine and in the table, against the frames in which tilts are stated.
     """
 
     layout: StationLayout
@@ -89,6 +90,7 @@ class SixLengths:
     turn: Floats
     blocks: dict[str, int]
     place_ways: Floats
+    lean_ways: Floats
     target_ways: Floats | None = None
 
     @classmethod
@@ -99,19 +101,22 @@ class SixLengths:
         row = layout.grid.row[station, target]
         first, m, grid = np.argsort(row), len(layout.angles), layout.grid
         row, places = row[first], (state.places - curves.table_origin) @ curves.table_turn
-        ways = null_space(_rigid(places).T, rcond=ALIKE)
+        ways, lean = null_space(_rigid(places).T, rcond=ALIKE), np.eye(4)
+        if ways.shape[1] + 6 > places.size:  # in a line: nothing shows how the table lies about it
+            along = places[-1] - places[0]
+            lean = null_space(np.array([[0.0, 0.0, *along[:2].tolist()]]))
         blocks = {
             "shift": 3 * m, "turn": 3 * m, "place": ways.shape[1], "zero": len(state.zeros),
             "target": grid.targets.size,
         }  # fmt: skip
         if problem.tilt_std is not None:
-            blocks["lean"] = 4
+            blocks["lean"] = lean.shape[1]
         if problem.scatter_translation_std != 0.0 or problem.scatter_rotation_std != 0.0:
             blocks[SCATTER] = 3 * len(layout.position)
         found = cls(
             layout, row, station[first], target[first], problem.measuring_order[row],
             curves.axes, curves.origin, places, grid.targets, state.zeros, curves.translation,
-            curves.rotation, blocks, ways,
+            curves.rotation, blocks, ways, lean,
         )  # fmt: skip
         if not grid.free:
             return found
@@ -264,11 +269,11 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
         std = np.maximum(grid.target_std[:, axis], KNOWN)
         model = model.knowing(f"the targets along {'xyz'[axis]}", rows, np.zeros(len(std)), std)
     if problem.tilt_std is not None:
-        lean = gauge_design(layout.angles)[0]
-        both = np.concatenate([lengths.picked("turn", axis, 3).toarray() for axis in range(2)])
-        both[:, lengths.first["lean"] :][:, :4] = -np.concatenate([lean[::2], lean[1::2]])
+        lean = gauge_design(layout.angles)[0] @ lengths.lean_ways
+        rows = vstack([lengths.picked("turn", axis, 3) for axis in range(2)], format="csr")
+        rows = rows - np.concatenate([lean[::2], lean[1::2]]) @ lengths.picked("lean")
         start = lengths.turn[:, :2].T.ravel()
-        model = model.knowing("the tilts", csr_array(both), -start, problem.tilt_std)
+        model = model.knowing("the tilts", csr_array(rows), -start, problem.tilt_std)
     if SCATTER not in lengths.blocks:
         return model
     arms = np.zeros((len(stations), 3))
