@@ -29,11 +29,13 @@ from rotcal_ros.adjust.model import (
     Model,
     Steps,
     Unit,
+    block_rows,
     drifts,
 )
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import MICROMETRE, TURN
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.tracer.solver.protections import LARGEST_MOVE, LARGEST_RATIO
@@ -54,8 +56,10 @@ MIXTURES: Final = np.radians([0.0, 22.5, 45.0, 67.5, 90.0])
 """Direction of (shift, turn times radius): from shifts alone to turns alone."""
 MIXTURE_PRIOR: Final = (0.1, 0.05, 0.05, 0.1, 0.7)
 """How likely each is beforehand."""
-SCATTER: Final = "scatter of an arrival"
-"""The block of how far each station is off, when the table does not repeat."""
+SCATTER, STATED = "scatter of an arrival", "stated scatter of an arrival"
+"""The blocks of how far each station is off, when the table does not repeat."""
+LEAST_LEVER: Final = 0.03
+"""Share of the radius by which a line of places passes the axis for turns to show."""
 ALIKE: Final = 1e-9
 """Share of the largest singular value below which one is rounding."""
 NOTHING: Final = 1e-13
@@ -66,14 +70,15 @@ CLOSES: Final = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class SixLengths:
-    """Lengths (k,) in the order of the problem's ``row`` (k,), and where they were taken.
+    """Lengths (k,), each a ``row`` of the problem, and where they were taken.
 
     ``station``, ``target``, ``order`` (k,): indices into those of the ``layout``, and when.
     ``axes`` U (3, 3), ``origin`` v (3,) m, ``places`` (p, 3) m, in the table's frame, ``targets``
     (n, 3), ``zeros`` (s,) m: start values, with ``shift`` and ``turn`` (m, 3). ``blocks``: the
-    unknowns, all changes of these. ``place_ways`` (3 p, a), ``target_ways`` (3 n, b): how places
-    and targets may move; None: in any way. ``lean_ways`` (4, c): how the axis may lean, in the
-    machine and in the table, against the frames in which tilts are stated.
+    unknowns, ``shift`` and ``turn``, and changes of all others. ``place_ways`` (3 p, a),
+    ``target_ways`` (3 n, b): how places and targets may move; None: in any way. ``lean_ways`` (4,
+    c): how the axis may lean, in the machine and in the table, against the frames in which tilts
+    are stated.
     """
 
     layout: StationLayout
@@ -98,9 +103,8 @@ class SixLengths:
         """Return those of a ``layout`` about the start values ``state``."""
         curves = table_curves(state.rotation, state.translation, layout.angles)
         station, target = np.nonzero(layout.grid.row >= 0)
-        row = layout.grid.row[station, target]
-        first, m, grid = np.argsort(row), len(layout.angles), layout.grid
-        row, places = row[first], (state.places - curves.table_origin) @ curves.table_turn
+        row, m, grid = layout.grid.row[station, target], len(layout.angles), layout.grid
+        places = (state.places - curves.table_origin) @ curves.table_turn
         ways, lean = null_space(_rigid(places).T, rcond=ALIKE), np.eye(4)
         if ways.shape[1] + 6 > places.size:  # in a line: nothing shows how the table lies about it
             along = places[-1] - places[0]
@@ -114,8 +118,8 @@ class SixLengths:
         if problem.scatter_translation_std != 0.0 or problem.scatter_rotation_std != 0.0:
             blocks[SCATTER] = 3 * len(layout.position)
         found = cls(
-            layout, row, station[first], target[first], problem.measuring_order[row],
-            curves.axes, curves.origin, places, grid.targets, state.zeros, curves.translation,
+            layout, row, station, target, problem.measuring_order[row], curves.axes,
+            curves.origin, places, grid.targets, state.zeros, curves.translation,
             curves.rotation, blocks, ways, lean,
         )  # fmt: skip
         if not grid.free:
@@ -128,8 +132,7 @@ class SixLengths:
 
         Not how all stand, nor how all bend while places of one height draw together.
         """
-        plain = replace(self, shift=0.0 * self.shift, turn=0.0 * self.turn)
-        design = plain.computed(np.zeros(sum(self.blocks.values())))[1]
+        design = self.computed(np.zeros(sum(self.blocks.values())))[1]
         square = (design.T @ design).toarray()
         scale = np.sqrt(np.where(square.diagonal() > 0.0, square.diagonal(), 1.0))
         values, ways = np.linalg.eigh(square / scale / scale[:, None])
@@ -164,8 +167,14 @@ class SixLengths:
         shape = len(which), sum(self.blocks.values())
         return csr_array((np.ones(len(which)), which, np.arange(len(which) + 1)), shape=shape)
 
+    @cached_property
+    def start(self) -> Floats:
+        """The unknowns (p,) at the start values."""
+        known = np.concatenate([self.shift.ravel(), self.turn.ravel()])
+        return np.pad(known, (0, sum(self.blocks.values()) - len(known)))
+
     def part(self, x: Floats, block: str) -> Floats:
-        """Return the unknowns of a block; of a shift or turn, or of points, what moves (k, 3)."""
+        """Return the unknowns of a block; of poses and points (k, 3)."""
         found = x[self.first[block] : self.first[block] + self.blocks[block]]
         if block == "zero":
             return found
@@ -174,10 +183,10 @@ class SixLengths:
 
     def stands(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Return where the tracer stands (k, 3), arms R(c) Rz q (k, 3), R(c) Rz (k, 3, 3)."""
-        turned = rotation_from_vector(self.turn + self.part(x, "turn"))
+        turned = rotation_from_vector(self.part(x, "turn"))
         carry = (turned @ rotation_about_z(self.layout.angles))[self.position]
         arm = (carry @ (self.places + self.part(x, "place"))[self.place][:, :, None])[:, :, 0]
-        out = (self.shift + self.part(x, "shift"))[self.position] + arm
+        out = self.part(x, "shift")[self.position] + arm
         stands = self.origin + out @ self.axes.T
         if SCATTER in self.blocks:
             stands = stands + self.part(x, SCATTER)[self.station]
@@ -191,7 +200,7 @@ class SixLengths:
         distance = np.linalg.norm(away, axis=1)
         unit = away / distance[:, None]
         felt = unit @ self.axes
-        further = _slope(self.turn + self.part(x, "turn"))[self.position]
+        further = _slope(self.part(x, "turn"))[self.position]
         parts = [
             ("shift", self.position, felt, None),
             ("turn", self.position, np.einsum("ki,kij->kj", np.cross(arm, felt), further), None),
@@ -221,7 +230,7 @@ class SixLengths:
     @cached_property
     def at_start(self) -> tuple[Floats, Floats]:
         """What lengths feel (k, 3) of a move of the tracer in the machine, and its arms (k, 3)."""
-        stands, arm, _ = self.stands(np.zeros(sum(self.blocks.values())))
+        stands, arm, _ = self.stands(self.start)
         away = stands - self.targets[self.target]
         return away / np.linalg.norm(away, axis=1)[:, None], arm @ self.axes.T
 
@@ -247,6 +256,7 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
         observed=grid.length[lengths.station, lengths.target],
         std=grid.length_std[lengths.station, lengths.target],
         equations=lengths.computed,
+        start=lengths.start,
         outputs=_curves(lengths),
         words=WORDS,
         unit=UM,
@@ -272,26 +282,53 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
         lean = gauge_design(layout.angles)[0] @ lengths.lean_ways
         rows = vstack([lengths.picked("turn", axis, 3) for axis in range(2)], format="csr")
         rows = rows - np.concatenate([lean[::2], lean[1::2]]) @ lengths.picked("lean")
-        start = lengths.turn[:, :2].T.ravel()
-        model = model.knowing("the tilts", csr_array(rows), -start, problem.tilt_std)
+        none = np.zeros(rows.shape[0])
+        model = model.knowing("the tilts", csr_array(rows), none, problem.tilt_std)
     if SCATTER not in lengths.blocks:
         return model
     arms = np.zeros((len(stations), 3))
     arms[lengths.station] = arm
+    return _scattering(problem, lengths, model, arms)
+
+
+def _scattering(problem: SixProblem, lengths: SixLengths, model: Model, arms: Floats) -> Model:
+    """Return the model whose stations, at ``arms`` (V, 3), scatter from arrival to arrival."""
+    shift, turn = problem.scatter_translation_std, problem.scatter_rotation_std
     places = lengths.places - lengths.places.mean(axis=0)
     radius = float(np.sqrt((places**2).sum() / len(places)))
-    shift, turn = problem.scatter_translation_std, problem.scatter_rotation_std
-    mixed = np.column_stack([np.cos(MIXTURES), np.sin(MIXTURES) / radius]).tolist()
-    size, possible = None, list(zip(MIXTURE_PRIOR, mixed, strict=True))
-    if shift is not None and turn is not None:
+    size, possible = None, [(1.0, [0.0, 1.0 / radius] if turn is None else [1.0, 0.0])]
+    if shift is None and turn is None:
+        mixed = np.column_stack([np.cos(MIXTURES), np.sin(MIXTURES) / radius]).tolist()
+        possible = list(zip(MIXTURE_PRIOR, mixed, strict=True))
+    elif shift is not None and turn is not None:
         size, possible = 1.0, [(1.0, [shift, turn])]
+    elif shift or turn:  # beside what is stated of one the other is estimated
+        root = roots_of(shift or 0.0, turn or 0.0, arms).reshape(len(arms), 3, -1)
+        felt = (lengths.at_start[0][:, None] @ root[lengths.station])[:, 0]
+        model = model.with_unknowns(STATED, felt)
+        rows = csr_array(block_rows(model.blocks, STATED))
+        model = model.knowing("the stated scatter", rows, np.zeros(arms.size), 1.0)
+    if turn is None and shift is not None:
+        _require_seen(lengths.places, radius)
     ways = [(share, roots_of(along, about, arms)) for share, (along, about) in possible]
-    rows = lengths.picked(SCATTER)
-    return model.scattering("the scatter of arrivals", rows, size, LARGEST_SCATTER, ways)
+    rows = csr_array(block_rows(model.blocks, SCATTER))
+    return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways)
+
+
+def _require_seen(places: Floats, radius: float) -> None:
+    """Raise ObservabilityError where turns of the table change no distance between ``places``."""
+    first, second = np.triu_indices(len(places), 1)
+    along = places[second] - places[first]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    if np.linalg.norm(np.cross(places[first], along), axis=1).max() < LEAST_LEVER * radius:
+        raise ObservabilityError(
+            "no distance between the places shows how the table scatters from run to run: state "
+            "scatter_translation_std and scatter_rotation_std, or measure from three places"
+        )
 
 
 def _curves(lengths: SixLengths) -> Outputs:
-    """Return the six curves (6 m, p) from changes of poses: less means, and parts that turn."""
+    """Return the six curves (6 m, p): poses less their means, and less parts that turn."""
     angles, p, found = lengths.layout.angles, sum(lengths.blocks.values()), []
     design, inverse = gauge_design(angles)  # (2 m, 4), (4, 2 m)
     for block in ("shift", "turn"):
@@ -328,7 +365,7 @@ def effects_of(lengths: SixLengths) -> tuple[Disturbing, ...]:
     """Return what could spoil the lengths."""
     unit, arm = lengths.at_start
     once, when = np.zeros_like(lengths.order), lengths.order.astype(np.float64)
-    distance = lengths.computed(np.zeros(sum(lengths.blocks.values())))[0]
+    distance = lengths.computed(lengths.start)[0]
     distance = distance + lengths.zeros[lengths.zero]
     reach = float(np.linalg.norm(lengths.targets, axis=1).max())
     turned = np.einsum("ki,kij->kj", unit, cross_matrix(lengths.targets / reach)[lengths.target])

@@ -15,10 +15,13 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.engine import adjust as adjusted
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.model import CurveModel
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import Protection
@@ -26,7 +29,6 @@ from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Placement, Rejection, Residuals, Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.tracer.solver.network import less_rigid
 from rotcal_ros.methods.tracer.solver.observability import (
     Numbering,
     or_prior,
@@ -40,10 +42,9 @@ from rotcal_ros.methods.tracer.solver.reported import (
     scatter_along,
     weigh,
 )
-from rotcal_ros.methods.tracer.solver.zeros import zeros_in_time
 from rotcal_ros.methods.tracer_six.solver.curves import Curves, table_curves
 from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out, timing
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out
 from rotcal_ros.methods.tracer_six.solver.start import find_start
 
 METHOD = "tracer_six"
@@ -70,34 +71,34 @@ class SixSolution:
     found: Adjusted
     absent: dict[int, str]
 
-    def moved(self, block: str) -> Floats:
-        """Return how far what a block moves is from its start values; (k, 3) of points."""
+    def part(self, block: str) -> Floats:
+        """Return the solved unknowns of a block; of poses and points (k, 3)."""
         return self.lengths.part(self.found.fit.x, block)
 
     @cached_property
     def curves(self) -> Curves:
         """The curves and frames of the solved poses."""
         lengths = self.lengths
-        turned = rotation_from_vector(lengths.turn + self.moved("turn"))
+        turned = rotation_from_vector(self.part("turn"))
         rotation = lengths.axes @ turned @ rotation_about_z(self.layout.angles)
-        translation = lengths.origin + (lengths.shift + self.moved("shift")) @ lengths.axes.T
+        translation = lengths.origin + self.part("shift") @ lengths.axes.T
         return table_curves(rotation, translation, self.layout.angles)
 
     @property
     def places(self) -> Floats:
         """The places (p, 3), m, in the frame that turns with the table, z along the axis."""
-        moved = self.lengths.places + self.moved("place")
+        moved = self.lengths.places + self.part("place")
         return np.asarray((moved - self.curves.table_origin) @ self.curves.table_turn)
 
     @property
     def targets(self) -> Floats:
         """The targets (n, 3), m."""
-        return np.asarray(self.lengths.targets + self.moved("target"))
+        return np.asarray(self.lengths.targets + self.part("target"))
 
     @property
     def zeros(self) -> Floats:
         """The zeros (s,) of the counter as the lengths of the problem have them, m."""
-        return np.asarray(self.lengths.zeros + self.moved("zero") + self.layout.offset)
+        return np.asarray(self.lengths.zeros + self.part("zero") + self.layout.offset)
 
     @property
     def positions(self) -> Ints:
@@ -148,7 +149,7 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     lengths = SixLengths.of(problem, layout, find_start(layout))
     settings = problem.settings
     limits = Limits(
-        settings.rejection_significance, settings.test_significance, settings.max_rejected_share
+        settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
     )
     try:
         found = adjusted(model_of(problem, lengths), limits)
@@ -204,7 +205,7 @@ def result_of(solution: SixSolution) -> Result:
         details=_details(solution),
     )
     verdict, warnings = upward.judged(*numbering.judged(plain.verdict, plain.warnings))
-    gone = solution.absent | {int(row[r.index]): r.why for r in plain.rejected}
+    gone = solution.absent | {int(row[r.index]): layout.named(r.why) for r in plain.rejected}
     influence = plain.raw_data.influence
     if influence is not None:
         influence = replace(influence, rows=row[influence.rows])
@@ -214,7 +215,8 @@ def result_of(solution: SixSolution) -> Result:
         n_observations=len(problem.length),
         rejected=tuple(Rejection(k, why) for k, why in sorted(gone.items())),
         verdict=verdict,
-        warnings=warnings,
+        warnings=tuple(map(layout.named, warnings)),
+        protections=tuple(replace(p, why=layout.named(p.why)) for p in plain.protections),
         residuals=_residuals(problem, row, plain.residuals),
         raw_data=RawData(influence=influence),
         placement=Placement.upwards(solution.curves.origin, solution.curves.axes[:, 2]),
@@ -292,20 +294,41 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
             yield Protection("repeatability", "estimated", f"between runs, from {shown}")
         else:
             yield Protection("repeatability", "tested", f"stated; {shown} show more of it")
-    closings = [c for c in solution.found.closed if c.relation.what.startswith("ECC ")]
     radius = float(np.hypot(*solution.places[:, :2].T).mean())
-    within = [
-        radius * float((np.abs(c.error) + HALF_OF_95_PERCENT * c.std).max()) for c in closings
-    ]
     yield tangential_protection(
         radius,
         alike=", by the same at every place,",
         of=" of ECC",
         beside="what differs from place to place is scatter",
-        within=max(within, default=None),
+        within=_returned(solution, radius),
         shown="angles that were measured again",
         untested="it",
     )
+
+
+def _returned(solution: SixSolution, radius: float) -> float | None:
+    """Return within how many m the tracer came back along its circle, 95 %; None: untested.
+
+    Seen by an angle that comes again, after a whole turn or in the same run, whichever says less.
+    """
+    closings = [c for c in solution.found.closed if c.relation.what.startswith("ECC ")]
+    each = [(radius * c.error[0], radius * c.std[0]) for c in closings]
+    layout, lengths, fit = solution.layout, solution.lengths, solution.found.fit
+    stood = np.column_stack([layout.place, layout.position])
+    _, first, which = np.unique(stood, axis=0, return_index=True, return_inverse=True)
+    later = np.arange(len(stood)) != first[which]
+    if later.any():
+        side = np.where(later, 0.5, 0.0)
+        side[first[which[later]]] = -0.5
+        if solution.found.found_effects:  # a drift that was taken off may be just that
+            fit = fitted(fit.model, fit.used, fit.std, fit.x)
+        unit, arm = lengths.at_start
+        along = np.cross([0.0, 0.0, 1.0], arm) / np.hypot(arm[:, 0], arm[:, 1])[:, None]
+        felt = np.pad((unit * along).sum(axis=1) * side[lengths.station], (0, len(fit.std)))
+        seen = seen_by(fit, felt[: len(fit.std), None])
+        size = float(seen.score[0] / seen.information[0, 0])
+        each.append((size, solution.found.scale / float(np.sqrt(seen.information[0, 0]))))
+    return max((abs(e) + HALF_OF_95_PERCENT * u for e, u in each), default=None)
 
 
 def _details(solution: SixSolution) -> dict[str, Any]:
@@ -315,10 +338,8 @@ def _details(solution: SixSolution) -> dict[str, Any]:
     the problem's; ``axis``: where the axis meets the machine's z = 0, and its direction.
     """
     problem, curves, grid = solution.problem, solution.curves, solution.layout.grid
-    moved, covariance = solution.moved("target"), solution.covariance_among("target")
+    moved, covariance = solution.part("target"), solution.covariance_among("target")
     std = np.sqrt(covariance.diagonal()).reshape(moved.shape)
-    if grid.free:
-        moved, std = less_rigid(grid.targets, moved, covariance)
     return {
         "datum": problem.datum,
         "zero": problem.zero,
@@ -345,24 +366,36 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
     ``step_std``: the zero less that of the segment before, as the rigid table and all targets
     show it, m; ``probability``: how likely it would be if the zero had stayed.
     """
-    problem, layout, grid = solution.problem, solution.layout, solution.layout.grid
-    if problem.segment is None:
+    lengths, segment = solution.lengths, solution.problem.segment
+    if segment is None:
         return []
-    used = grid.row >= 0
-    when = np.where(used, timing(problem, grid).whole, np.inf)
-    covariance = solution.covariance_among("zero")
-    begun = [when[layout.zero == z].min() for z in range(layout.n_zeros)]
-    entries = []
-    for z in np.argsort(begun, kind="stable").tolist():
-        station, target = np.argwhere(used & (layout.zero == z))[0]
-        place = int(layout.place[station])
+    covariance, zero, used = solution.covariance_among("zero"), lengths.zero, _used(solution)
+    begins = {z: int(lengths.order[zero == z].min()) for z in np.unique(zero).tolist()}
+    found, before = [], dict[int, int]()
+    for z in sorted(begins, key=begins.__getitem__):
+        one = int(np.argmax(zero == z))
+        place = int(lengths.place[one])
         entry = {
-            "segment": int(problem.segment[grid.row[station, target]]),
-            "place_id": int(layout.place_ids[place]),
-            "lengths": int(grid.used[layout.zero == z].sum()),
+            "segment": int(segment[lengths.row[one]]),
+            "place_id": int(solution.layout.place_ids[place]),
+            "lengths": int(used[zero == z].sum()),
+            "zero": float(solution.zeros[z]),
+            "std": float(np.sqrt(covariance[z, z])),
         }
-        entries.append((entry, place, z, z))
-    return zeros_in_time(entries, solution.zeros, covariance)
+        if place in before:
+            step = float(solution.zeros[z] - solution.zeros[before[place]])
+            (a, b), (_, c) = covariance[np.ix_([before[place], z], [before[place], z])].tolist()
+            variance = a + c - 2.0 * b
+            chance = chi2_sf(step**2 / variance, 1.0)
+            entry |= {"step": step, "step_std": float(np.sqrt(variance)), "probability": chance}
+        found.append(entry)
+        before[place] = z
+    return found
+
+
+def _used(solution: SixSolution) -> Bools:
+    """Return which lengths (k,) are used."""
+    return solution.found.fit.used[: len(solution.lengths.row)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,10 +413,9 @@ class Upward:
     @classmethod
     def of(cls, solution: SixSolution) -> Upward:
         """Return that of all lengths that were used, in the stated frame."""
-        lengths, fit = solution.lengths, solution.found.fit
-        stands = lengths.stands(fit.x)[0]
-        beam = solution.targets[lengths.target] - stands
-        rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[fit.used[: len(beam)]]
+        lengths = solution.lengths
+        beam = solution.targets[lengths.target] - lengths.stands(solution.found.fit.x)[0]
+        rises = (beam[:, 2] / np.linalg.norm(beam, axis=1))[_used(solution)]
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))
 
     def judged(
