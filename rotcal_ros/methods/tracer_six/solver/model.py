@@ -137,8 +137,10 @@ class SixLengths:
         scale = np.sqrt(np.where(square.diagonal() > 0.0, square.diagonal(), 1.0))
         values, ways = np.linalg.eigh(square / scale / scale[:, None])
         at = self.first["target"]
-        open_ = (ways[:, values < NOTHING * values[-1]] / scale[:, None])[at : at + self.targets.size]
-        return null_space(open_.T, rcond=ALIKE)
+        open_ = (ways[:, values < NOTHING * values[-1]] / scale[:, None])[
+            at : at + self.targets.size
+        ]
+        return np.asarray(null_space(open_.T, rcond=ALIKE))
 
     @cached_property
     def position(self) -> Ints:

@@ -270,8 +270,9 @@ def _doubts(solution: SixSolution) -> list[str]:
 
 def _protections(solution: SixSolution) -> Iterator[Protection]:
     """Yield what is said of effects that no length shows, or that are measured."""
+    problem = solution.problem
     yield Protection("error motion", "estimated", "EXC, EYC and EZC are measured")
-    std = solution.problem.tilt_std
+    std = problem.tilt_std
     if std is None:
         yield Protection("tilt", "estimated", "EAC and EBC are measured")
     else:
@@ -285,12 +286,13 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
         "the curves are referred to the axis itself: what a lean or shift of the machine or of "
         "the table's own frame does is taken off",
     )
+    stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
     for sizes in solution.found.fit.sizes.values():
         shown = f"{sizes.contrasts} contrasts between the places"
         if not sizes.contrasts:
             why = "no distance between places shows it: it is stated"
             yield Protection("repeatability", "not protected", why)
-        elif solution.problem.scatter_translation_std is None:
+        elif None in stated:
             yield Protection("repeatability", "estimated", f"between runs, from {shown}")
         else:
             yield Protection("repeatability", "tested", f"stated; {shown} show more of it")
@@ -488,9 +490,6 @@ def slope_along(solution: SixSolution, errors: Floats) -> Slope:
 def curve_model(solution: SixSolution) -> CurveModel:
     """Return the model of a solution, to be solved with other instruments."""
     lengths, model = solution.lengths, solution.found.model
-    curves = {
-        name: lengths.picked("shift" if k < 3 else "turn", k % 3, 3).toarray()
-        for k, name in enumerate(COMPONENTS)
-    }
-    nothing = np.zeros((0, model.size[1]))
-    return CurveModel(replace(model, outputs=nothing), solution.layout.angles, curves)
+    every = np.eye(6 * len(solution.layout.angles), model.size[1]).reshape(2, -1, 3, model.size[1])
+    curves = {name: every[k // 3, :, k % 3] for k, name in enumerate(COMPONENTS)}
+    return CurveModel(replace(model, outputs=every[0, :0, 0]), lengths.layout.angles, curves)
