@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from six_scene import good_targets, scene
 
-from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
+from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer_six.solver import SixProblem, adjust
 
 LEVELS = (0.5, 1.0, 2.0)

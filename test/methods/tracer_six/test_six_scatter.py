@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from chances import LONG
 from six_coverage import KINDS, TWELVE, coverage
-from six_scene import good_targets, on_circle, scene
+from six_scene import on_circle, scene
 
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.tracer_six.solver import SixProblem, adjust, solve

@@ -26,7 +26,7 @@ ROUNDS: Final = 2
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """``rotation`` (m, 3, 3), ``translation`` (m, 3) of poses, ``places`` (p, 3), ``zeros`` (s,)."""
+    """``rotation`` (m, 3, 3), ``translation`` (m, 3), m; ``places`` (p, 3), ``zeros`` (s,), m."""
 
     rotation: Floats
     translation: Floats
