@@ -8,7 +8,7 @@ remembered, and the difference it makes joins the covariance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -45,6 +45,8 @@ SAME_SIZE: Final = 0.05
 """Relative change of the size of a scatter that is no matter to what is judged."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
+GENEROUSLY: Final = 3.0
+"""Times what few effects explain each that they may explain together."""
 
 
 def found_causes(model: Model, limits: Limits) -> Diagnosis:
@@ -189,14 +191,18 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
 def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     """Return how few effects explain what else had to be noise; None if they do not."""
     ones = np.ones(len(diagnosis.model.components))
-    for _ in range(FEW_EFFECTS):
+    for left in range(FEW_EFFECTS, 0, -1):
         fit = diagnosis.fitted(ones, diagnosis.start)
         look = Look(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
-        found = [e for e in look.significant() if _bearable(look.before, e)]
-        best = max(found, key=lambda e: e.support, default=None)
-        if best is None or best.effect is None:
+        most = sum(sorted(look.squares)[-left:])
+        if _excess(fit) > GENEROUSLY * most:
             return None
-        diagnosis = look.diagnosis.holding(best, look.rivals(best))
+        best = _first(look.significant_effects(), look.before)
+        if best is None:
+            return None
+        diagnosis = look.before.holding(best, look.rivals(best))
+        if not _as_stated(diagnosis, diagnosis.fitted(ones, fit.x), bent=True):
+            continue
         try:
             after = _explained_beside_noise(diagnosis)
         except DataError:
@@ -206,17 +212,27 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     return None
 
 
+def _excess(fit: Fit) -> float:
+    """Return by how much squared residuals exceed what noise as stated would make of them."""
+    expected = float(fit.redundancy.sum())
+    squares = float(bent_squares(fit.white**2, fit.redundancy, CHECKED).sum())
+    return squares - expected - 3.0 * float(np.sqrt(2.0 * expected))
+
+
 def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
         noise, fit = _settled_noise(diagnosis, bent)
+        if bent and noise.estimated is not None:
+            whole = _settled_noise(replace(diagnosis, noise=noise, start=fit.x), bent=False)
+            if _alike(noise, whole[0]):  # nothing bends it
+                bent, (noise, fit) = False, whole
         # what was judged before is judged anew: large groups are not kept twice
         gathering = replace(diagnosis.gathering, judgement=None)
         diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
         look = Look(diagnosis, fit)
         diagnosis = look.diagnosis
-        found = sorted(look.significant(), key=lambda e: -round(e.support / TIED))
-        best = next((e for e in found if _bearable(diagnosis, e)), None)
+        best = _first(look.significant(), diagnosis)
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
         elif not bent:
@@ -225,6 +241,12 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
             return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
+
+
+def _first(found: Iterable[Explanation], diagnosis: Diagnosis) -> Explanation | None:
+    """Return the most probable explanation that a ``diagnosis`` can hold; None: there is none."""
+    ordered = sorted(found, key=lambda e: -round(e.support / TIED))
+    return next((e for e in ordered if _bearable(diagnosis, e)), None)
 
 
 def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
@@ -249,15 +271,26 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
         return Noise(ones), stated
     evidence = _evidence(stated, bent)
     checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
-    held = np.zeros(len(ones), dtype=np.bool_)
+    held, fit, factors = np.zeros(len(ones), dtype=np.bool_), stated, diagnosis.noise.factors
+    if diagnosis.noise.estimated is not None:  # what was exact is so still
+        held = evidence.present & np.isnan(diagnosis.noise.estimated.log_std)
     while True:
-        found, fit = _estimated_noise(diagnosis, stated, bent, held)
+        start = np.where(held, 1.0, factors)
+        found, fit = _estimated_noise(diagnosis, fit, start, bent, held)
         exact = ~held & (found.factors < LEAST_FACTOR * (1.0 + 1e-9))
         if not exact.any():
             return Noise(found.factors, found), fit
-        held |= exact
+        held, factors = held | exact, found.factors
         if held[checked].all():
             return Noise(ones), stated
+
+
+def _alike(bent: Noise, whole: Noise) -> bool:
+    """Whether two estimates of the noise agree as well as they are known."""
+    if bent.estimated is None or whole.estimated is None:
+        return False
+    apart = np.abs(np.log(whole.factors / bent.factors))
+    return not (apart > bent.estimated.log_std).any()  # NaN, absent, does not matter
 
 
 def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
@@ -269,18 +302,23 @@ def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
 
 
 def _estimated_noise(
-    diagnosis: Diagnosis, stated: Fit, bent: bool, held: Bools
+    diagnosis: Diagnosis, near: Fit, start: Floats, bent: bool, held: Bools
 ) -> tuple[EstimatedFactors, Fit]:
-    """Return the factors of the components but those that are ``held`` (c,) at one."""
+    """Return the factors of the components but those that are ``held`` (c,), from a ``start``.
+
+    Other weights hardly move the solution: its derivatives are those of one ``near``, but at the
+    end.
+    """
+    model = diagnosis.model
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
-        fit = diagnosis.fitted(factors, before.x)
+        fit = before.weighed_by(model.std * factors[model.of_component])
         evidence = _evidence(fit, bent)
         return replace(evidence, present=evidence.present & ~held), fit
 
-    start = np.where(held, 1.0, diagnosis.noise.factors)
-    prior = np.eye(len(held)) / (UNKNOWN if diagnosis.model.unstated else PRIOR) ** 2
-    return estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
+    prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
+    found, fit = estimate_factors(at, near, start, prior, NEARLY_SETTLED if bent else SETTLED)
+    return found, diagnosis.fitted(found.factors, fit.x)
 
 
 def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
@@ -293,4 +331,6 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     # R is a projection: the squared sums of its blocks follow from those of its complement
     information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
     present = part.any(axis=1) & ~model.of_scatter
-    return NoiseEvidence(present, part @ squares, part @ redundancy, information)
+    mine = (part * np.sqrt(squares) * np.sign(fit.white)).T
+    average = mine.T @ fit.left_of(mine)
+    return NoiseEvidence(present, part @ squares, part @ redundancy, information, average)

@@ -28,10 +28,12 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
-FROZEN, SHRINKS = 0.01, 0.01
+FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
-the next one is so much smaller."""
+the next one is so much smaller; and how much smaller it is where they hardly change at all."""
 HALVINGS: Final = 20
+FEW: Final = 2_000_000
+"""Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -58,7 +60,7 @@ class Fit:
         """The derivatives (n, p + q) of the computed observations."""
         return self.jacobian.dense()
 
-    @property
+    @cached_property
     def _white_design(self) -> Design:
         return self.jacobian.weighted(self.used / self.std)
 
@@ -72,6 +74,16 @@ class Fit:
             return found
         _require_told(self.model, design)
         return _whole(self.model, design)
+
+    def weighed_by(self, std: Floats) -> Fit:
+        """Return the solution weighed by other ``std`` (n,), by the derivatives of this one."""
+        weight = self.used / std
+        steps = _Steps.of(self.model, self.jacobian.weighted(weight))
+        step, _ = steps(self.residual * weight, self.x)
+        residual = self.residual - self.jacobian.times(step)
+        return Fit(
+            self.model, self.x + step, residual, std, self.used, self.jacobian, steps.by_form
+        )
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
@@ -97,7 +109,7 @@ class Fit:
         """The sum of squares of what is used."""
         return float(self.white @ self.white)
 
-    @property
+    @cached_property
     def dof(self) -> int:
         """Observations in use minus unknowns that they determine."""
         return int(self.used.sum()) - self.kernel.rank
@@ -166,13 +178,22 @@ class Fit:
 
     def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
         """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
+        every = self._influence if outputs is None else None
         outputs = self.model.output_rows if outputs is None else outputs
-        found = self.kernel.response(outputs, rows)
+        found = self.kernel.response(outputs, rows) if every is None else every[:, rows]
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
                 found[:, mine] = self._spread[number][1][: len(outputs), at]
         return found
+
+    @cached_property
+    def _influence(self) -> Floats | None:
+        """What whitened errors do to the outputs (o + a, n), each as it is; None: too many."""
+        outputs, n = self.model.output_rows, len(self.std)
+        if len(outputs) * n > FEW:
+            return None
+        return self.kernel.response(outputs, np.arange(n))
 
     @cached_property
     def _spread(self) -> list[tuple[Floats, Floats]]:
@@ -210,10 +231,15 @@ class Fit:
 
         Each as it is, whatever they have in common.
         """
+        every = self._influence
+        if every is not None:
+            return every[:, rows]
         return self.kernel.response(self.model.output_rows, rows)
 
     def sensitivity(self, rows: Ints) -> Sensitivity:
         """Return the same in parts that are few."""
+        if self._influence is not None:
+            return Sensitivity.whole(self._influence[:, rows])
         return self.kernel.sensitivity(self.model.output_rows, rows)
 
     def moved(self, white: Floats) -> Floats:
@@ -224,13 +250,14 @@ class Fit:
         """Return the same where the kernel's solution ``gain`` (p + q, k) is known already."""
         return self.model.output_rows.times(gain)
 
-    def covariance(self, count: int) -> Floats:
-        """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
-        first, whole = self.model.output_rows.first(count), np.zeros((count, count))
-        for here, rows in first.parts(len(self.x)):
-            whole[:, here] = first.times(self.kernel.times(rows.T))
+    def covariance(self, part: slice) -> Floats:
+        """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
+        mine = self.model.output_rows.part(part)
+        whole = np.zeros((len(mine), len(mine)))
+        for here, rows in mine.parts(len(self.x)):
+            whole[:, here] = mine.times(self.kernel.times(rows.T))
         for alone, spread in self._spread:
-            whole += spread[:count] @ spread[:count].T - alone[:count] @ alone[:count].T
+            whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         whole += whole.T.copy()
         whole *= 0.5
         return whole
@@ -280,7 +307,7 @@ class Fit:
 
         Raises ObservabilityError where one is not determined at all.
         """
-        outputs = self.model.output_rows.first(len(self.model.outputs))
+        outputs = self.model.output_rows.part(slice(len(self.model.outputs)))
         if self._white_design.never_worse(other._white_design, outputs, factor):
             return False
         return bool((self.output_std > factor * other.output_std).any())
@@ -373,21 +400,26 @@ def fitted(
     x[: min(len(start), len(x))] = start[: len(x)]
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
-    steps = _Steps.of(model, jacobian.weighted(weight))
+    steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
     if steps.defines:  # what is defined is no step of the iteration
         x = steps.defined(x)
         computed, jacobian = _computed(model, x, extra)
+        solved = jacobian
+    slow = False
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
         step, left = steps(white, x)
+        if jacobian is not solved and left > STRAIGHT * before and (slow or before > FROZEN):
+            steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
+            step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= settled * max(square, 1.0) or 0.25 * before < left < NEARLY:
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
-        slow, before, solved = left > SHRINKS * before, left, jacobian
+        slow, before = left > SHRINKS * before, left
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -398,8 +430,6 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved and (slow or left > FROZEN):
-            steps = _Steps.of(model, jacobian.weighted(weight))
     raise _unsettled()
 
 

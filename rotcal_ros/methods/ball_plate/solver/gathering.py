@@ -152,7 +152,7 @@ def _can_judge(problem: BallPlateProblem) -> bool:
 def _felt(group: Group, response: Floats) -> Group:
     """Return ``group`` with what outputs feel of its rows; ``response`` (o, n, 3)."""
     mine = response[:, group.members].reshape(len(response), -1)
-    return replace(group, sensitivity=Sensitivity.whole(mine))
+    return replace(group, felt=lambda: Sensitivity.whole(mine))
 
 
 def _counted(
@@ -343,7 +343,7 @@ def _without_residuals(
         members=rows,
         residual=np.zeros((e, 3)),
         cofactor=cofactor,
-        sensitivity=Sensitivity.whole(np.zeros((1, 3 * e))),
+        felt=lambda: Sensitivity.whole(np.zeros((1, 3 * e))),
         unit=np.ones((e, 3)),
         gathered=subsets,
         eigen=(np.clip(values, 0.0, 1.0), vectors),  # a projector's, but for rounding
