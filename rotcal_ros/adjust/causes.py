@@ -70,10 +70,10 @@ def _with_scatter(whole: Diagnosis, explained: Diagnosis | None) -> Diagnosis:
     ``explained`` so stays.
     """
     diagnosis = explained or whole
-    for _ in range(SCATTER_ROUNDS):
+    for judged in range(SCATTER_ROUNDS):
         fit, model = diagnosis.fit, diagnosis.model
         sizes = [fit.sizes[each].weighing for each in model.scatterings]
-        if explained is None:
+        if not judged:
             sizes = _least_sizes(diagnosis, sizes)
         now = [float(model.std[each.rows[0]]) for each in model.scatterings]
         if explained and np.allclose(sizes, now, rtol=SAME_SIZE):
