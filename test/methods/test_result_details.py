@@ -44,6 +44,7 @@ def flat(details, prefix=""):
     return found
 
 
+LAST, INNER = r"(?<=\.)[^.]+$", r"(?<=\.)[^.]+(?=\.)"
 KINDS = {"number": (int, float), "whole": int, "text": str, "flag": bool}
 
 
@@ -52,7 +53,8 @@ def assert_documented(details, method, sizes):
     (shapes, always), found = documented(method), flat(details)
     assert always <= set(found)
     for given, values in found.items():
-        key = given if given in shapes else re.sub(r"(?<=\.)[^.]+$", "NAME", given)
+        named = (given, *(re.sub(where, "NAME", given) for where in (LAST, INNER)))
+        key = next((name for name in named if name in shapes), given)
         if key not in shapes:  # a list or group without entries
             assert not any(values), given
             assert any(path.startswith((f"{given}[]", f"{given}.")) for path in shapes), given
