@@ -120,7 +120,7 @@ def test_details_of_the_tracer_at_several_places():
     rows = scene(np.random.default_rng(1), m=5, arrivals=2, zero="per_segment", breaks=1).rows
     details = tracer_six.solve(tracer_six.SixProblem(**rows)).details
     assert_documented(details, "tracer_six", {"N": 5, "p": 3, "s": 6, "t": 24})
-    assert [move["kind"] for move in details["moves"]] == ["between runs", "within runs", "slip"]
+    assert details["scattering"]["the arrivals"]["contrasts"] > 0
 
 
 def test_details_of_two_circles():
