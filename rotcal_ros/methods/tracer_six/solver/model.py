@@ -42,7 +42,7 @@ from rotcal_ros.methods.tracer.solver.protections import LARGEST_MOVE, LARGEST_R
 from rotcal_ros.methods.tracer.solver.screening import WORDS
 from rotcal_ros.methods.tracer_six.solver.curves import gauge_design, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout
-from rotcal_ros.methods.tracer_six.solver.start import Start
+from rotcal_ros.methods.tracer_six.solver.start import StartPoses
 
 UM: Final = Unit("um", MICROMETRE)
 PPM: Final = Unit("um/m", 1e-6)
@@ -99,7 +99,7 @@ class SixLengths:
     target_ways: Floats | None = None
 
     @classmethod
-    def of(cls, problem: SixProblem, layout: StationLayout, state: Start) -> SixLengths:
+    def of(cls, problem: SixProblem, layout: StationLayout, state: StartPoses) -> SixLengths:
         """Return those of a ``layout`` about the start values ``state``."""
         curves = table_curves(state.rotation, state.translation, layout.angles)
         station, target = np.nonzero(layout.grid.row >= 0)

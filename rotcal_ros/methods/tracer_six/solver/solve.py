@@ -375,10 +375,10 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
     begins = {z: int(lengths.order[zero == z].min()) for z in np.unique(zero).tolist()}
     found, before = [], dict[int, int]()
     for z in sorted(begins, key=begins.__getitem__):
-        one = int(np.argmax(zero == z))
-        place = int(lengths.place[one])
+        any_of_it = int(np.argmax(zero == z))
+        place = int(lengths.place[any_of_it])
         entry = {
-            "segment": int(segment[lengths.row[one]]),
+            "segment": int(segment[lengths.row[any_of_it]]),
             "place_id": int(solution.layout.place_ids[place]),
             "lengths": int(used[zero == z].sum()),
             "zero": float(solution.zeros[z]),

@@ -25,7 +25,7 @@ ROUNDS: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class StartPoses:
     """``rotation`` (m, 3, 3), ``translation`` (m, 3), m; ``places`` (p, 3), ``zeros`` (s,), m."""
 
     rotation: Floats
@@ -34,7 +34,7 @@ class Start:
     zeros: Floats
 
 
-def find_start(layout: StationLayout) -> Start:
+def find_start(layout: StationLayout) -> StartPoses:
     """Return start values for ``layout``; raises DataError when places and lengths contradict."""
     grid = layout.grid
     about = rotation_about_z(layout.angles)
@@ -60,7 +60,7 @@ def find_start(layout: StationLayout) -> Start:
     apart = np.where(grid.used, distance - grid.length, 0.0)
     total = np.bincount(layout.zero.ravel(), apart.ravel(), minlength=layout.n_zeros)
     count = np.bincount(layout.zero.ravel(), grid.used.ravel(), minlength=layout.n_zeros)
-    return Start(rotation, translation, places, total / np.maximum(count, 1))
+    return StartPoses(rotation, translation, places, total / np.maximum(count, 1))
 
 
 def _poses(
