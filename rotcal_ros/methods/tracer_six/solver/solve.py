@@ -288,14 +288,15 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
     )
     stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
     for sizes in solution.found.fit.sizes.values():
-        shown = f"{sizes.contrasts} contrasts between the places"
         if not sizes.contrasts:
             why = "no distance between places shows it: it is stated"
             yield Protection("repeatability", "not protected", why)
         elif None in stated:
-            yield Protection("repeatability", "estimated", f"between runs, from {shown}")
+            why = f"between runs, from {sizes.contrasts} contrasts between the places"
+            yield Protection("repeatability", "estimated", why)
         else:
-            yield Protection("repeatability", "tested", f"stated; {shown} show more of it")
+            why = f"stated; {sizes.contrasts} contrasts between the places show more of it"
+            yield Protection("repeatability", "tested", why)
     radius = float(np.hypot(*solution.places[:, :2].T).mean())
     yield tangential_protection(
         radius,
