@@ -292,11 +292,17 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
             why = "no distance between places shows it: it is stated"
             yield Protection("repeatability", "not protected", why)
         elif None in stated:
-            why = f"between runs, from {sizes.contrasts} contrasts between the places"
-            yield Protection("repeatability", "estimated", why)
+            yield Protection(
+                "repeatability",
+                "estimated",
+                f"between runs, from {sizes.contrasts} contrasts between the places",
+            )
         else:
-            why = f"stated; {sizes.contrasts} contrasts between the places show more of it"
-            yield Protection("repeatability", "tested", why)
+            yield Protection(
+                "repeatability",
+                "tested",
+                f"stated; {sizes.contrasts} contrasts between the places show more of it",
+            )
     radius = float(np.hypot(*solution.places[:, :2].T).mean())
     yield tangential_protection(
         radius,
