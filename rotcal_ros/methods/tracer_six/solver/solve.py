@@ -219,6 +219,7 @@ def result_of(solution: SixSolution) -> Result:
         protections=tuple(replace(p, why=layout.named(p.why)) for p in plain.protections),
         residuals=_residuals(problem, row, plain.residuals),
         raw_data=RawData(influence=influence),
+        details={name: value for name, value in plain.details.items() if name != "also"},
         placement=Placement.upwards(solution.curves.origin, solution.curves.axes[:, 2]),
     )
 
