@@ -43,7 +43,6 @@ from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
 from rotcal_ros.methods.tracer_six.figures import figures, tables
-from rotcal_ros.methods.tracer_six.lengths.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer_six.plan import (
     LOCATING,
     check_plan,
@@ -62,8 +61,14 @@ from rotcal_ros.methods.tracer_six.simulation import DISTURBANCES, CarriedTracer
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
-from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of
+from rotcal_ros.methods.tracer_six.solver.reported import WeighedSolution, with_reported
+from rotcal_ros.methods.tracer_six.solver.solve import (
+    SixSolution,
+    SixTrials,
+    adjust_at_equal_places,
+    curve_model,
+    result_of,
+)
 from rotcal_ros.planning.plan import Plan
 
 if TYPE_CHECKING:
@@ -93,8 +98,6 @@ def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
     """Return what the lengths determine of the curves, to be solved with other instruments."""
-    from rotcal_ros.methods.tracer_six.solver.curve_model import curve_model
-
     solution = _at_equal_places(configuration, plan, observations).solution
     found = curve_model(solution)
     if not configuration.plan.bidirectional:

@@ -22,7 +22,6 @@ from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
-    CurveModel,
     Disturbing,
     Grouping,
     Model,
@@ -74,11 +73,10 @@ class CarriedLengths:
 
     ``position``, ``place``, ``target``, ``zero`` (k,): indices into ``angles`` (m,) rad,
     ``places`` (p, 3), ``targets`` (n, 3) and ``zeros`` (s,), m. ``row``, ``order`` (k,): of the
-    problem, and when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``common`` (k, r), m: independent
-    errors that lengths share, each of its standard deviation. ``beam`` (k,): which unbroken beam
+    problem, and when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``beam`` (k,): which unbroken beam
     each length is of; None: zeros are those. ``unbroken``: lengths of several stations are of one,
-    whose counter may slip. ``tilts``: whether the table's are
-    unknown; one place feels nothing of them that is no shift. ``later`` (k,): which of the
+    whose counter may slip. ``tilts``: whether the table's are unknown; one place feels nothing of
+    them that is no shift. ``later`` (k,): which of the
     ``later_zeros`` joins the zero of a length, -1 for none. ``called``: numbers (m,) and (n,) by
     which people call positions and targets; None: as they are. ``more``: blocks of further
     unknowns, which lengths do not feel.
@@ -98,7 +96,6 @@ class CarriedLengths:
     zeros: Floats
     axes: Floats
     origin: Floats
-    common: Floats | None = None
     tilts: bool = False
     beam: Ints | None = None
     unbroken: bool = False
@@ -307,18 +304,6 @@ class CarriedLengths:
             time = np.append(rank.astype(np.float64), np.zeros(len(beyond)))
             found.append(Grouping("stretch of time", np.append(rank // size, beyond), time))
         return found
-
-    def model(
-        self, curves: Mapping[str, csr_array], stated: Sequence[KnownBeforehand]
-    ) -> CurveModel:
-        """Return the lengths, with what is ``stated``, over the deviations ``curves``."""
-        every = {name: np.asarray(rows.toarray()) for name, rows in curves.items()}
-        model = self.over(Outputs.of([np.zeros((0, self.size))]), stated)
-        if self.common is not None and self.common.shape[1]:
-            model = model.sharing(
-                np.pad(self.common, ((0, model.size[0] - len(self.row)), (0, 0)))
-            )
-        return CurveModel(model, self.angles, every)
 
     def over(self, outputs: Outputs, stated: Sequence[KnownBeforehand]) -> Model:
         """Return the lengths, with what is ``stated``, and the ``outputs`` that are asked for."""
