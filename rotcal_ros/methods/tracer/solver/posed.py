@@ -73,6 +73,7 @@ SPECTRA: Final[Mapping[Spectrum, float]] = {
 """Which orders an error motion may have, with what probability beforehand."""
 ERROR_MOTION: Final = "the error motion"
 STATED_CIRCLE: Final = "the stated circle"
+ALONG_AXIS: Final = "the stated circle along the axis"
 LATER_RUN: Final = "zero of a later run"
 
 
@@ -203,8 +204,8 @@ class Posed:
     def _about_axis(self, lengths: CarriedLengths, model: Model) -> Model:
         """Return the model with what is known of how the table's axis moves.
 
-        What a stated circle says of the places across it, and along the axis, and what the error
-        motion does along it, are contradicted together.
+        What a stated circle says of the places across it, and what the error motion does along it,
+        are contradicted together.
         """
         m, angles, circle = len(lengths.angles), lengths.angles, self.problem.circle_std
         plane = np.arange(3 * m).reshape(m, 3)[:, :2].ravel()
@@ -225,7 +226,8 @@ class Posed:
             lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
             height = lengths.rows_of("shift", 3 * np.arange(m) + 2)
             height = height - lean @ lengths.rows_of("lean")
-            both = [rows[0::2], height, circle / size * rows[1::2]]
+            model = model.knowing(ALONG_AXIS, csr_array(height), np.zeros(m), circle)
+            both = [rows[0::2], circle / size * rows[1::2]]
             rows, size = csr_array(vstack(both, format="csr")), circle
         name = ERROR_MOTION if circle is None else STATED_CIRCLE
         model = with_motion(model, name, rows, size, angles, turning)

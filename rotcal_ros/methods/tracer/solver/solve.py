@@ -27,7 +27,12 @@ from rotcal_ros.foundation.results import (
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
-from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, LATER_RUN, STATED_CIRCLE
+from rotcal_ros.methods.tracer.solver.posed import (
+    ALONG_AXIS,
+    ERROR_MOTION,
+    LATER_RUN,
+    STATED_CIRCLE,
+)
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import ReportedPlaces, TracerSolution, adjust
 
@@ -153,7 +158,8 @@ def _budget(solution: TracerSolution) -> dict[str, Floats]:
     What is not known of the size of a source is shared out among them.
     """
     found, model, m = solution.found, solution.found.model, len(solution.std)
-    sources = {"the lengths": "lengths", ERROR_MOTION: "error_motion", STATED_CIRCLE: "circle"}
+    sources = {"the lengths": "lengths", ERROR_MOTION: "error_motion"}
+    sources |= dict.fromkeys((STATED_CIRCLE, ALONG_AXIS), "circle")
     budget = dict[str, Floats]()
     for name, each in zip(model.components, found.fit.variance_by_component[:m].T, strict=True):
         source = sources.get(name, "targets")
