@@ -115,17 +115,18 @@ class SixLengths:
         }  # fmt: skip
         if problem.tilt_std is not None:
             blocks["lean"] = lean.shape[1]
-        if problem.scatter_translation_std != 0.0 or problem.scatter_rotation_std != 0.0:
-            blocks[SCATTER] = 3 * len(layout.position)
         found = cls(
             layout, row, station, target, problem.measuring_order[row], curves.axes,
             curves.origin, places, grid.targets, state.zeros, curves.translation,
             curves.rotation, blocks, ways, lean,
         )  # fmt: skip
-        if not grid.free:
+        if grid.free:
+            ways = found._told_of_targets()
+            blocks = blocks | {"target": ways.shape[1]}
+            found = replace(found, blocks=blocks, target_ways=ways)
+        if problem.scatter_translation_std == problem.scatter_rotation_std == 0.0:
             return found
-        ways = found._told_of_targets()
-        return replace(found, blocks=blocks | {"target": ways.shape[1]}, target_ways=ways)
+        return replace(found, blocks=blocks | {SCATTER: 3 * len(layout.position)})
 
     def _told_of_targets(self) -> Floats:
         """Return the moves of targets (3 n, b) that lengths tell of, were there no deviations.
