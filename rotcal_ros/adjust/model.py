@@ -651,13 +651,15 @@ class Model:
         size: float | None,
         largest: float,
         ways: Sequence[tuple[float, Floats]] = (),
+        felt: float = 1.0,
     ) -> Model:
         """Return the model with what scatters by a ``size``; None: that is estimated.
 
         ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
         and roots (k, r) of its covariance per unit of size; none: of each row by itself. Sizes
         are told as what a row scatters by the first of them, in the mean of squares.
-        ``largest``: one that nobody would overlook.
+        ``largest``: one that nobody would overlook. ``felt``: how many times as much outputs feel
+        it, in their noise, as a mean contrast does.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
         k, unit = rows.shape[0], 1.0
@@ -667,7 +669,7 @@ class Model:
         known = self.knowing(what, rows, np.zeros(k), stated or largest)
         parts = (tuple(root / unit for _, root in ways),)
         each = np.arange(n, n + k)
-        scatter = Scattering(each, parts, what, likely / likely.sum(), stated)
+        scatter = Scattering(each, parts, what, likely / likely.sum(), stated, felt=felt)
         return replace(known, correlated=(*self.correlated, scatter))
 
     @property

@@ -92,6 +92,8 @@ class Scattering(Correlated):
     ``parts`` holds one tuple: the ways, roots (k, r) of the covariance per unit of size; none:
     each row by itself. ``likely`` (w,): their probabilities beforehand. ``stated``: the size, in
     the unit of the rows; None: it is estimated. ``asked``: whether readings are there to say.
+    ``felt``: how many times as much outputs feel it as a mean contrast does: the prior is that of
+    sizes which matter to these.
     """
 
     what: str
@@ -99,6 +101,7 @@ class Scattering(Correlated):
     stated: float | None
     significance: float = 0.01
     asked: bool = True
+    felt: float = 1.0
 
     def below(self, count: int) -> Scattering:
         """Return the same below ``count`` further rows."""
@@ -195,8 +198,12 @@ class Scattering(Correlated):
         self, value: Floats, each: list[tuple[Floats, Floats]], noticed: list[float]
     ) -> Sizes:
         """Return the posterior of size and way."""
-        size, way, logs = [np.zeros(1)], [np.zeros(1, dtype=np.int64)], [np.log([ABSENT])]
-        x = LEVELS / NOTICED
+        size, way, logs = (
+            [np.zeros(1)],
+            [np.zeros(1, dtype=np.int64)],
+            [np.log([ABSENT / self.felt])],
+        )
+        x = LEVELS * self.felt / NOTICED
         prior = np.log(x**STEEPNESS / (1.0 + x**STEEPNESS) * np.gradient(np.log(LEVELS)))
         for k, ((d, u), unit) in enumerate(zip(each, noticed, strict=True)):
             if np.isfinite(unit):

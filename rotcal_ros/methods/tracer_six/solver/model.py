@@ -58,6 +58,8 @@ MIXTURE_PRIOR: Final = (0.1, 0.05, 0.05, 0.1, 0.7)
 """How likely each is beforehand."""
 SCATTER, STATED = "scatter of an arrival", "stated scatter of an arrival"
 """The blocks of how far each station is off, when the table does not repeat."""
+FELT: Final = 2.0
+"""Times as much curves feel scatter as contrasts do: turns leave half the trace."""
 LEAST_LEVER: Final = 0.03
 """Share of the radius by which a line of places passes the axis for turns to show."""
 ALIKE: Final = 1e-9
@@ -315,7 +317,7 @@ def _scattering(problem: SixProblem, lengths: SixLengths, model: Model, arms: Fl
         _require_seen(lengths.places, radius)
     ways = [(share, roots_of(along, about, arms)) for share, (along, about) in possible]
     rows = csr_array(block_rows(model.blocks, SCATTER))
-    return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways)
+    return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways, felt=FELT)
 
 
 def _require_seen(places: Floats, radius: float) -> None:
