@@ -44,7 +44,7 @@ LEVELS: Final = np.geomspace(0.03, 1e4, 128)
 SHOWN: Final = 1e-9
 """Share of what is known of a row that readings add, below which they show nothing of it."""
 SEEN: Final = 1e-3
-"""Share of the most that errors beside it do to contrasts, from which one counts."""
+"""Share of the clearest trace in the contrasts from which a way, or an error beside it, counts."""
 RULED: Final = 1e-3
 """Share of the largest eigenvalue from which an axis counts in the mean."""
 MOST: Final = 1500
@@ -206,7 +206,7 @@ class Scattering(Correlated):
         x = LEVELS * self.felt / NOTICED
         prior = np.log(x**STEEPNESS / (1.0 + x**STEEPNESS) * np.gradient(np.log(LEVELS)))
         for k, ((d, u), unit) in enumerate(zip(each, noticed, strict=True)):
-            if np.isfinite(unit):
+            if unit <= min(noticed) / np.sqrt(SEEN):
                 size.append(LEVELS * unit)
                 way.append(np.full(len(LEVELS), k))
                 likely = np.log(self.likely[k]) + prior

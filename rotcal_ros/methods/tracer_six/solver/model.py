@@ -58,8 +58,8 @@ MIXTURE_PRIOR: Final = (0.1, 0.05, 0.05, 0.1, 0.7)
 """How likely each is beforehand."""
 SCATTER, STATED = "scatter of an arrival", "stated scatter of an arrival"
 """The blocks of how far each station is off, when the table does not repeat."""
-FELT: Final = 2.0
-"""Times as much curves feel scatter as contrasts do: turns leave half the trace."""
+FELT: Final = 1.6
+"""Times as much curves feel scatter as contrasts do: turns leave half the trace (six_coverage)."""
 LEAST_LEVER: Final = 0.03
 """Share of the radius by which a line of places passes the axis for turns to show."""
 ALIKE: Final = 1e-9
