@@ -25,6 +25,7 @@ from rotcal_ros.adjust.noise import (
     NEARLY_SETTLED,
     PRIOR,
     SETTLED,
+    UNKNOWN,
     EstimatedFactors,
     NoiseEvidence,
     bent_squares,
@@ -111,7 +112,7 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
     Far, for noise that is stated too small is no rare thing.
     """
     found = _explained_beside_noise(diagnosis)
-    if found.noise.factors.max() <= 1.0:
+    if found.noise.factors.max() <= 1.0 or diagnosis.model.unstated:
         return found
     other = _by_effects(diagnosis)
     if other is None:
@@ -200,6 +201,8 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
 
 def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
     """Whether a fit with the noise as stated contradicts no component of it."""
+    if diagnosis.model.unstated:
+        return False
     chance = _evidence(fit, bent).probabilities()
     return bool(chance.min() >= diagnosis.limits.significance / len(chance))
 
@@ -215,7 +218,7 @@ def _estimated_noise(
         return replace(evidence, present=evidence.present & ~held), fit
 
     start = np.where(held, 1.0, diagnosis.noise.factors)
-    prior = np.eye(len(held)) / PRIOR**2
+    prior = np.eye(len(held)) / (UNKNOWN if diagnosis.model.unstated else PRIOR) ** 2
     return estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
 
 

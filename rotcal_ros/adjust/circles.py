@@ -89,7 +89,12 @@ class Turns:
             kinds[:, 2 * circles :], turn.ravel(), begin,
         )  # fmt: skip
         usual, odd = found.shares(np.ones(n))[1:]
-        return found if usual.all() and odd.sum() <= size else None
+        return found if usual.all() and odd.sum() <= found.few else None
+
+    @property
+    def few(self) -> int:
+        """How many cells may differ from the others as a low rank beside the orders."""
+        return max(self.size, self.unknowns // 4)
 
     @property
     def circles(self) -> int:
@@ -228,7 +233,7 @@ class Circular(Design):
         Or where so many rows are missing that they are no low rank.
         """
         share, usual, odd = self.turns.shares(self.weight)
-        orders = ByOrder.of(self.turns, usual) if odd.sum() <= self.turns.size else None
+        orders = ByOrder.of(self.turns, usual) if odd.sum() <= self.turns.few else None
         if orders is None:
             return None
         changed = self.turns.rows_of(*np.nonzero(odd)), (share - usual[:, None])[odd]
@@ -388,8 +393,8 @@ class ByOrder(Kernel):
             )
         found += ((sums @ self.zero) * sums).sum(axis=1)
         carried = self.times(outputs.common.T)
-        both = (outputs.few @ carried)[np.arange(len(outputs)), outputs.part]
-        own = (outputs.common.T * carried).sum(axis=0)[outputs.part]
+        both = ((outputs.few @ carried) * outputs.share).sum(axis=1)
+        own = ((outputs.share @ (outputs.common @ carried)) * outputs.share).sum(axis=1)
         return np.asarray(found + 2.0 * both + own)
 
     @cached_property
@@ -433,7 +438,7 @@ class ByOrder(Kernel):
     def _beside_common(self, found: Floats, outputs: Outputs, turn: Ints, place: Ints) -> Floats:
         """Return what rows (k,) do to ``outputs``, from what they do beside the common ones."""
         carried = self.turns.rows_of(turn, place) @ self.times(outputs.common.T)
-        found += carried if carried.shape[1] == 1 else carried[:, outputs.part]
+        found += carried @ outputs.share.T
         return np.asarray(found.T)
 
     def among(self, rows: Ints) -> Floats:

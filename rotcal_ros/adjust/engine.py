@@ -231,7 +231,7 @@ class Adjusted:
         """Whether the model describes the observations."""
         share = len(self.why) / max(int(self.model.may_go.sum()), 1)
         larger = self.scale * self.diagnosis.noise.factors.max(initial=1.0)
-        if share > FAILED_SHARE or larger > FAILED_FACTOR:
+        if share > FAILED_SHARE or (larger > FAILED_FACTOR and not self.model.unstated):
             return "failed"
         return "suspect" if self.doubts else "ok"
 
@@ -491,7 +491,7 @@ def _doubts(found: Adjusted) -> Iterator[str]:
 def _larger(found: Adjusted) -> Bools:
     """Return which components of the noise are larger than stated."""
     estimated = found.diagnosis.noise.estimated
-    if estimated is None:
+    if estimated is None or found.model.unstated:
         return np.zeros(len(found.model.components), dtype=np.bool_)
     beyond = estimated.contradicted(found.diagnosis.limits.significance)
     return np.asarray(beyond & (estimated.factors > 1.0), dtype=np.bool_)

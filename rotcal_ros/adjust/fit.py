@@ -290,6 +290,8 @@ def fitted(
         residual = model.observed - computed
         white = residual * weight
         step, left = steps(white)
+        if model.definitions is not None:
+            step = model.definitions.held(x + step) - x
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:

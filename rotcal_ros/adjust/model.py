@@ -22,7 +22,7 @@ from rotcal_ros.adjust.designs import Derivatives, dense, design_of
 from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
-from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.outputs import Definitions, Outputs
 from rotcal_ros.adjust.subsets import runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
@@ -327,6 +327,8 @@ class Model:
     effects: Sequence[Disturbing] = ()
     row_names: Sequence[str] = ()
     correlated: Sequence[Correlated] = ()
+    definitions: Definitions | None = None
+    unstated: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""

@@ -24,6 +24,8 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 
 PRIOR: Final = 1.5
 """Standard deviation of ln s: a statement is off by more than a factor of 20 in 5 % of cases."""
+UNKNOWN: Final = 100.0
+"""The same where nothing was stated."""
 BEND: Final = 2.5
 """Normalised residual from which one counts no more, while outliers are about."""
 BENT_SQUARE: Final = 0.97756

@@ -1,4 +1,4 @@
-"""What is asked of the unknowns: rows that differ little from one that they share."""
+"""What is asked of the unknowns: rows that differ little from a few that they share."""
 
 from __future__ import annotations
 
@@ -9,35 +9,36 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import DTypeLike
+from scipy.linalg import block_diag
 from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 AT_ONCE: Final = 1024
 """Rows or columns that are worked out at once: what is dense of them stays small."""
+ROUNDED: Final = 1e-12
+"""Share of the largest number below which one is the rounding of zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """Rows C (o, p) that differ little from one that they share: of many, little is kept.
+    """Rows C (o, p) that differ little from a few that they share: of many, little is kept.
 
-    ``few`` (o, p) beside the row of ``common`` (g, p) that each belongs to, by ``part`` (o,).
+    They are ``few`` (o, p), and ``share`` (o, g) times the rows of ``common`` (g, p).
     """
 
     few: csr_array
     common: Floats
-    part: Ints
+    share: Floats
 
     @classmethod
     def of(cls, parts: Sequence[Floats | Outputs]) -> Outputs:
-        """Return those of ``parts`` (o, p), one below the other, that share a row each."""
+        """Return those of ``parts`` (o, p), one below the other, that share rows each."""
         found = [rows if isinstance(rows, Outputs) else cls._sharing(rows) for rows in parts]
-        before = np.cumsum([0, *(len(each.common) for each in found)])
-        part = [each.part + first for each, first in zip(found, before, strict=False)]
         return cls(
             csr_array(vstack([each.few for each in found], format="csr")),
             np.concatenate([each.common for each in found]),
-            np.concatenate(part),
+            block_diag(*(each.share for each in found)),
         )
 
     @classmethod
@@ -45,23 +46,23 @@ class Outputs:
         common = np.zeros((1, rows.shape[1]))
         if len(rows):  # what two of three rows share
             common[0] = np.median(rows[[0, len(rows) // 2, -1]], axis=0)
-        return cls(csr_array(rows - common), common, np.zeros(len(rows), dtype=np.int64))
+        return cls(csr_array(rows - common), common, np.ones((len(rows), 1)))
 
     @classmethod
     def picked(cls, unknowns: Ints, common: Floats) -> Outputs:
         """Return some ``unknowns`` (o,) of p, each beside the row ``common`` (p,)."""
         o = len(unknowns)
         few = csr_array((np.ones(o), unknowns, np.arange(o + 1)), shape=(o, len(common)))
-        return cls(few, common[None], np.zeros(o, dtype=np.int64))
+        return cls(few, common[None], np.ones((o, 1)))
 
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers o of outputs and p of unknowns."""
-        return len(self.part), int(self.common.shape[1])
+        return self.few.shape
 
     def __len__(self) -> int:
         """Return their number o."""
-        return len(self.part)
+        return int(self.few.shape[0])
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Floats:
         """Return all of them, written out."""
@@ -69,7 +70,7 @@ class Outputs:
 
     def __getitem__(self, which: slice) -> Floats:
         """Return some of them, written out."""
-        return np.asarray(self.few[which].toarray() + self.common[self.part[which]])
+        return np.asarray(self.few[which].toarray() + self.share[which] @ self.common)
 
     def __matmul__(self, x: Floats) -> Floats:
         """Return C times ``x`` (p,) or (p, k)."""
@@ -91,26 +92,27 @@ class Outputs:
 
     def first(self, count: int) -> Outputs:
         """Return the first ``count`` of them."""
-        part = self.part[:count]
-        return Outputs(self.few[:count], self.common[: int(part.max(initial=0)) + 1], part)
+        share = self.share[:count]
+        felt = share.any(axis=0)
+        return Outputs(self.few[:count], self.common[felt], share[:, felt])
 
     def times(self, x: Floats) -> Floats:
         """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""
         x = x[: self.common.shape[1]]
-        return np.asarray(self.few @ x + (self.common @ x)[self.part])
+        return np.asarray(self.few @ x + self.share @ (self.common @ x))
 
     def parts(self, unknowns: int) -> Iterator[tuple[slice, Floats]]:
         """Yield some rows after the other, (r, ``unknowns``) and which they are."""
         more = ((0, 0), (0, unknowns - self.common.shape[1]))
         for begin in range(0, len(self), AT_ONCE):
             here = slice(begin, min(begin + AT_ONCE, len(self)))
-            yield here, np.pad(self.few[here].toarray() + self.common[self.part[here]], more)
+            yield here, np.pad(self[here], more)
 
     def lengths(self, scale: Floats) -> Floats:
         """Return the length (o,) of each, of unknowns times ``scale`` (p + q,)."""
         over = 1.0 / scale[: self.common.shape[1]] ** 2
-        mixed = (self.few @ (self.common * over).T)[np.arange(len(self)), self.part]
-        common = (self.common**2 @ over)[self.part]
+        mixed = ((self.few @ (self.common * over).T) * self.share).sum(axis=1)
+        common = ((self.share @ (self.common * over @ self.common.T)) * self.share).sum(axis=1)
         squares = (self.few * self.few) @ over + 2.0 * mixed + common
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
@@ -135,3 +137,31 @@ class Outputs:
         here = (place[0] + np.arange(len(place))) % size
         follow = (circle == circle[0]).all() and (place == here).all() and len(self) == len(circle)
         return (int(circle[0]), int(place[0])) if follow and circle[0] * size < count else None
+
+
+@dataclass(frozen=True, eq=False)
+class Definitions:
+    """Conditions G x = 0, without noise, that choose among solutions that fit alike.
+
+    ``rows`` (k, p): G. ``directions`` (p, k): H, what the observations leave open; G H is regular.
+    """
+
+    rows: Floats
+    directions: Floats
+
+    @cached_property
+    def _back(self) -> Floats:
+        """H (G H)^-1, (p, k)."""
+        return np.asarray(np.linalg.solve((self.rows @ self.directions).T, self.directions.T).T)
+
+    def held(self, x: Floats) -> Floats:
+        """Return unknowns (p + q,) that fit as ``x`` does and obey the conditions."""
+        found, p = x.copy(), self.rows.shape[1]
+        found[:p] -= self._back @ (self.rows @ x[:p])
+        return found
+
+    def outputs(self, rows: csr_array) -> Outputs:
+        """Return what ``rows`` C (o, p) are where the conditions hold: C (I - H (G H)^-1 G)."""
+        share = -(rows @ self._back)
+        share[np.abs(share) < ROUNDED * np.abs(share).max(initial=0.0)] = 0.0
+        return Outputs(rows, self.rows, share)

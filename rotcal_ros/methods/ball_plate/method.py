@@ -76,8 +76,10 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     Those of both directions become one curve over the distinct angles:
     :mod:`rotcal_ros.methods.arrivals`.
     """
-    solution = ball_plate.adjust(_chosen(configuration, plan, observations))
-    result, arrivals = ball_plate.result_of(solution), _arrivals(configuration, plan)
+    from rotcal_ros.methods.ball_plate.solver import solve_new
+    chosen = _chosen(configuration, plan, observations)
+    result, arrivals = solve_new.solve(chosen), _arrivals(configuration, plan)
+    return replace(result, angles=arrivals.targets[chosen.table_positions])
     number = {o.step: k for k, o in enumerate(observations)}  # the rows of the plate are steps
     result = replace(
         result,
