@@ -199,6 +199,11 @@ class Circular(Design):
         extra = self.extra * weight[:, None]
         return replace(self, few=few, weight=self.weight * weight, extra=extra)
 
+    def normal(self) -> Floats:
+        """Return the normal matrix (p + q, p + q)."""
+        own, beside = (self.few.T @ self.few).toarray(), self.few.T @ self.extra
+        return np.asarray(np.block([[own, beside], [beside.T, self.extra.T @ self.extra]]))
+
     def times(self, x: Floats) -> Floats:
         """Return the design times ``x`` (p + q,) or (p + q, k)."""
         p = self.few.shape[1]
@@ -261,6 +266,8 @@ class Circular(Design):
 
     def roughly(self, white: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares with any weights; None: nothing does."""
+        if not self.large and self._eliminated is not None:
+            return self._eliminated.solved(self, white)
         found = None if self._iterated is None else self._iterated.solved(self, white)
         if found is None and self._eliminated is not None:
             found = self._eliminated.solved(self, white)
@@ -275,6 +282,8 @@ class Circular(Design):
 
     def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
+        if not self.large and self._eliminated is not None:
+            return False
         mine, others = self._iterated, other._iterated if isinstance(other, Circular) else None
         if mine is None or others is None:
             return False
@@ -545,7 +554,7 @@ class Eliminated:
 
 @dataclass(frozen=True, eq=False)
 class Iterated:
-    """The normal equations of a large circular ``design`` with any weights, by iteration.
+    """The normal equations of a circular ``design`` with any weights, by iteration.
 
     Conjugate gradients, led by the ``orders`` of complete turns of the mean weight.
     """
@@ -555,12 +564,12 @@ class Iterated:
 
     @classmethod
     def of(cls, design: Circular) -> Iterated | None:
-        """Return those of a large ``design``; None of a small one, or where an order is lost."""
+        """Return those of a ``design``; None where it has extra columns, or is not firm."""
         turns = design.turns
-        if turns.size < LARGE or design.extra.shape[1]:
+        if design.extra.shape[1]:
             return None
         orders = ByOrder.of(turns, turns.shares(design.weight)[0].mean(axis=1))
-        return None if orders is None or len(orders.lost[0]) else cls(design, orders)
+        return None if orders is None else cls(design, orders)
 
     @cached_property
     def _share(self) -> Floats:

@@ -9,7 +9,8 @@ from scipy.sparse import block_diag as blocks_of
 from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.circles import Circular
-from rotcal_ros.adjust.designs import Derivatives, design_of
+from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import Design, Whole
 from rotcal_ros.adjust.model import Disturbing, Equations, Grouping, Model, Unit, steps
@@ -139,7 +140,8 @@ def _design(layout: PlateLayout, drift: Floats) -> Design:
     rows = layout.rows
     if not _turned_noise(problem):
         rows = csr_array(blocks_of(np.swapaxes(layout.radial, 1, 2)) @ rows)
-    found = design_of(rows)
+    joined = np.arange(6 * layout.counts[0], layout.unknowns)
+    found = FewEach(rows, np.zeros((0, layout.unknowns)), groups=Groups.of(rows, joined))
     return found.with_extra(drift) if drift.shape[1] else found
 
 
