@@ -171,14 +171,14 @@ class Groups:
         of_row = number[label[:n]]
         idle = of_row < 0  # rows of shared unknowns alone fit into any group
         of_row[idle] = np.arange(int(idle.sum())) % len(groups)
-        at, at_row = _within(group), _within(of_row)
+        at, at_row = within(group), within(of_row)
         size, depth = int(at.max()) + 1, int(at_row.max()) + 1
         own, shared = np.full((len(groups), size), -1), np.flatnonzero(~alone)
         own[group, at] = np.flatnonzero(alone)
         slot = np.zeros(p, dtype=np.int64)
         slot[alone], slot[~alone] = at, size + np.arange(len(shared))
         lacking, absent = np.nonzero(own < 0)
-        more = _within(lacking)
+        more = within(lacking)
         whole, width = depth + int(more.max(initial=-1)) + 1, size + len(shared)
         place = of_row * whole + at_row
         return cls(
@@ -350,6 +350,18 @@ class Bordered(Kernel):
         found[last[:, None], last] += (rows[last][:, None] == rows[last]) * 1.0
         return np.asarray(found)
 
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        n, known = len(self.groups.place), len(self.root)
+        if (rows >= n).any():
+            return super().among_each(rows)
+        low = self._low_rank(rows.ravel()).T.reshape(*rows.shape, -1)
+        group, at = np.divmod(self.groups.place[rows], self.groups.depth)
+        basis, alike = self.basis[group, at], group[:, :, None] == group[:, None]
+        border, tied = low[:, :, known:], low[:, :, :known]
+        found = border @ border.swapaxes(1, 2) - tied @ tied.swapaxes(1, 2)
+        return np.asarray(found + basis @ basis.swapaxes(1, 2) * alike)
+
     @cached_property
     def leverage(self) -> Floats:
         """The diagonal (n + m,) of J N^-1 J'."""
@@ -422,7 +434,7 @@ def _triangle(matrix: Floats) -> Floats:
     return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
-def _within(group: Ints) -> Ints:
+def within(group: Ints) -> Ints:
     """Return which one of its group each member (k,) is, from 0."""
     order = np.argsort(group, kind="stable")
     sizes = np.bincount(group)

@@ -75,22 +75,25 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     name = diagnosis.model.names
     why = {row: f"{name[row]}: far off all others" for row in gross.tolist()}
-    return replace(diagnosis, why=why, price=_price_of_single(diagnosis) * len(gross))
+    return replace(diagnosis, why=why, price=_price(diagnosis.model, gross))
 
 
-def _price_of_single(diagnosis: Diagnosis) -> float:
-    """Return the price of one observation that explains itself, of as many as there are."""
-    return 3.0 * float(np.log(len(diagnosis.model.observed)))
+def _price(model: Model, rows: Ints) -> float:
+    """Return the price of ``rows`` that explain themselves, by elements among all."""
+    elements = len(np.unique(model.of_element[rows]))
+    return (len(rows) + 2 * elements) * float(np.log(len(model.observed)))
 
 
 def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     """Return the diagnosis with those of the ``gross`` observations that agree after all."""
-    limit = diagnosis.limits.outlier(diagnosis.model)
-    back = gross[np.abs(diagnosis.fit.test_value[gross]) <= limit].tolist()
+    model, fit = diagnosis.model, diagnosis.fit
+    squares, rank = fit.element_test
+    agrees = squares <= diagnosis.limits.of_squares(model, rank)
+    back = gross[agrees[model.of_element[gross]]].tolist()
     if not back:
         return diagnosis
     why = {row: text for row, text in diagnosis.why.items() if row not in back}
-    price = diagnosis.price - _price_of_single(diagnosis) * len(back)
+    price = diagnosis.price - _price(model, np.array(back))
     return _explained(replace(diagnosis, why=why, price=price))
 
 

@@ -8,8 +8,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rotcal_ros.adjust.distributions import normal_isf, sidak
+from rotcal_ros.adjust.distributions import chi2_isf, normal_isf, sidak
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.gathering import Gathering
 from rotcal_ros.adjust.judgement import Blame
@@ -32,12 +33,16 @@ class Limits:
     rejected_share: float = 0.05
 
     def outlier(self, model: Model) -> float:
-        """Return the test value that no sound observation exceeds, but for ``rejection``."""
+        """Return the test value that no sound row exceeds, but for ``rejection``."""
         return normal_isf(0.5 * self.of_each_observation(model))
 
     def of_each_observation(self, model: Model) -> float:
         """Return the significance of the test of each single observation."""
-        return sidak(self.rejection, int(model.may_go.sum()))
+        return sidak(self.rejection, model.rejectable)
+
+    def of_squares(self, model: Model, rank: ArrayLike) -> Floats:
+        """Return the same of squared test values (m,) of elements with so many rows each."""
+        return chi2_isf(self.of_each_observation(model), np.maximum(rank, 1))
 
     def of_each_effect(self, model: Model) -> float:
         """Return the significance of the test of each declared effect."""
@@ -99,6 +104,11 @@ class Diagnosis:
     contests: tuple[Contest, ...] = ()
     price: float = 0.0
 
+    @property
+    def lost(self) -> int:
+        """How many elements were left out."""
+        return len({self.model.of_element[row] for row in self.why})
+
     @cached_property
     def used(self) -> Bools:
         """The observations (n,) in use: those that nothing was said against."""
@@ -118,9 +128,10 @@ class Diagnosis:
     def in_words(self) -> str:
         """Return what is wrong with the observations."""
         name = self.model.names
-        gone = ", ".join(name[row] for row in sorted(self.why)[:8])
-        if len(self.why) > 8:
-            gone = f"{gone} and {len(self.why) - 8} others"
+        every = list(dict.fromkeys(name[row] for row in sorted(self.why)))
+        gone = ", ".join(every[:8])
+        if len(every) > 8:
+            gone = f"{gone} and {len(every) - 8} others"
         parts = [f"{gone} are wrong"] if gone else []
         return " and ".join([*parts, *(e.what for e in self.taken)]) or "nothing is wrong"
 

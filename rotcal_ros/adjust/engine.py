@@ -26,7 +26,7 @@ import numpy as np
 from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import found_causes
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
-from rotcal_ros.adjust.distributions import chi2_sf, detected, noise_growth, normal_sf, t_isf
+from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
@@ -229,7 +229,7 @@ class Adjusted:
     @property
     def verdict(self) -> Verdict:
         """Whether the model describes the observations."""
-        share = len(self.why) / max(int(self.model.may_go.sum()), 1)
+        share = self.diagnosis.lost / max(self.model.rejectable, 1)
         larger = self.scale * self.diagnosis.noise.factors.max(initial=1.0)
         if share > FAILED_SHARE or (larger > FAILED_FACTOR and not self.model.unstated):
             return "failed"
@@ -324,7 +324,9 @@ class Adjusted:
         def rows(values: Floats) -> Floats:
             return values[: count * coordinates].reshape(count, coordinates)
 
-        residual, test = rows(fit.residual), rows(fit.test_value)
+        mixed = self.model.mixed
+        read = fit.residual if mixed is None else mixed @ fit.residual
+        residual, test = rows(read), rows(fit.test_value)
         worst = np.abs(test).argmax(axis=1)
         return Residuals(
             *places,
@@ -480,10 +482,10 @@ def _doubts(found: Adjusted) -> Iterator[str]:
     )
     if not found.fit.dof:
         yield f"no {model.words.elements} are left to check the others: nothing could contradict"
-    share = len(found.why) / max(int(model.may_go.sum()), 1)
-    if share > limits.rejected_share:
+    lost, all_of_them = found.diagnosis.lost, model.rejectable
+    if lost > limits.rejected_share * all_of_them:
         yield (
-            f"{len(found.why)} of {int(model.may_go.sum())} {model.words.elements} were left out, "
+            f"{lost} of {all_of_them} {model.words.elements} were left out, "
             f"more than {100 * limits.rejected_share:g} % is suspicious"
         )
 
@@ -550,38 +552,48 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
 
     The error is that of any of them, as probable, by the largest size that is not left out.
     """
-    model, fit = found.model, found.fit
-    rows = np.flatnonzero(fit.used & model.may_go)
+    model, fit, limits = found.model, found.fit, found.diagnosis.limits
     std, words = found.counting_std[: len(found.value)], model.words
-    if not len(rows) or len(std) * len(rows) > MOST_INFLUENCES:
+    first = model.elements[:, 0]
+    each = np.flatnonzero((fit.used & model.may_go)[first])
+    if not len(each) or len(std) * len(each) > MOST_INFLUENCES:
         return
-    redundancy = fit.redundancy[rows]
-    limit = detected(found.diagnosis.limits.outlier(model), POWER)
-    size = limit / np.sqrt(np.maximum(redundancy, (limit / LARGEST) ** 2))
-    counts = std > 0.0
-    squares = np.zeros(int(counts.sum()))
-    for some in np.array_split(np.arange(len(rows)), len(rows) // AT_ONCE + 1):
-        felt = fit.response_of(rows[some])[: len(std)][counts]
-        squares += felt**2 @ (size[some] ** 2 / len(rows))
+    sizes, counts = (model.elements[each] >= 0).sum(axis=1), std > 0.0
+    squares, significance = np.zeros(int(counts.sum())), limits.of_each_observation(model)
+    for size in np.unique(sizes).tolist():
+        alike = model.elements[each[sizes == size], :size]
+        needed = noncentrality(significance, POWER, size)
+        for rows in np.array_split(alike, alike.size // AT_ONCE + 1):
+            values, ways = np.linalg.eigh(fit.cofactors(rows))
+            felt = fit.response_of(rows.ravel())[: len(std)][counts]
+            felt = (felt.reshape(-1, len(rows), 1, size) @ ways)[:, :, 0]
+            seen = np.maximum(values, needed / LARGEST**2)
+            squares += (felt**2 * needed / seen).sum(axis=(1, 2)) / len(each)
     error = float(np.sqrt((squares / std[counts] ** 2).max(initial=0.0)))
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)
         return
     why = f"{words.elements} hardly check each other: an error in one of them stays unseen"
-    if weak := int((redundancy <= CHECKED).sum()):
+    if weak := _unchecked(fit):
         why = (
-            f"{weak} of {len(rows)} {words.elements} are checked by no other: an error in them "
+            f"{weak} of {len(each)} {words.elements} are checked by no other: an error in them "
             "stays unseen"
         )
     yield Protection("single readings", "not protected", why, error)
 
 
+def _unchecked(fit: Fit) -> int:
+    """Return how many of the elements that may be left out hold a row that no other checks."""
+    open_ = fit.used & fit.model.may_go & (fit.redundancy <= CHECKED)
+    return len(np.unique(fit.model.of_element[open_]))
+
+
 def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     judgement, fit = found.diagnosis.gathering.judgement, found.fit
-    open_ = fit.used & found.model.may_go & (fit.redundancy <= CHECKED)
-    if open_.any():
+    if open_ := _unchecked(fit):
+        every = fit.used[found.model.elements[:, 0]].sum()
         why = (
-            f"{open_.sum()} of {fit.used.sum()} {found.model.words.elements} are checked by no "
+            f"{open_} of {every} {found.model.words.elements} are checked by no "
             "other: an error in them stays unseen"
         )
         yield Protection("one place", "not protected", why)
@@ -589,11 +601,12 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     if judgement is None:
         return
     asked = {group.name for group in judgement.groups}
-    along = {g.kind for g in found.model.groupings if g.along is not None}
-    counts = (row for row in found.diagnosis.gathering.counts if row.kind in along)
-    if any(row.whole > LARGEST_GROUP and row.name not in asked for row in counts):
+    gathers = {g.kind for g in found.model.groupings if g.gathers}
+    counts = (row for row in found.diagnosis.gathering.counts if row.kind in gathers)
+    most = LARGEST_GROUP // found.model.elements.shape[1]
+    if any(row.whole > most and row.name not in asked for row in counts):
         why = (
-            f"of groups of more than {LARGEST_GROUP} {found.model.words.elements} it is not asked "
+            f"of groups of more than {most} {found.model.words.elements} it is not asked "
             "which of them are off together, only whether all of them fit"
         )
         yield Protection("one place", "not protected", why)

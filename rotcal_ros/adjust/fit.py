@@ -110,6 +110,37 @@ class Fit:
         root = np.sqrt(np.where(checked, variance, 1.0))
         return np.where(checked, self.residual / self.std / root, 0.0)
 
+    @cached_property
+    def element_test(self) -> tuple[Floats, Ints]:
+        """T (m,) = r'R^+r of the rows r of each element, and their degrees of freedom.
+
+        Of what is not used, against what the others predict.
+        """
+        first = self.model.elements[:, 0]
+        squares = self.test_value[first] ** 2
+        rank = (squares > 0.0).astype(np.int64)
+        sizes = (self.model.elements >= 0).sum(axis=1)
+        for count in np.unique(sizes[sizes > 1]).tolist():
+            which = np.flatnonzero(sizes == count)
+            rows = self.model.elements[which, :count]
+            values, vectors = np.linalg.eigh(self.cofactors(rows))
+            missed = (self.residual / self.std)[rows]
+            along, checked = (missed[:, None] @ vectors)[:, 0], values > CHECKED
+            each = np.where(checked, along**2 / np.where(checked, values, 1.0), 0.0)
+            squares[which], rank[which] = each.sum(axis=1), checked.sum(axis=1)
+        return squares, rank
+
+    def cofactors(self, rows: Ints) -> Floats:
+        """Return R (m, c, c) of elements; of those not used, that of what others predict."""
+        found, left = np.eye(rows.shape[1]) - self.kernel.among_each(rows), ~self.used[rows[:, 0]]
+        if left.any():
+            flat = rows[left].ravel()
+            design = self.jacobian.rows(flat) / self.std[flat, None]
+            gain = self.kernel.times(design.T).T.reshape(*rows[left].shape, -1)
+            spread = design.reshape(gain.shape) @ gain.swapaxes(1, 2)
+            found[left] = np.eye(rows.shape[1]) + spread
+        return found
+
     @property
     def value(self) -> Floats:
         """All outputs (o + a,)."""

@@ -299,6 +299,11 @@ class Whole(Kernel):
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return np.asarray(self.basis[rows] @ self.basis[rows].T)
 
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        basis = self.basis[rows]
+        return np.asarray(basis @ basis.swapaxes(1, 2))
+
     @property
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""

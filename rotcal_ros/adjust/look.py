@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
-from rotcal_ros.adjust.distributions import t_isf
+from rotcal_ros.adjust.distributions import f_isf
 from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import judged
@@ -91,28 +91,25 @@ class Look:
         ]
         return sorted(near, key=lambda e: -e.support)[:MOST_RIVALS]
 
-    @cached_property
-    def test_value(self) -> Floats:
-        """Test values (n,) of what may go; of estimated noise, over the scatter of the others."""
-        fit = self.fit
-        test = np.where(fit.used & fit.model.may_go, fit.test_value, 0.0)
-        if self.rest is None or fit.dof < 2:
-            return test
-        others = np.maximum(self.rest[0] - test**2, NOTHING) / (fit.dof - 1)
-        return np.asarray(test / np.sqrt(others))
+    def _test(self, element: int) -> tuple[float, float]:
+        """Return the root of T of an element, and its limit.
 
-    @property
-    def outlier(self) -> float:
-        """Limit of a test value; of estimated noise, that of Student's t."""
+        Of estimated noise T is over the scatter of the others, and the limit that of F.
+        """
         model, limits = self.before.model, self.before.limits
+        squares, rank = (float(each[element]) for each in self.fit.element_test)
         if self.rest is None:
-            return limits.outlier(model)
-        if self.fit.dof < 3:
-            return np.inf  # one more or less, and nothing is left to compare it with
-        return t_isf(0.5 * limits.of_each_observation(model), self.fit.dof - 1.0)
+            return float(np.sqrt(squares)), float(np.sqrt(limits.of_squares(model, rank)))
+        left = self.fit.dof - rank
+        if left < 2.0:
+            return float(np.sqrt(squares)), np.inf  # nothing is left to compare it with
+        others = max(self.rest[0] - squares, NOTHING) / left
+        limit = rank * float(f_isf(limits.of_each_observation(model), max(rank, 1.0), left))
+        return float(np.sqrt(squares / others)), float(np.sqrt(limit))
 
     def _stands_out(self, single: Explanation) -> bool:
-        return abs(float(self.test_value[single.rows[0]])) > self.outlier
+        value, limit = self._test(self.before.model.of_element[single.rows[0]])
+        return value > limit
 
     def _support(self, squares: float, rank: int, alternatives: float) -> tuple[float, float]:
         """Return ln of how probable an explanation is, by BIC, among so many of its kind.
@@ -129,23 +126,33 @@ class Look:
 
     @cached_property
     def singles(self) -> list[Explanation]:
-        """That one observation is wrong, those first that stand out most."""
-        test = np.abs(self.test_value)
-        order = np.argsort(-test, kind="stable")[: MOST_RIVALS + 1]
-        return [self._single(row) for row in order.tolist() if test[row] > 0.0]
-
-    def _single(self, row: int) -> Explanation:
+        """That one element is wrong, those first that stand out most."""
         fit, model = self.fit, self.before.model
-        size = float(fit.residual[row] / fit.redundancy[row])
+        first, (squares, rank) = model.elements[:, 0], fit.element_test
+        test = np.where((fit.used & model.may_go)[first], squares, 0.0)
+        merit = test - (rank - 1) * np.log(max(int(fit.used.sum()), 2))
+        order = np.argsort(-merit, kind="stable")[: MOST_RIVALS + 1]
+        return [self._single(k) for k in order.tolist() if test[k] > 0.0]
+
+    def _single(self, element: int) -> Explanation:
+        fit, model = self.fit, self.before.model
+        rows = model.rows_of(np.array([element]))
+        residual, (value, limit) = fit.residual[rows], self._test(element)
+        squares, rank = (float(each[element]) for each in fit.element_test)
+        cofactor = np.eye(len(rows)) - fit.kernel.among(rows)
+        missed = np.linalg.lstsq(cofactor, fit.white[rows], rcond=CHECKED)[0]
+        off, left = (float(np.linalg.norm(each)) for each in (missed * fit.std[rows], residual))
+        sign = float(np.sign(residual[0])) if len(rows) == 1 else 1.0
+        columns = np.zeros((len(fit.white), len(rows)))
+        columns[rows, np.arange(len(rows))] = 1.0
         reason = (
-            f"its test value {self.test_value[row]:+.1f} is beyond {self.outlier:.2f} (residual "
-            f"{model.unit.shown(fit.residual[row])})"
+            f"its test value {sign * value:+.1f} is beyond {limit:.2f} (residual "
+            f"{model.unit.shown(sign * left)})"
         )
-        support, price = self._support(float(fit.test_value[row] ** 2), 1, model.may_go.sum())
+        support, price = self._support(squares, int(rank), model.rejectable)
         return Explanation(
-            f"{model.names[row]} is off by {model.unit.shown(size)}", reason,
-            np.eye(len(fit.white), 1, -row), np.array([row]), support, price,
-            -fit.response_of(np.array([row]))[:, 0] * size / fit.std[row],
+            f"{model.names[rows[0]]} is off by {model.unit.shown(sign * off)}", reason,
+            columns, rows, support, price, -fit.response_of(rows) @ missed,
         )  # fmt: skip
 
     @cached_property
@@ -162,10 +169,12 @@ class Look:
         case, model = blame(group), self.before.model
         if case is None:
             return None
-        rows = case.group.members[case.subset]
-        column = np.isin(np.arange(len(self.fit.white)), rows).astype(np.float64)[:, None]
+        members = case.group.members[case.subset]
+        rows, column = model.rows_of(members), np.zeros((*self.fit.white.shape, case.size.size))
+        by_axis = model.elements[members, : case.size.size]
+        column[by_axis, np.arange(case.size.size)] = 1.0
         test = effect_test(seen_by(self.fit, column))
-        e, k, listed = case.group.size, len(rows), max(len(case.group.gathered), 1)
+        e, k, listed = case.group.size, len(members), max(len(case.group.gathered), 1)
         any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
         subsets = float(np.exp(min(np.log(listed), any_of_them)))
         groups = len(self.diagnosis.gathering.counts)
@@ -174,7 +183,7 @@ class Look:
         return Explanation(
             f"{k} {model.words.elements} of {case.group.name} are off by {size}",
             f"one of {k} of {case.group.name} that are off together by {size}", column, rows,
-            support, price + k - 1.0, case.change, blamed=case,
+            support, price + len(rows) - test.rank, case.change, blamed=case,
         )  # fmt: skip
 
     @cached_property
@@ -230,21 +239,24 @@ class Look:
     def _groups(self) -> list[Group | JudgedWhole | Undivided]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole | Undivided]()
-        for grouping in model.groupings:
-            if grouping.along is None and not fit.jacobian.divided:
+        first, each = model.elements[:, 0], model.elements.shape[1]
+        used, may_go = fit.used[first], model.may_go[first]
+        for grouping in (g.at(first) for g in model.groupings):
+            if not (grouping.gathers or fit.jacobian.divided):
                 found += self._together_each(grouping)
                 continue
-            for number, members in members_of(grouping, model.may_go).items():
-                kept = members[fit.used[members]]
-                if not 1 < len(kept) < len(fit.used):
+            for number, members in members_of(grouping, may_go).items():
+                kept = members[used[members]]
+                if not 1 < len(kept) < len(used):
                     continue
                 name, lost = f"{grouping.kind} {number}", len(members) - len(kept)
-                if len(kept) > LARGEST_GROUP and not fit.jacobian.divided:
-                    found.append(_as_a_whole(fit, grouping.kind, name, kept, lost))
+                if len(kept) * each > LARGEST_GROUP and not fit.jacobian.divided:
+                    rows = model.rows_of(kept)
+                    found.append(_as_a_whole(fit, grouping.kind, name, rows, lost))
                     continue
-                parts = parts_of(grouping, members)
+                parts = parts_of(grouping, members, each)
                 for k, part in enumerate(parts):
-                    here = part[fit.used[part]]
+                    here = part[used[part]]
                     if len(here) > 1:
                         of = f"{name}, part {k + 1} of {len(parts)}" if len(parts) > 1 else name
                         found.append(self._group(grouping, of, here, len(part) - len(here)))
@@ -253,13 +265,15 @@ class Look:
     def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
         """Return groups of which it is not asked what gathers, those of one size at once."""
         fit, model = self.fit, self.before.model
-        every = members_of(grouping, model.may_go)
-        kept = {number: rows[fit.used[rows]] for number, rows in every.items()}
-        kept = {number: rows for number, rows in kept.items() if 1 < len(rows) < len(fit.used)}
+        first = model.elements[:, 0]
+        every, used = members_of(grouping, model.may_go[first]), fit.used[first]
+        kept = {number: each[used[each]] for number, each in every.items()}
+        kept = {number: each for number, each in kept.items() if 1 < len(each) < len(used)}
+        of = {number: model.rows_of(each) for number, each in kept.items()}
         found = dict[int, JudgedWhole]()
-        for size in {len(rows) for rows in kept.values()}:
-            numbers = [number for number, rows in kept.items() if len(rows) == size]
-            rows = np.stack([kept[number] for number in numbers])
+        for size in {len(rows) for rows in of.values()}:
+            numbers = [number for number, rows in of.items() if len(rows) == size]
+            rows = np.stack([of[number] for number in numbers])
             values, vectors = np.linalg.eigh(np.eye(size) - fit.kernel.among_each(rows))
             along, seen = (fit.white[rows][:, None] @ vectors)[:, 0], values > CHECKED
             squares = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
@@ -267,31 +281,35 @@ class Look:
             each = zip(numbers, squares.tolist(), seen.sum(axis=1).tolist(), checked.tolist(),
                        strict=True)  # fmt: skip
             for number, square, rank, share in each:
+                elements = len(kept[number])
                 found[number] = JudgedWhole(
-                    grouping.kind, f"{grouping.kind} {number}", size, (square, rank),
-                    (share, size), len(every[number]) - size,
+                    grouping.kind, f"{grouping.kind} {number}", elements, (square, rank),
+                    (share, size), len(every[number]) - elements,
                 )  # fmt: skip
         return [found[number] for number in kept]
 
-    def _group(self, grouping: Grouping, name: str, rows: Ints, lost: int) -> Group:
-        """Return the group of ``rows`` (e,) that are used, of which ``lost`` ones are not."""
-        fit, gathered = self.fit, gathered_of(grouping, rows)
+    def _group(self, grouping: Grouping, name: str, members: Ints, lost: int) -> Group:
+        """Return the group of elements (e,) that are used, of which ``lost`` ones are not."""
+        fit, gathered = self.fit, gathered_of(grouping, members)
+        table = fit.model.elements[members]
+        rows = table[:, : int((table[0] >= 0).sum())]
         # of others it is not asked what gathers, nor what that would do
-        felt = Sensitivity.whole(np.zeros((0, len(rows))))
+        felt = Sensitivity.whole(np.zeros((0, rows.size)))
         if len(gathered):
-            felt = fit.sensitivity(rows)
+            felt = fit.sensitivity(rows.ravel())
         return Group.of(
-            grouping.kind, name, rows, fit.white[rows][:, None], 1.0 / fit.std[rows][:, None],
-            fit.kernel.among(rows), felt, gathered, lost,
+            grouping.kind, name, members, fit.white[rows], 1.0 / fit.std[rows],
+            fit.kernel.among(rows.ravel()), felt, gathered, lost,
         )  # fmt: skip
 
 
-def parts_of(grouping: Grouping, members: Ints) -> list[Ints]:
+def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
     """Return the ``members`` (e,) of a group in parts that are not too large, one after the other.
 
-    What is asked of a group costs the cube of its members; those of a part are neighbours.
+    What is asked of a group costs the cube of its members, of ``each`` so many rows; those of a
+    part are neighbours.
     """
-    count = -(-len(members) // LARGEST_GROUP)
+    count = -(-len(members) * each // LARGEST_GROUP)
     if count == 1:
         return [members]
     along = members if grouping.along is None else grouping.along[members]
@@ -311,4 +329,5 @@ def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> Judged
     rank = len(rows) - (fit.kernel.rank - rest[1])
     checked = float(fit.redundancy[rows].sum())
     together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
-    return JudgedWhole(kind, name, len(rows), together, checks, lost)
+    elements = len(np.unique(fit.model.of_element[rows]))
+    return JudgedWhole(kind, name, elements, together, checks, lost)

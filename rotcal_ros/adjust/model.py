@@ -15,15 +15,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import block_diag, csc_array, csr_array
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.bordered import FewEach, Groups, within
 from rotcal_ros.adjust.designs import Derivatives, dense, design_of
 from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
 from rotcal_ros.adjust.outputs import Definitions, Outputs
-from rotcal_ros.adjust.subsets import runs
+from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import Effect
@@ -67,17 +67,35 @@ class Grouping(NamedTuple):
     """Observations that may be spoiled together: of one station, position, target or run.
 
     ``number`` (n,): which one each belongs to, -1 for none. ``along`` (n,): a time or place along
-    which neighbours are spoiled together; None: only the whole group is judged.
+    which neighbours are spoiled together. ``near`` (n, k): places with neighbours all round, unit
+    vectors for directions, of which a sector closes round the circle. Of neither: only the whole
+    group is judged.
     """
 
     kind: str
     number: Ints
     along: Floats | None = None
+    near: Floats | None = None
 
-    def with_others(self, count: int) -> Grouping:
-        """Return the same beside further observations that belong to none."""
-        along = None if self.along is None else np.append(self.along, np.zeros(count))
-        return self._replace(number=np.append(self.number, np.full(count, -1)), along=along)
+    @property
+    def gathers(self) -> bool:
+        """Whether it says which observations lie together."""
+        return self.along is not None or self.near is not None
+
+    def at(self, rows: Ints) -> Grouping:
+        """Return the same of some ``rows`` (k,) alone."""
+        along, near = (None if each is None else each[rows] for each in (self.along, self.near))
+        return Grouping(self.kind, self.number[rows], along, near)
+
+    def with_others(self, below: int, above: int = 0) -> Grouping:
+        """Return the same beside further observations, below and above, that belong to none."""
+        rows = (above, below)
+        return Grouping(
+            self.kind,
+            np.pad(self.number, rows, constant_values=-1),
+            None if self.along is None else np.pad(self.along, rows),
+            None if self.near is None else np.pad(self.near, (rows, (0, 0))),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,6 +327,8 @@ class Model:
     ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations;
     else they are called by their groups. What is known beforehand joins by :meth:`knowing`. Rows
     that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
+    ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
+    and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     """
 
     blocks: Mapping[str, int]
@@ -327,6 +347,8 @@ class Model:
     effects: Sequence[Disturbing] = ()
     row_names: Sequence[str] = ()
     correlated: Sequence[Correlated] = ()
+    element: Ints | None = None
+    mixed: csr_array | None = None
     definitions: Definitions | None = None
     unstated: bool = False
 
@@ -345,11 +367,17 @@ class Model:
             *((name, rows, (len(rows), p)) for name, rows in self.also.items()),
             ("component", self.of_component, (n,)),
             ("judged", self.may_go, (n,)),
+            *((("element", self.element, (n,)),) if self.element is not None else ()),
             *((f"numbers of {g.kind}", g.number, (n,)) for g in self.groupings),
             *(
                 (f"places of {g.kind}", g.along, (n,))
                 for g in self.groupings
                 if g.along is not None
+            ),
+            *(
+                (f"places near each other of {g.kind}", g.near, (n, np.size(g.near) // n))
+                for g in self.groupings
+                if g.near is not None
             ),
             *((f"columns of {e.effect}", e.at(self.observed), None) for e in self.effects),
         ):
@@ -364,6 +392,50 @@ class Model:
             raise DataError("std of the model: expected positive numbers")
         if not np.isin(self.of_component, np.arange(len(self.components))).all():
             raise DataError(f"component of the model: expected 0 to {len(self.components) - 1}")
+        self._check_elements()
+
+    def _check_elements(self) -> None:
+        if self.element is None:
+            return
+        first = self.elements[self.of_element, 0]
+        sizes = (self.elements >= 0).sum(axis=1)[self.of_element]
+        for what, each in (("judged", self.may_go), *((g.kind, g.number) for g in self.groupings)):
+            if (each != each[first]).any():
+                raise DataError(f"{what} of the model: expected the same for all of an element")
+        for g in self.groupings:
+            mixed = [k for k, rows in members_of(g, self.may_go).items() if np.ptp(sizes[rows])]
+            if mixed:
+                raise DataError(f"elements of {g.kind} {mixed[0]}: expected as many rows in each")
+
+    @cached_property
+    def of_element(self) -> Ints:
+        """Which of the elements (n,) each observation belongs to."""
+        n = len(self.observed)
+        if self.element is None:
+            return np.arange(n)
+        alone = self.element.max(initial=-1) + 1 + np.arange(n)
+        number = np.where(self.element < 0, alone, self.element)
+        _, first, which = np.unique(number, return_index=True, return_inverse=True)
+        return np.asarray(np.argsort(np.argsort(first))[which])
+
+    @cached_property
+    def elements(self) -> Ints:
+        """Rows (m, c) of each element, -1 where one has fewer."""
+        number = self.of_element
+        at = within(number)
+        found = np.full((int(number.max()) + 1, int(at.max()) + 1), -1)
+        found[number, at] = np.arange(len(number))
+        return found
+
+    @cached_property
+    def rejectable(self) -> int:
+        """How many elements may be left out."""
+        return int(self.may_go[self.elements[:, 0]].sum())
+
+    def rows_of(self, elements: Ints) -> Ints:
+        """Return the rows of some ``elements`` (k,)."""
+        rows = self.elements[elements].ravel()
+        return np.asarray(rows[rows >= 0])
 
     @property
     def size(self) -> tuple[int, int]:
@@ -419,7 +491,8 @@ class Model:
         """What people call each observation: its groups, and which one of several it is."""
         if self.row_names or not self.groupings:
             return self.row_names or [f"observation {k}" for k in range(len(self.observed))]
-        groups = zip(*(g.number.tolist() for g in self.groupings), strict=True)
+        first = self.elements[:, 0]
+        groups = zip(*(g.number[first].tolist() for g in self.groupings), strict=True)
         kinds = [g.kind for g in self.groupings]
         plain = [
             ", ".join(f"{kind} {k}" for kind, k in zip(kinds, numbers, strict=True) if k >= 0)
@@ -429,7 +502,7 @@ class Model:
         for name in plain:
             seen[name] += 1
             found.append(f"{name} ({seen[name]} of {whole[name]})" if whole[name] > 1 else name)
-        return found
+        return [found[k] for k in self.of_element.tolist()]
 
     def linearised(self, x: Floats) -> tuple[Floats, Design]:
         """Return the computed observations (n,) and their design at ``x`` (p,)."""
@@ -478,6 +551,10 @@ class Model:
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[spared(effect) for effect in self.effects],
             row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
+            element=None if self.element is None else np.append(self.element, np.full(k, -1)),
+            mixed=self.mixed
+            if self.mixed is None
+            else csr_array(block_diag([self.mixed, np.eye(k)])),
         )
 
     def sharing(self, errors: Floats) -> Model:
@@ -496,21 +573,49 @@ class Model:
             white = white + (ways * (by - 1.0)) @ (ways.T @ white)
             return np.asarray((white.T * self.std).T)
 
-        def freed(values: Floats) -> Floats:
-            return changed(values, 1.0 / root)
+        def equations(x: Floats) -> tuple[Floats, Derivatives]:
+            computed, design = self.equations(x)
+            return changed(computed, 1.0 / root), changed(dense(design), 1.0 / root)
+
+        return self._changed(
+            equations, lambda of: changed(of, 1.0 / root), lambda of: changed(of, root)
+        )
+
+    def with_blocks(self, covariance: Floats) -> Model:
+        """Return the model of elements of c rows whose noise is correlated, made independent.
+
+        ``covariance`` (m, c, c) of each element's. As in :meth:`sharing` by the symmetric root,
+        of the correlations: rows keep their ``std``, which are the roots of its diagonal.
+        """
+        std = np.sqrt(covariance.diagonal(axis1=1, axis2=2))  # (m, c)
+        size, ways = np.linalg.eigh(covariance / std[:, :, None] / std[:, None])
+        scale = std[:, :, None] / std[:, None]
+        there, rows = self.elements >= 0, self.elements[self.elements >= 0]
+        order = np.argsort(rows)
+
+        def blocks(power: float) -> csr_array:
+            each = scale * ((ways * size[:, None] ** power) @ ways.swapaxes(1, 2))
+            whole = block_diag([b[np.ix_(t, t)] for b, t in zip(each, there, strict=True)])
+            return csr_array(csr_array(whole)[order][:, order])
+
+        to, back = blocks(-0.5), blocks(0.5)
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
-            return freed(computed), freed(dense(design))
+            return to @ computed, to @ (design if isinstance(design, csr_array) else dense(design))
 
-        return replace(
-            self,
-            observed=freed(self.observed),
-            equations=equations,
-            effects=[
-                e.mapped(freed, lambda computed: changed(computed, root)) for e in self.effects
-            ],
-        )
+        alone = replace(self, std=std[there][order], mixed=back)
+        return alone._changed(equations, lambda of: np.asarray(to @ of), lambda of: back @ of)
+
+    def _changed(
+        self,
+        equations: Equations,
+        to: Callable[[Floats], Floats],
+        back: Callable[[Floats], Floats],
+    ) -> Model:
+        """Return the model of combinations of its observations, which ``back`` takes back."""
+        effects = [e.mapped(to, back) for e in self.effects]
+        return replace(self, observed=to(self.observed), equations=equations, effects=effects)
 
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""
@@ -545,6 +650,9 @@ def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
 
 def gathered_of(grouping: Grouping, members: Ints) -> Bools:
     """Return which members (e,) of a group lie together, (q, e); none where nothing says so."""
-    if grouping.along is None:
-        return np.zeros((0, len(members)), dtype=np.bool_)
-    return runs(grouping.along[members])
+    found = [np.zeros((0, len(members)), dtype=np.bool_)]
+    if grouping.along is not None:
+        found.append(runs(grouping.along[members]))
+    if grouping.near is not None:
+        found.append(neighbourhoods(grouping.near[members]))
+    return distinct(*found)

@@ -56,6 +56,7 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     miss = np.abs(fit.residual) / model.std
     scatter = max(float(np.median(miss)) / NORMAL_QUARTILE, 1.0)
     gross = (miss > GROSS * limits.outlier(model) * scatter) & model.may_go
+    gross = np.isin(model.of_element, model.of_element[gross])
     try:
         fitted(model, ~gross, model.std, fit.x)
     except RotcalError:
@@ -86,11 +87,13 @@ def _concentrated(model: Model, fit: Fit) -> Fit:
 
 def _better(model: Model, fit: Fit) -> Bools:
     """Return the observations (n,) that miss least in every group of the first grouping."""
-    miss = np.abs(fit.residual) / model.std
-    kept = ~model.may_go
-    number = model.groupings[0].number if model.groupings else np.zeros(len(miss), dtype=np.int64)
+    whole, first = model.of_element, model.elements[:, 0]
+    count = np.bincount(whole)
+    miss = np.sqrt(np.bincount(whole, (fit.residual / model.std) ** 2) / count)
+    kept = ~model.may_go[first]
+    number = model.groupings[0].number[first] if model.groupings else np.zeros_like(first)
     for group in np.unique(number):
-        rows = np.flatnonzero((number == group) & model.may_go)
-        count = int(np.ceil(KEPT * len(rows)))
-        kept[rows[np.argsort(miss[rows], kind="stable")[:count]]] = True
-    return kept
+        each = np.flatnonzero((number == group) & model.may_go[first])
+        better = np.argsort(miss[each], kind="stable")[: int(np.ceil(KEPT * len(each)))]
+        kept[each[better]] = True
+    return np.asarray(kept[whole])

@@ -17,8 +17,8 @@ import numpy as np
 
 from rotcal_ros.adjust.designs import Derivatives, dense
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.adjust.model import Disturbing, Model, Unit
+from rotcal_ros.foundation.arrays import Floats, Ints
 
 IN_NOISE: Final = Unit("standard deviations", 1.0)
 """In which people read the observations of several instruments."""
@@ -106,7 +106,7 @@ def stacked(
         ),
         judged=np.concatenate([m.may_go for m in parts]),
         groupings=[
-            _grouping(name, grouping, at, n)
+            grouping._replace(kind=f"{name}, {grouping.kind}").with_others(n - at.stop, at.start)
             for (name, model), at, _ in every
             for grouping in model.groupings
         ],
@@ -121,7 +121,15 @@ def stacked(
             for m, at in zip(parts, rows, strict=True)
             for each in m.correlated
         ],
+        element=_elements(parts),
     )
+
+
+def _elements(models: Sequence[Model]) -> Ints | None:
+    if all(model.element is None for model in models):
+        return None
+    first = np.cumsum([0, *(len(m.elements) for m in models)])
+    return np.concatenate([m.of_element + k for m, k in zip(models, first, strict=False)])
 
 
 def _together(
@@ -151,15 +159,6 @@ def _spread(rows: Floats, columns: Floats, unknowns: int) -> Floats:
     found = np.zeros((len(rows), unknowns))
     found[:, columns] = rows
     return found
-
-
-def _grouping(name: str, grouping: Grouping, at: slice, n: int) -> Grouping:
-    number = np.full(n, -1)
-    number[at] = grouping.number
-    along = None if grouping.along is None else np.zeros(n)
-    if along is not None:
-        along[at] = grouping.along
-    return Grouping(f"{name}, {grouping.kind}", number, along)
 
 
 def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:

@@ -111,7 +111,8 @@ def plate_model(layout: PlateLayout) -> Model:
             for kind, number in each.items()
         ],
         effects=_effects(layout, seen, times),
-        row_names=[f"{axis} of {name}" for name in names for axis in axes],
+        row_names=[name for name in names for _ in range(3)],
+        element=np.repeat(np.arange(n), 3),
         definitions=layout.defined,
         unstated=unstated,
     )
