@@ -49,6 +49,11 @@ class Outputs:
         return cls(csr_array(rows - common), common, np.ones((len(rows), 1)))
 
     @classmethod
+    def alone(cls, rows: csr_array) -> Outputs:
+        """Return ``rows`` (o, p) that share nothing."""
+        return cls(rows, np.zeros((0, rows.shape[1])), np.zeros((rows.shape[0], 0)))
+
+    @classmethod
     def picked(cls, unknowns: Ints, common: Floats) -> Outputs:
         """Return some ``unknowns`` (o,) of p, each beside the row ``common`` (p,)."""
         o = len(unknowns)
@@ -160,8 +165,15 @@ class Definitions:
         found[:p] -= self._back @ (self.rows @ x[:p])
         return found
 
-    def outputs(self, rows: csr_array) -> Outputs:
+    def outputs(self, rows: csr_array | Outputs) -> Outputs:
         """Return what ``rows`` C (o, p) are where the conditions hold: C (I - H (G H)^-1 G)."""
-        share = -(rows @ self._back)
+        rows = rows if isinstance(rows, Outputs) else Outputs.alone(rows)
+        share = -rows.times(self._back)
         share[np.abs(share) < ROUNDED * np.abs(share).max(initial=0.0)] = 0.0
-        return Outputs(rows, self.rows, share)
+        common = np.concatenate([rows.common, self.rows])
+        return Outputs(rows.few, common, np.hstack([rows.share, share]))
+
+    def wider(self, count: int) -> Definitions:
+        """Return the same beside ``count`` further unknowns, of which nothing is said."""
+        more = np.zeros((len(self.rows), count))
+        return Definitions(np.hstack([self.rows, more]), np.concatenate([self.directions, more.T]))

@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.circles import Circular, Turns
-from rotcal_ros.adjust.outputs import Definitions
+from rotcal_ros.adjust.outputs import Definitions, Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.ball_plate.solver.problem import (
@@ -315,20 +315,52 @@ class PlateLayout:
 
         At all table positions in use, in their order, one component after the other.
         """
-        table = self.counts[0]
-        order = np.argsort(self.table_positions)
-        alpha = self.problem.angles[self.table_steps[order]]
-        cos, sin, none = np.cos(alpha), np.sin(alpha), np.zeros(table)
-        blocks = []
+        table, order = self.counts[0], np.argsort(self.table_positions)
+        turned = self.turned[0][order]
+        row = np.arange(3 * table).reshape(3, table)[:, :, None]
+        column = order[:, None] + table * np.arange(3)
+        found = []
         for first, length in ((0, 1.0), (3 * table, self.problem.radius)):
-            x, y, z = (first + axis * table + order for axis in range(3))
-            for columns, values in (
-                ((x, y), (cos, -sin)), ((x, y), (sin, cos)), ((z, z), (none + 1.0, none))
-            ):  # fmt: skip
-                blocks.append((np.stack(columns, axis=1), np.stack(values, axis=1) / length))
-        column = np.concatenate([each for each, _ in blocks])
-        value = np.concatenate([each for _, each in blocks])
-        entries = value.ravel(), column.ravel(), 2 * np.arange(len(column) + 1)
-        found = csr_array(entries, shape=(6 * table, self.unknowns))
-        found.sum_duplicates()
-        return found
+            value = np.swapaxes(turned, 0, 1) / length
+            at = np.broadcast_arrays(row, first + column)
+            shape = (3 * table, self.unknowns)
+            found.append(csr_array((value.ravel(), tuple(k.ravel() for k in at)), shape=shape))
+        whole = csr_array(vstack(found, format="csr"))
+        whole.eliminate_zeros()
+        return whole
+
+    def others(self) -> dict[str, Outputs]:
+        """Return what takes unknowns to the places of the balls (3 R, p) and to all of the CMM.
+
+        That are its errors (3 S, p) and the pose of the axis in each group, shifts and turns of
+        it (3 g, p), m and rad.
+        """
+        (table, cmm, ball), poses = self.counts, 6 * self.groups
+        first = 6 * table + cmm * np.arange(3)[:, None]
+        posing = np.zeros((poses, self.unknowns))
+        every = self._posing.transpose(0, 1, 3, 2).reshape(poses, -1)
+        posing[:, 6 * table : 6 * table + 3 * cmm] = every
+        at = 6 * self.group[1][:, None, None] + np.arange(6)
+        share = np.zeros((cmm, 3, poses))
+        np.put_along_axis(share, np.repeat(at, 3, axis=1), -self.turned[1] @ self._pose, axis=2)
+        own = _blocks(self.turned[1], (first + np.arange(cmm)).T, self.unknowns)
+        seat = 6 * table + 3 * cmm + np.arange(3 * ball).reshape(-1, 3)
+        nothing = csr_array((3 * self.groups, self.unknowns))
+        pick = np.eye(poses).reshape(self.groups, 2, 3, poses).swapaxes(0, 1)
+        pick = pick.reshape(2, -1, poses)
+        return {
+            "plate_errors": Outputs.alone(_blocks(self.turned[2], seat, self.unknowns)),
+            "cmm_errors": Outputs(own, posing, share.reshape(-1, poses)),
+            "axis_rotation": Outputs(nothing, posing, pick[1] / self.problem.radius),
+            "axis_shift": Outputs(nothing, posing, pick[0]),
+        }
+
+
+def _blocks(values: Floats, columns: Ints, unknowns: int) -> csr_array:
+    """Return rows (3 m, p) of blocks ``values`` (m, 3, 3) at ``columns`` (m, 3) each."""
+    m = len(values)
+    row = np.repeat(np.arange(3 * m), 3)
+    at = np.repeat(columns, 3, axis=0).ravel()
+    found = csr_array((values.ravel(), (row, at)), shape=(3 * m, unknowns))
+    found.eliminate_zeros()
+    return found

@@ -1,0 +1,220 @@
+"""The centres of a plate as a model of the engine: their noise, groups, and what may spoil them.
+
+The unknowns and the exact equations are those of :mod:`.layout`. Centres are written radial,
+tangential and axial where x and y have the same noise, else as x, y and z.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.sparse import block_diag, csr_array
+
+from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.designs import Derivatives
+from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.kernels import Design, Whole
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit, steps
+from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
+
+UM: Final = Unit("um", MICROMETRE)
+WORDS: Final = Words("centres", "dirt, a touched plate or warm air", "there", "there")
+IN_PLANE, ALONG_AXIS = "the centres in the plane", "the centres along the axis"
+LARGEST: Final = 1e-4
+"""Drift or move, m, that nobody would overlook."""
+LARGEST_GROWTH: Final = 5e-4
+"""The same of a growth over a run: 20 K of aluminium."""
+QUARTILE: Final = 0.6745
+"""Median of |x| for a standard normal x."""
+ROUNDING: Final = 1e3 * np.finfo(np.float64).eps
+"""Standard deviation below which a coordinate has no noise, as part of the radius."""
+JUDGED: Final = 1200
+"""Unknowns up to which it is asked which centres of a place are off together."""
+
+
+class PlateRows:
+    """The rows of a model: three of each centre of a ``layout``, in the order of measurement.
+
+    ``frame`` (n, 3, 3) takes machine coordinates to them.
+    """
+
+    def __init__(self, layout: PlateLayout) -> None:
+        self.layout, self.problem = layout, layout.problem
+        std = self.problem.std
+        self.turned = std is None or bool((std[:, 0] == std[:, 1]).all())
+        self.frame = layout.radial if self.turned else np.eye(3)[None].repeat(len(layout.row), 0)
+        self.time = self.problem.run_time[layout.row]
+        self.drift = self.of(drift_columns(self.time, self.problem.drift))
+
+    def of(self, displacements: Floats) -> Floats:
+        """Return rows (3 n, k) of ``displacements`` (n, 3, k) in machine coordinates."""
+        return np.asarray((self.frame @ displacements).reshape(3 * len(self.frame), -1))
+
+    def design(self) -> Design:
+        """Return the design: by circles where these are complete and all centres weigh alike."""
+        layout, problem = self.layout, self.problem
+        circular = layout.circular if self.turned and problem.weighed_alike else None
+        if circular is not None and circular.kernel() is not None:
+            return circular.with_extra(self.drift)
+        rows = layout.rows
+        if not self.turned:
+            rows = csr_array(block_diag(np.swapaxes(layout.radial, 1, 2), format="csr") @ rows)
+        joined = np.arange(6 * layout.counts[0], layout.unknowns)
+        found = FewEach(rows, np.zeros((0, layout.unknowns)), groups=Groups.of(rows, joined))
+        return found.with_extra(self.drift) if self.problem.drift else found
+
+    def computed(self, x: Floats) -> Floats:
+        """Return what the unknowns make of the rows (3 n,)."""
+        layout = self.layout
+        centres = layout.computed(x)
+        if not self.turned:
+            centres = (np.swapaxes(layout.radial, 1, 2) @ centres[:, :, None])[:, :, 0]
+        return np.asarray(centres.ravel() + self.drift @ x[layout.unknowns :])
+
+    def noise(self, design: Design, misclosure: Floats) -> Floats:
+        """Return standard deviations (3 n,), m: as stated, else as a first fit shows them."""
+        problem, n = self.problem, len(self.frame)
+        if problem.std is not None:
+            return problem.std[self.layout.row].ravel()
+        if problem.sigma is not None:
+            return np.full(3 * n, problem.sigma)
+        kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
+        left = np.abs(misclosure - kernel.taken(misclosure[:, None])[:, 0])
+        checked = np.maximum(1.0 - kernel.leverage, ROUNDING)
+        axial = np.tile([False, False, True], n)
+        least, every = ROUNDING * problem.radius, left / np.sqrt(checked) / QUARTILE
+        found = [max(float(np.median(every[part])), least) for part in (~axial, axial)]
+        return np.where(axial, found[1], found[0])
+
+
+def drift_columns(run_time: Floats, degree: int) -> Floats:
+    """Return the displacement (n, 3, 3 degree) of centres by a drift of 1 m over the run.
+
+    ``run_time`` runs from -0.5 to 0.5. The linear part comes first, then the bow: 1 m more at
+    both ends than in the middle.
+    """
+    shapes = np.stack([run_time, 4.0 * run_time**2], axis=1)[:, :degree]
+    columns = shapes[:, None, :, None] * np.eye(3)[:, None, :]
+    return columns.reshape(len(run_time), 3, 3 * degree)
+
+
+def plate_motion(problem: BallPlateProblem) -> Floats:
+    """Return what a motion of the plate on the table does to the centres, (n, 3, 6).
+
+    Shifts along x, y, z and turns about them, times the radius, in the frame of the table at
+    position 0.
+    """
+    x, y, _ = on_circle(problem.angles).T
+    table, ball, place = problem.position, problem.ball_step, problem.cmm_index
+    motion = np.zeros((len(table), 3, 6))
+    motion[:, 0, 0], motion[:, 1, 0] = x[table], y[table]
+    motion[:, 0, 1], motion[:, 1, 1] = -y[table], x[table]
+    motion[:, 2, 2] = 1.0
+    motion[:, 2, 3], motion[:, 2, 4] = y[ball], -x[ball]
+    motion[:, 0, 5], motion[:, 1, 5] = -y[place], x[place]
+    return motion
+
+
+def plate_model(layout: PlateLayout) -> Model:
+    """Return unknowns, centres and what could spoil them; outputs are the six deviations."""
+    rows, problem = PlateRows(layout), layout.problem
+    n, (table, cmm, ball) = len(layout.row), layout.counts
+    design, drifts = rows.design(), rows.drift.shape[1]
+    observed = rows.of(problem.centres[layout.row][:, :, None]).ravel()
+
+    def equations(x: Floats) -> tuple[Floats, Derivatives]:
+        return rows.computed(x), design
+
+    start = np.zeros(layout.unknowns + drifts)
+    defined = layout.defined.wider(drifts)
+    others = layout.others()
+    blocks = {"table shift": 3 * table, "table turn": 3 * table, "CMM": 3 * cmm, "ball": 3 * ball}
+    return Model(
+        blocks=blocks | ({"drift": drifts} if drifts else {}),
+        observed=observed,
+        std=rows.noise(design, observed - rows.computed(start)),
+        equations=equations,
+        outputs=defined.outputs(_wider(Outputs.alone(layout.curves()), drifts)),
+        also={name: defined.outputs(_wider(each, drifts)) for name, each in others.items()},
+        words=WORDS,
+        unit=UM,
+        components=(IN_PLANE, ALONG_AXIS),
+        component=np.tile([0, 0, 1], n),
+        groupings=_groupings(layout),
+        effects=_effects(rows),
+        row_names=[problem.row_name(k) for k in layout.row.tolist() for _ in range(3)],
+        element=np.repeat(np.arange(n), 3),
+        definitions=defined,
+        unstated=problem.std is None and problem.sigma is None,
+    )
+
+
+def _wider(outputs: Outputs, more: int) -> Outputs:
+    """Return ``outputs`` beside ``more`` unknowns, which they do not feel."""
+    few, (o, p) = outputs.few, outputs.shape
+    few = csr_array((few.data, few.indices, few.indptr), shape=(o, p + more))
+    return Outputs(few, np.pad(outputs.common, ((0, 0), (0, more))), outputs.share)
+
+
+def _groupings(layout: PlateLayout) -> list[Grouping]:
+    """Return what may be spoiled together: of a table position, a ball, a CMM position.
+
+    Neighbours round the plate or the table are near each other; of large problems it is not
+    asked which.
+    """
+    problem, row = layout.problem, layout.row
+    table, ball, place = (
+        each[row] for each in (problem.position, problem.ball_step, problem.cmm_index)
+    )
+    circle = on_circle(problem.angles) if layout.unknowns <= JUDGED else None
+
+    def grouping(kind: str, number: Ints, beside: Ints) -> Grouping:
+        near = None if circle is None else np.repeat(circle[beside], 3, axis=0)
+        return Grouping(kind, np.repeat(number, 3), near=near)
+
+    return [
+        grouping("table position", table, ball),
+        grouping("ball step", ball, table),
+        grouping("CMM position", place, ball),
+    ]
+
+
+def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
+    """Return what could spoil the centres: the CMM drifts, the plate moves, warms and grows."""
+    problem, row = rows.problem, rows.layout.row
+    once, when = np.zeros(3 * len(row), dtype=np.int64), np.repeat(np.arange(len(row)), 3)
+    moved = steps(once, (when // max(1, len(row) // 40)).astype(np.float64), rows.of(plate_motion(problem)[row]))
+    places = problem.radius * on_circle(problem.angles[problem.cmm_index[row]])
+    grown = rows.of((rows.time[:, None] * places)[:, :, None])
+    found = (
+        Disturbing("drift", "the origin of the CMM drifts", rows.of(drift_columns(rows.time, 1)),
+                   LARGEST, UM),
+        Disturbing("growth", "the plate grew", grown, LARGEST_GROWTH, Unit("um/m", MICROMETRE)),
+        Disturbing("knock", "the plate moved on the table", moved, LARGEST, UM, family=True),
+    )  # fmt: skip
+    return found[1:] if problem.drift else found
+
+
+def curve_model(layout: PlateLayout, angles: Floats) -> CurveModel:
+    """Return the centres over the six deviations at the table positions in use.
+
+    ``angles``, rad, are those of all table positions. Nothing is said of what the centres leave
+    open, for other instruments may determine it.
+    """
+    model, count = plate_model(layout), layout.counts[0]
+    more = model.size[1] - layout.unknowns
+    curves = np.pad(layout.curves().toarray(), ((0, 0), (0, more)))
+    each = {name: curves[k * count : (k + 1) * count] for k, name in enumerate(COMPONENTS)}
+    alone = Model(
+        blocks=model.blocks, observed=model.observed, std=model.std, equations=model.equations,
+        outputs=np.zeros((0, model.size[1])), words=model.words, unit=model.unit,
+        components=model.components, component=model.component, groupings=model.groupings,
+        effects=model.effects, row_names=model.row_names, element=model.element,
+    )  # fmt: skip
+    return CurveModel(alone, angles[np.sort(layout.table_positions)], each)
