@@ -63,7 +63,8 @@ class Outputs:
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers o of outputs and p of unknowns."""
-        return self.few.shape
+        o, p = self.few.shape
+        return int(o), int(p)
 
     def __len__(self) -> int:
         """Return their number o."""
@@ -163,7 +164,7 @@ class Definitions:
         """Return unknowns (p + q,) that fit as ``x`` does and obey the conditions."""
         found, p = x.copy(), self.rows.shape[1]
         found[:p] -= self._back @ (self.rows @ x[:p])
-        return found
+        return np.asarray(found)
 
     def outputs(self, rows: csr_array | Outputs) -> Outputs:
         """Return what ``rows`` C (o, p) are where the conditions hold: C (I - H (G H)^-1 G)."""

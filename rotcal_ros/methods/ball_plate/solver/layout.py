@@ -27,9 +27,12 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
+from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.circles import Circular, Turns
 from rotcal_ros.adjust.outputs import Definitions, Outputs
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.ball_plate.solver.problem import (
     BallPlateProblem,
@@ -201,10 +204,9 @@ class PlateLayout:
                 tied[each, side, axis, 3 * each + axis] = 1.0
         side = self.spots[self.at] // self.size % self.sides
         turn = 3 * (self.ball * self.sides + side)[:, None] + np.arange(3)
-        sign, shift = sign.reshape(turns, -1), shift.reshape(turns, -1) % self.size
-        shift[sign == 0.0] = 0
+        shift = np.where(sign == 0.0, 0, shift % self.size)
         found = Turns(
-            self.size, sign, shift, tied.reshape(turns, -1), turn.ravel(),
+            self.size, sign.reshape(turns, -1), shift.reshape(turns, -1), tied.reshape(turns, -1), turn.ravel(),
             np.repeat(self.places[self.cmm] % self.size, 3),
         )  # fmt: skip
         n = len(found.turn)
@@ -354,6 +356,21 @@ class PlateLayout:
             "axis_rotation": Outputs(nothing, posing, pick[1] / self.problem.radius),
             "axis_shift": Outputs(nothing, posing, pick[0]),
         }
+
+    def unit_std(self) -> dict[str, Floats]:
+        """Return the standard deviations (M,) of the six deviations for unit noise of a centre.
+
+        Raises ObservabilityError where these centres leave one open.
+        """
+        joined = np.arange(6 * self.counts[0], self.unknowns)
+        rows, nothing = self.rows, np.zeros((0, self.unknowns))
+        by_groups = FewEach(rows, nothing, groups=Groups.of(rows, joined))
+        found = None if self.circular is None else self.circular.kernel()
+        kernel = by_groups.kernel() if found is None else found
+        if kernel is None or kernel.directions.shape[1] != FREE * self.groups:
+            raise ObservabilityError("these balls and CMM positions do not separate the errors")
+        std = np.sqrt(kernel.variances_of(self.defined.outputs(self.curves())))
+        return dict(zip(COMPONENTS, std.reshape(len(COMPONENTS), -1), strict=True))
 
 
 def _blocks(values: Floats, columns: Ints, unknowns: int) -> csr_array:

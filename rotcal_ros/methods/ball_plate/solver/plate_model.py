@@ -81,7 +81,7 @@ class PlateRows:
         """Return standard deviations (3 n,), m: as stated, else as a first fit shows them."""
         problem, n = self.problem, len(self.frame)
         if problem.std is not None:
-            return problem.std[self.layout.row].ravel()
+            return np.asarray(problem.std[self.layout.row].ravel())
         if problem.sigma is not None:
             return np.full(3 * n, problem.sigma)
         kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
@@ -189,7 +189,11 @@ def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
     """Return what could spoil the centres: the CMM drifts, the plate moves, warms and grows."""
     problem, row = rows.problem, rows.layout.row
     once, when = np.zeros(3 * len(row), dtype=np.int64), np.repeat(np.arange(len(row)), 3)
-    moved = steps(once, (when // max(1, len(row) // 40)).astype(np.float64), rows.of(plate_motion(problem)[row]))
+    moved = steps(
+        once,
+        (when // max(1, len(row) // 40)).astype(np.float64),
+        rows.of(plate_motion(problem)[row]),
+    )
     places = problem.radius * on_circle(problem.angles[problem.cmm_index[row]])
     grown = rows.of((rows.time[:, None] * places)[:, :, None])
     found = (

@@ -91,7 +91,7 @@ class PlateSolution:
     def members(self) -> Floats:
         """1 for the table positions (M,) of each group and 0 for the others, (g, M)."""
         group = self.layout.group[0][np.argsort(self.layout.table_positions)]
-        return (group == np.arange(self.layout.groups)[:, None]).astype(np.float64)
+        return np.asarray(group == np.arange(self.layout.groups)[:, None], dtype=np.float64)
 
     @cached_property
     def allowed(self) -> Floats:
@@ -143,8 +143,11 @@ class PlateSolution:
         table, _, ball = self.layout.counts
         complete = len(self.fitted.centres) == table * ball // self.layout.groups
         square = ball == table == self.problem.n_positions
-        return square and complete and bool(self.found.fit.used.all()) and (
-            self.fitted.weighed_alike and not self.problem.bidirectional
+        return (
+            square
+            and complete
+            and bool(self.found.fit.used.all())
+            and (self.fitted.weighed_alike and not self.problem.bidirectional)
         )
 
 
@@ -244,19 +247,28 @@ def result_of(solution: PlateSolution) -> Result:
         n_observations=len(solution.problem.centres),
         rejected=tuple(
             sorted(
-                (*solution.unusable, *(replace(r, index=int(rows[r.index])) for r in result.rejected)),
+                (
+                    *solution.unusable,
+                    *(replace(r, index=int(rows[r.index])) for r in result.rejected),
+                ),
                 key=lambda r: r.index,
             )
         ),
         warnings=(*_warnings(solution), *result.warnings),
         raw_data=_in_machine_axes(result, solution),
     )
-    for name, part in solution.parts.items():
-        if (own := solution.allowed[part]).any():
-            variance = result.std[name] ** 2 + (own**2).sum(axis=1)
-            result.std[name] = np.sqrt(variance)
-            if name in result.covariance:
-                result.covariance[name] = result.covariance[name] + own @ own.T
+    if solution.allowed.any():
+        own = {name: solution.allowed[part] for name, part in solution.parts.items()}
+        variance = {
+            name: std**2 + (own[name] ** 2).sum(axis=1) for name, std in result.std.items()
+        }
+        result = replace(
+            result,
+            std={name: np.sqrt(each) for name, each in variance.items()},
+            covariance={
+                name: whole + own[name] @ own[name].T for name, whole in result.covariance.items()
+            },
+        )
     if groups == 1:
         return result.counted_from("mean")
     free = () if solution.problem.group_allowance else _free_directions(solution)
@@ -288,9 +300,7 @@ def _in_machine_axes(result: Result, solution: PlateSolution) -> Any:
         for name, felt in influence.deviations.items()
     }
     rows = solution.fitted.rows[layout.row[influence.rows]]
-    return replace(
-        result.raw_data, influence=replace(influence, rows=rows, deviations=turned)
-    )
+    return replace(result.raw_data, influence=replace(influence, rows=rows, deviations=turned))
 
 
 def _directions(own: Floats, angles: Floats) -> Iterator[dict[str, Floats]]:
