@@ -14,22 +14,30 @@ time are alike, so that the largest of many is judged by the expected number of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.special import erfc
+from scipy.special import erfc, gammaln, xlogy
 
-from rotcal_ros.adjust.distributions import chi2_sf, detected, f_sf, noncentrality, normal_isf
-from rotcal_ros.adjust.kernels import dense
+from rotcal_ros.adjust.distributions import (
+    chi2_isf,
+    chi2_sf,
+    f_sf,
+    noncentrality,
+    normal_isf,
+    normal_sf,
+)
 from rotcal_ros.adjust.roots import root_between
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import Treatment
 
 UNSEEN: Final = 1e-9
 """Information of a size, per that of its errors without the unknowns, that is none."""
 NOTHING: Final = 1e-150
 """Probability below which a normal quantile is not asked for: it would be infinite."""
+RATHER_RARE: Final = 1e-4
+"""Chance at which members of a family that hold more and fewer columns are compared."""
 INCREDIBLE: Final = 10.0
 """Times the largest size of an effect: who is no surer than that of a size does not see it."""
 HARMLESS: Final = 0.1
@@ -37,13 +45,13 @@ HARMLESS: Final = 0.1
 
 
 class Movements(Protocol):
-    """What each of k columns does to o outputs, (k, o), worked out when it is asked for."""
+    """What each of some columns does to o outputs, worked out when it is asked for."""
 
     def __getitem__(self, which: slice) -> Floats:
         """Return what some of them do, (m, o)."""
 
-    def worst(self, std: Floats) -> Floats:
-        """Return the most (k,) that each does to an output, in their standard uncertainties."""
+    def worst(self, std: Floats, *roots: Floats) -> list[Floats]:
+        """Return as :func:`worst_of`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,19 +59,82 @@ class Seen:
     """What the solution makes of k columns of errors, each of unit size.
 
     ``moved`` (k, o): what they do to the outputs. ``information`` (k, k): S, what of them is left
-    in the residuals, of a family that of neighbours alone; ``score`` (k,): u; ``whole`` (k,):
-    their squared length before the unknowns took up their part.
+    in the residuals; ``score`` (k,): u; ``whole`` (k,): their squared length before the unknowns
+    took up their part.
     """
 
-    moved: Floats | Movements
-    information: Floats | csr_array
+    moved: Floats
+    information: Floats
     score: Floats
     whole: Floats
 
-    def part(self, which: slice) -> Seen:
-        """Return what is seen of some of the columns."""
-        among = dense(self.information[which, which])
-        return Seen(self.moved[which], among, self.score[which], self.whole[which])
+
+@dataclass(frozen=True, eq=False)
+class SeenFamily:
+    """The same of k members of w columns each, of which at most one is there, in time.
+
+    ``moved`` (k w, o), member by member; ``information`` (k, w, w) of each and ``beside``
+    (k - 1, w, w) between it and the next; ``score``, ``whole`` (k, w).
+    """
+
+    moved: Floats | Movements
+    information: Floats
+    beside: Floats
+    score: Floats
+    whole: Floats
+
+    def member(self, k: int) -> Seen:
+        """Return what is seen of one member."""
+        w = self.score.shape[1]
+        moved = self.moved[k * w : (k + 1) * w]
+        return Seen(moved, self.information[k], self.score[k], self.whole[k])
+
+    @cached_property
+    def roots(self) -> tuple[Floats, Floats]:
+        """Combinations (k, w, w) of unit information, zero where there is none; and of none."""
+        scale = np.sqrt(np.maximum(self.whole, np.finfo(np.float64).tiny))
+        scaled = self.information / scale[:, :, None] / scale[:, None]
+        values, vectors = np.linalg.eigh(scaled)
+        axes, checked = vectors / scale[:, :, None], (values > UNSEEN)[:, None]
+        root = np.sqrt(np.where(checked, values[:, None], 1.0))
+        return np.where(checked, axes / root, 0.0), np.where(checked, 0.0, axes)
+
+    @cached_property
+    def rank(self) -> Ints:
+        """How many combinations (k,) residuals show of each member."""
+        return np.asarray(self.roots[0].any(axis=1).sum(axis=1))
+
+    @cached_property
+    def squares(self) -> Floats:
+        """What chi-squared falls by for each member (k,) alone; 0 where nothing is seen."""
+        return np.asarray(((self.score[:, None] @ self.roots[0]) ** 2).sum(axis=(1, 2)))
+
+    @cached_property
+    def alike(self) -> Floats:
+        """Correlations (k - 1,) between neighbours: of the mean angle by which they turn."""
+        root = self.roots[0]
+        both = root[:-1].swapaxes(1, 2) @ self.beside @ root[1:]
+        turned = np.arccos(np.minimum(np.linalg.svd(both, compute_uv=False), 1.0))
+        count = np.maximum(np.minimum(self.rank[:-1], self.rank[1:]), 1)
+        there = np.arange(turned.shape[1]) < count[:, None]  # largest correlations first
+        return np.asarray(np.cos(np.sqrt((turned**2 * there).sum(axis=1) / count)))
+
+
+def worst_of(moved: Floats | Movements, std: Floats, *roots: Floats) -> list[Floats]:
+    """Return the most (k,) that combinations of the columns of each member do to an output.
+
+    ``roots`` (k, w, r): the combinations, in which each output adds up squares; in the ``std``
+    (o,) of the outputs, zero or infinite: one that does not count.
+    """
+    if not isinstance(moved, np.ndarray):
+        return moved.worst(std, *roots)
+    share = _share(moved, std)
+    return [
+        np.sqrt((((share.reshape(*r.shape[:2], -1).swapaxes(1, 2)) @ r) ** 2).sum(axis=2)).max(
+            axis=1, initial=0.0
+        )
+        for r in roots
+    ]
 
 
 class EffectTest(NamedTuple):
@@ -111,20 +182,14 @@ def effect_test(
     return EffectTest(size, inverse, squares, rank, chance, axes, variance=variance)
 
 
-def family_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTest:
-    """Test single columns of which at most one is there, and return the best; neighbours alike."""
-    k = int(np.argmax(member_squares(seen)))
-    alone = effect_test(seen.part(slice(k, k + 1)), rest)
+def family_test(seen: SeenFamily, rest: tuple[float, float] | None = None) -> EffectTest:
+    """Test members of which at most one is there, and return the best; neighbours are alike."""
+    usual = chi2_isf(RATHER_RARE, np.maximum(seen.rank, 1))
+    k = int(np.argmax(seen.squares - usual))
+    alone = effect_test(seen.member(k), rest)
     u = normal_isf(max(0.5 * alone.probability, NOTHING))
-    chance = above_of_family(u, correlations(seen.information)) if alone.rank else 1.0
+    chance = above_of_family(u, seen.alike, seen.rank) if alone.rank else 1.0
     return alone._replace(probability=min(chance, 1.0), member=k)
-
-
-def member_squares(seen: Seen) -> Floats:
-    """Return what chi-squared falls by for each column (k,) alone; 0 where nothing is seen."""
-    information = seen.information.diagonal()
-    checked = information > UNSEEN * seen.whole
-    return np.where(checked, seen.score**2 / np.where(checked, information, 1.0), 0.0)
 
 
 def _axes(seen: Seen, nothing: float = UNSEEN) -> tuple[Floats, Floats, Floats]:
@@ -134,7 +199,7 @@ def _axes(seen: Seen, nothing: float = UNSEEN) -> tuple[Floats, Floats, Floats]:
     brought to that scale before its eigenvalues are compared.
     """
     scale = np.sqrt(np.maximum(seen.whole, np.finfo(np.float64).tiny))
-    values, vectors = np.linalg.eigh(dense(seen.information) / scale / scale[:, None])
+    values, vectors = np.linalg.eigh(seen.information / scale / scale[:, None])
     axes, checked = vectors / scale[:, None], values > nothing
     return axes[:, checked], values[checked], axes[:, ~checked]
 
@@ -148,22 +213,23 @@ def _chance(squares: float, rank: int, variance: float, left: float) -> float:
     return f_sf(squares / rank / variance, rank, left)
 
 
-def correlations(information: Floats | csr_array) -> Floats:
-    """Return the correlations (k - 1,) between the scores of neighbours, from S (k, k)."""
-    root = np.sqrt(np.maximum(information.diagonal(), np.finfo(np.float64).tiny))
-    return np.asarray(information.diagonal(1) / (root[1:] * root[:-1]))
+def above_of_family(u: float, alike: Floats, rank: Ints | None = None) -> float:
+    """Return how probably the largest of a family exceeds by chance what is as rare as |u|.
 
-
-def above_of_family(u: float, alike: Floats) -> float:
-    """Return how probably the largest |score| of a family exceeds ``u`` by chance, two-sided.
-
-    ``alike`` (k - 1,): correlations of neighbours. Expected upcrossings, acos(rho) / (2 pi)
-    exp(-u^2 / 2) each (Rice's formula for a sequence), and never more than of independent scores.
+    ``alike`` (k - 1,): correlations of neighbours; ``rank`` (k,): columns of each member, None: 1.
+    Expected upcrossings of the root of chi-squared with r degrees of freedom, whose density f
+    times acos(rho) / sqrt(2 pi) each (Rice's formula for a sequence; Davies 1987), and never more
+    than of independent ones.
     """
-    rate = float(np.arccos(np.clip(alike, -1.0, 1.0)).sum()) / (2.0 * np.pi)
-    above = 0.5 * float(erfc(u / np.sqrt(2.0)))
-    crossings = min(rate * float(np.exp(-0.5 * u * u)), len(alike) * above)
-    return 2.0 * (above + crossings)
+    above, turned = 0.5 * float(erfc(u / np.sqrt(2.0))), np.arccos(np.clip(alike, -1.0, 1.0))
+    if rank is None or rank.max(initial=1) == 1:
+        crossings = float(turned.sum()) / (2.0 * np.pi) * float(np.exp(-0.5 * u * u))
+        return 2.0 * (above + min(crossings, len(alike) * above))
+    r = np.maximum(rank[1:], 1).astype(np.float64)
+    level = np.sqrt(chi2_isf(max(2.0 * above, NOTHING), r))
+    density = np.exp(xlogy(r - 1.0, level) - 0.5 * level**2 - gammaln(0.5 * r))
+    crossings = float(turned @ (density / 2.0 ** (0.5 * r - 1.0))) / float(np.sqrt(8.0 * np.pi))
+    return 2.0 * (above + min(crossings, len(alike) * above))
 
 
 class Unseen(NamedTuple):
@@ -212,7 +278,7 @@ def unseen(
     would overlook. ``significance``: of this effect's own test. ``dof``: degrees of freedom of the
     adjustment, where the noise was estimated from it.
     """
-    share = _share(seen.moved[:], std)
+    share = _share(seen.moved, std)
     axes, values, silent = _axes(seen)
     columns = max(len(seen.whole), 1)
     if dof - columns < 1.0:
@@ -230,7 +296,7 @@ def unseen(
 
 
 def unseen_family(
-    seen: Seen,
+    seen: SeenFamily,
     std: Floats,
     largest: float,
     *,
@@ -238,25 +304,27 @@ def unseen_family(
     power: float,
     dof: float = np.inf,
 ) -> Unseen:
-    """Return the worst that one column of a family does before the test of all finds it.
+    """Return the worst that one member of a family does before the test of all finds it.
 
     Arguments as of :func:`unseen`.
     """
-    moved = seen.moved
-    if isinstance(moved, np.ndarray):
-        share = np.abs(_share(moved, std)).max(axis=1, initial=0.0)
-    else:
-        share = moved.worst(std)
-    if not len(share):
+    k, w = seen.score.shape
+    if not k:
         return Unseen(0.0, found=True)
-    if dof - 1.0 < 1.0:
-        return _everything(share[None], largest)
-    information = seen.information.diagonal()
-    checked = information > UNSEEN * seen.whole
-    limit = limit_of_family(significance, correlations(seen.information))
-    needed = detected(limit, power, dof - 1.0)
-    size = np.where(checked, needed / np.sqrt(np.where(checked, information, 1.0)), np.inf)
-    return Unseen.worst(size, share, largest)
+    whole = np.broadcast_to(largest * np.eye(w), (k, w, w))
+    if dof - w < 1.0:
+        return Unseen(float(worst_of(seen.moved, std, whole)[0].max()), found=False)
+    chance = 2.0 * normal_sf(limit_of_family(significance, seen.alike, seen.rank))
+    needed = {r: noncentrality(chance, power, r, dof - r) for r in set(seen.rank.tolist()) if r}
+    root, silent = seen.roots
+    found_from = np.sqrt([needed.get(r, 0.0) for r in seen.rank.tolist()])[:, None, None] * root
+    length = np.linalg.norm(silent, axis=1, keepdims=True)
+    hidden = largest * np.where(length > 0.0, silent / np.where(length > 0.0, length, 1.0), 0.0)
+    shown, more, bound = worst_of(seen.moved, std, found_from, hidden, whole)
+    error = np.minimum(shown + more, bound)
+    worst = int(np.argmax(error))
+    known = seen.rank[worst] == w and shown[worst] <= bound[worst]
+    return Unseen(float(error[worst]), bool(known), bool(seen.rank[worst] < w))
 
 
 def _everything(share: Floats, largest: float) -> Unseen:
@@ -267,9 +335,9 @@ def _everything(share: Floats, largest: float) -> Unseen:
     return Unseen(largest * float(np.linalg.norm(share, axis=0).max(initial=0.0)), found=False)
 
 
-def limit_of_family(significance: float, alike: Floats) -> float:
+def limit_of_family(significance: float, alike: Floats, rank: Ints | None = None) -> float:
     """Return what the largest |score| of a family exceeds by chance with ``significance``."""
-    return root_between(lambda u: above_of_family(u, alike) - significance, 0.0, 40.0, 1e-12)
+    return root_between(lambda u: above_of_family(u, alike, rank) - significance, 0.0, 40.0, 1e-12)
 
 
 def _share(moved: Floats, std: Floats) -> Floats:

@@ -27,16 +27,16 @@ from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import found_causes
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality, normal_sf, t_isf
-from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
+from rotcal_ros.adjust.effects import Seen, SeenFamily, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
-from rotcal_ros.adjust.model import Disturbing, Model
+from rotcal_ros.adjust.model import Disturbing, Model, Steps
 from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.outputs import AT_ONCE
 from rotcal_ros.adjust.reliability import hidden
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import Influence, RawData
@@ -214,12 +214,9 @@ class Adjusted:
         return float(np.sqrt(stated @ stated / fit.dof)) if fit.dof else 1.0
 
     @cached_property
-    def seen(self) -> list[tuple[Disturbing, Seen]]:
+    def seen(self) -> list[tuple[Disturbing, Seen | SeenFamily]]:
         """What the solution makes of each declared effect."""
-        return [
-            (effect, seen_by(self.fit, effect.at(self.fit.computed), family=effect.family))
-            for effect in self.model.effects
-        ]
+        return [(effect, _seen(self.fit, effect)) for effect in self.model.effects]
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
@@ -432,9 +429,9 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _unseen(e, seen_by(fit, e.at(computed), family=e.family), counting, each)
+        e.effect: _unseen(e, _seen(fit, e), counting, each)
         for e in model.effects
-        if e.whole(computed).any()
+        if isinstance(e.columns, Steps) or e.whole(computed).any()
     }
     return PlanPrediction(std, fit.redundancy, every)
 
@@ -531,11 +528,24 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     yield from _against_gathering(found)
 
 
+def _seen(fit: Fit, effect: Disturbing) -> Seen | SeenFamily:
+    columns = effect.at(fit.computed)
+    if effect.family:
+        return family_seen_by(fit, columns, effect.width)
+    return seen_by(fit, columns_of(columns, slice(None)))
+
+
 def _unseen(
-    effect: Disturbing, seen: Seen, std: Floats, significance: float, dof: float = np.inf
+    effect: Disturbing,
+    seen: Seen | SeenFamily,
+    std: Floats,
+    significance: float,
+    dof: float = np.inf,
 ) -> Unseen:
-    worst = unseen_family if effect.family else unseen
-    return worst(seen, std, effect.largest, significance=significance, power=POWER, dof=dof)
+    size, limits = effect.largest, {"significance": significance, "power": POWER, "dof": dof}
+    if isinstance(seen, SeenFamily):
+        return unseen_family(seen, std, size, **limits)
+    return unseen(seen, std, size, **limits)
 
 
 def _against_noise(found: Adjusted) -> Protection:

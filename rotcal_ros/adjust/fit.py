@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from rotcal_ros.adjust.groups import CHECKED
-from rotcal_ros.adjust.kernels import FIRM, OPEN, Design, Kernel, Whole
+from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -144,7 +144,10 @@ class Fit:
     @property
     def value(self) -> Floats:
         """All outputs (o + a,)."""
-        return self.model.output_rows.times(self.x)
+        x = self.x
+        if self.model.definitions is not None and isinstance(self.kernel, Defined):
+            x = self.kernel.defined(x)  # the quickest steps do not know them
+        return self.model.output_rows.times(x)
 
     @property
     def response(self) -> Floats:
@@ -227,7 +230,8 @@ class Fit:
         Those that nothing correlates.
         """
         design = self._white_design
-        variance = None if self.by_form else design.variances(self.model.output_rows)
+        known = self.by_form is not None or self.model.definitions is not None
+        variance = None if known else design.variances(self.model.output_rows)
         if variance is None and design.rough_first:
             _require_told(self.model, design)
         return self.counting(np.sqrt(self._plain_variance if variance is None else variance))
@@ -291,13 +295,21 @@ def _by_form(model: Model, design: Design) -> Kernel | None:
 
     Or none of circles whose outputs feel what is open. Raises ObservabilityError where others do.
     """
-    found = design.kernel()
+    form = design.kernel()
+    found = None if form is None else _defined(model, form)
     if found is None or not found.directions.shape[1]:
         return found
     if design.divided:
         _require_unfelt(model, found)
         return found
     return None if _feels(model, found) else found
+
+
+def _defined(model: Model, kernel: Kernel) -> Kernel:
+    """Return the kernel of outputs that keep what is defined."""
+    if model.definitions is None or not kernel.directions.shape[1]:
+        return kernel
+    return Defined.of(kernel, model.definitions)
 
 
 def fitted(
@@ -320,9 +332,7 @@ def fitted(
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
-        step, left = steps(white)
-        if model.definitions is not None:
-            step = model.definitions.held(x + step) - x
+        step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
@@ -378,15 +388,20 @@ class _Steps:
     def of(cls, model: Model, design: Design) -> _Steps:
         return cls(model, design, None if design.rough_first else _by_form(model, design))
 
-    def __call__(self, white: Floats) -> tuple[Floats, float]:
-        """Return the step (p + q,) that ``white`` (n,) asks for, and the square it takes off."""
+    def __call__(self, white: Floats, x: Floats) -> tuple[Floats, float]:
+        """Return the step (p + q,) from ``x`` that ``white`` (n,) asks for, as it is defined.
+
+        And the square it takes off.
+        """
         step = self.by_form.solve(white) if self.by_form else self.design.roughly(white)
         if step is None:
-            return self._by_normal_equations(white)
+            return self._by_normal_equations(white, x)
         felt = self.design.times(step)
+        if isinstance(self.by_form, Defined):
+            step = self.by_form.defined(x + step) - x
         return step, float(felt @ felt)
 
-    def _by_normal_equations(self, white: Floats) -> tuple[Floats, float]:
+    def _by_normal_equations(self, white: Floats, x: Floats) -> tuple[Floats, float]:
         model, design = self.model, self.design
         _require_told(model, design)
         squares = design.normal()
@@ -396,14 +411,22 @@ class _Steps:
         squares = squares[moving][:, moving]
         root, failed = lapack.dpotrf(squares)
         firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
-        if not firm or not _told_by_others(model, design, root, scale):
+        open_ = _open(model, design, root, scale) if firm else None
+        if open_ is None:
             whole = _whole(model, design)
-            along = whole.basis.T @ white
-            return whole.root @ along, float(along @ along)
+            step = whole.solve(white)
+            felt = design.times(step)
+            if isinstance(whole, Defined):
+                step = whole.defined(x + step) - x
+            return step, float(felt @ felt)
         along = lapack.dtrtrs(root, (design.adjoint(white) / scale)[moving], trans=1)[0]
         step = np.zeros(len(scale))
         step[moving] = lapack.dtrtrs(root, along)[0]
-        return step / scale, float(along @ along)
+        step /= scale
+        if model.definitions is not None and open_.shape[1]:
+            rows = np.pad(model.definitions, ((0, 0), (0, len(scale) - model.size[1])))
+            step -= fixed_by(rows, open_, scale)[0] @ (rows @ (x + step))
+        return step, float(along @ along)
 
 
 def _require_told(model: Model, design: Design) -> None:
@@ -436,32 +459,34 @@ def _moving(model: Model, unknowns: int) -> Ints | slice:
     return np.delete(np.arange(unknowns), model.held)
 
 
-def _told_by_others(model: Model, design: Design, root: Floats, scale: Floats) -> bool:
-    """Whether columns of unknowns that stand still are combinations of those that move.
+def _open(model: Model, design: Design, root: Floats, scale: Floats) -> Floats | None:
+    """Return the open directions (p + q, k); None: unknowns that stand still may be felt.
 
-    ``root``: the upper Cholesky factor of the normal matrix of these, times ``scale`` (p + q,).
-    What it leaves is taken once more, since it squares what is badly conditioned.
+    Their columns should be combinations of those of unknowns that move. ``root``: the upper
+    Cholesky factor of the normal matrix of these, times ``scale`` (p + q,). What it leaves is
+    taken once more, since it squares what is badly conditioned.
     """
     held = model.held
+    open_ = np.zeros((len(scale), len(held)))
     if not len(held):
-        return True
-    unit = np.zeros((len(scale), len(held)))
-    unit[held, np.arange(len(held))] = 1.0 / scale[held]
-    left, moving = design.times(unit), _moving(model, len(scale))
+        return open_
+    open_[held, np.arange(len(held))] = 1.0 / scale[held]
+    left, moving = design.times(open_), _moving(model, len(scale))
     for _ in range(2):
-        part = np.zeros_like(unit)
+        part = np.zeros_like(open_)
         part[moving] = lapack.dpotrs(root, (design.adjoint(left) / scale[:, None])[moving])[0]
         left = left - design.times(part / scale[:, None])
-    return bool((np.linalg.norm(left, axis=0) <= OPEN).all())
+        open_ -= part / scale[:, None]
+    return open_ if (np.linalg.norm(left, axis=0) <= OPEN).all() else None
 
 
-def _whole(model: Model, design: Design) -> Whole:
+def _whole(model: Model, design: Design) -> Kernel:
     """Return the kernel of a whitened design by the whole of it.
 
     Raises ObservabilityError where outputs feel what is open.
     """
     try:
-        found = Whole.of(design, model.held)
+        found = _defined(model, Whole.of(design, model.held))
     except np.linalg.LinAlgError as error:  # the unknowns have run away
         raise _unsettled() from error
     _require_unfelt(model, found)

@@ -10,7 +10,7 @@ equations.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -443,6 +443,110 @@ class Updated(Kernel):
         return np.asarray(
             self.base.leverage * self.share**2 + ((low @ self.core) * low).sum(axis=1)
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Defined(Kernel):
+    """A ``base`` that leaves directions H open, which definitions G x = 0 fix.
+
+    Its N^-1 is P times that of the base times P', P = I - H (G H)^+ G. ``rows`` (g, p): G,
+    ``fixing`` (p, g): H (G H)^+. What observations say of each other stays.
+    """
+
+    base: Kernel
+    rows: Floats
+    fixing: Floats
+    directions: Floats
+
+    @classmethod
+    def of(cls, base: Kernel, definitions: Floats) -> Defined:
+        """Return that of a ``base``, with ``definitions`` (g, p') of its first unknowns."""
+        lengths, p = base.design.lengths, len(base.directions)
+        rows = np.pad(definitions, ((0, 0), (0, p - definitions.shape[1])))
+        fixing, left = fixed_by(rows, base.directions, np.where(lengths > 0.0, lengths, 1.0))
+        return cls(base, rows, fixing, left)
+
+    @property
+    def design(self) -> Design:  # type: ignore[override]
+        """The whitened design of the base."""
+        return self.base.design
+
+    def defined(self, x: Floats) -> Floats:
+        """Return unknowns ``x`` (p,) or (p, k) that keep the definitions: P x."""
+        return np.asarray(x - self.fixing @ (self.rows @ x))
+
+    def times(self, columns: Floats) -> Floats:
+        """Return N^-1 times ``columns`` (p, k)."""
+        return self.defined(self.base.times(columns - self.rows.T @ (self.fixing.T @ columns)))
+
+    def among(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
+        return self.base.among(rows)
+
+    def among_each(self, rows: Ints) -> Floats:
+        """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
+        return self.base.among_each(rows)
+
+    @property
+    def leverage(self) -> Floats:
+        """The diagonal (n,) of J N^-1 J'."""
+        return self.base.leverage
+
+    def solve(self, white: Floats) -> Floats:
+        """Return the unknowns (p,) or (p, k) of least squares from what is read, whitened."""
+        return self.defined(self.base.solve(white))
+
+    def gains(self, rows: Ints) -> Floats:
+        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
+        return self.defined(self.base.gains(rows))
+
+    def taken(self, white: Floats) -> Floats:
+        """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
+        return self.base.taken(white)
+
+    def taken_in(self, white: Floats, rows: Ints) -> Floats:
+        """Return the same of some ``rows`` (r,) alone, (r, k)."""
+        return self.base.taken_in(white, rows)
+
+    def variances(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
+        return self.base.variances(rows - (rows @ self.fixing) @ self.rows)
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        return self.base.variances_of(outputs.fixed(self.fixing, self.rows))
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        return self.base.response(outputs.fixed(self.fixing, self.rows), rows)
+
+    def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs``, in few parts."""
+        found = self.base.sensitivity(outputs, rows)
+        moved, fixed = -outputs.times(self.fixing), self.rows @ self.base.gains(rows)
+        if found.common is None:
+            return Sensitivity.whole(found.along + moved @ fixed)
+        along = np.concatenate([found.along, fixed])
+        return replace(found, along=along, common=np.hstack([found.common, moved]))
+
+    def shared(self, parts: Bools) -> Floats:
+        """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows."""
+        return self.base.shared(parts)
+
+
+def fixed_by(rows: Floats, directions: Floats, lengths: Floats) -> tuple[Floats, Floats]:
+    """Return H (G H)^+ (p, g) of open ``directions`` H (p, k) and definitions ``rows`` G (g, p).
+
+    And those of the directions that no definition fixes. ``lengths`` (p,): of the columns, by
+    which unknowns of different units are compared.
+    """
+    open_ = np.linalg.qr(directions * lengths[:, None])[0] / lengths[:, None]
+    size = np.linalg.norm(rows / lengths, axis=1)
+    size = np.where(size > 0.0, size, 1.0)
+    u, s, vt = np.linalg.svd(rows / size[:, None] @ open_)
+    kept = int((s > FIRM).sum())
+    fixing = open_ @ (vt[:kept].T / s[:kept]) @ u[:, :kept].T / size
+    return np.asarray(fixing), np.asarray(open_ @ vt[kept:].T)
 
 
 def _inverse(square: Floats) -> Floats | None:

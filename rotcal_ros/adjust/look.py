@@ -17,14 +17,14 @@ from scipy.special import gammaln
 
 from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
 from rotcal_ros.adjust.distributions import f_isf
-from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test, member_squares
+from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import judged
 from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole, Undivided
 from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.model import Disturbing, Grouping, gathered_of, members_of
-from rotcal_ros.adjust.seen import columns_of, seen_by
+from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
+from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
@@ -198,33 +198,36 @@ class Look:
         return [members for members in tried if members]
 
     def _effect(self, effect: Disturbing) -> list[Explanation]:
-        columns = effect.at(self.fit.computed)
-        seen = seen_by(self.fit, columns, family=effect.family)
+        columns, width = effect.at(self.fit.computed), effect.width
         if not effect.family:
-            test = effect_test(seen, self.rest, largest=effect.largest)
             whole = columns_of(columns, slice(None))
+            seen = seen_by(self.fit, whole)
+            test = effect_test(seen, self.rest, largest=effect.largest)
             return [self._explanation(effect, whole, seen, test)] if test.rank else []
-        squares = member_squares(seen)
-        if not squares.any():
+        family = family_seen_by(self.fit, columns, width)
+        if not family.squares.any():
             return []
-        chance, found = family_test(seen, self.rest).probability, []
-        for k in np.argsort(-squares, kind="stable")[: MOST_RIVALS + 1].tolist():
-            member = slice(k, k + 1)
-            test = effect_test(seen.part(member), self.rest)._replace(probability=chance)
+        chance, found = family_test(family, self.rest).probability, []
+        for k in np.argsort(-family.squares, kind="stable")[: MOST_RIVALS + 1].tolist():
+            seen, mine = family.member(k), columns_of(columns, slice(k * width, (k + 1) * width))
+            test = effect_test(seen, self.rest, largest=effect.largest)
             if test.rank:
-                found.append(
-                    self._explanation(effect, columns_of(columns, member), seen.part(member), test)
-                )
+                test = test._replace(probability=chance)
+                found.append(self._explanation(effect, mine, seen, test))
         return found
 
     def _explanation(
         self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest
     ) -> Explanation:
         """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show."""
-        members = effect.at(self.fit.computed).shape[1] if effect.family else 1
+        every = effect.at(self.fit.computed)
+        members = every.shape[1] // effect.width if effect.family else 1
         support, price = self._support(test.squares, test.rank, RARER * members)
         where = ""
-        if effect.family:
+        if isinstance(every, Steps):
+            touched = np.flatnonzero(columns.any(axis=1))
+            where = f" from {self.before.model.names[touched[every.when[touched].argmin()]]} on"
+        elif effect.family:
             touched = np.flatnonzero(columns[:, 0])
             if len(np.unique(columns[touched, 0])) == 2 and columns[touched, 0].max() > 0.0:
                 touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift counted from its mean
@@ -233,7 +236,7 @@ class Look:
             where = f" from {first} on" if stays else f" from {first} to {last}"
         return Explanation(
             f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
-            support, price, -(test.size @ seen.moved[:]), effect, test.axes, test.probability,
+            support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
         )  # fmt: skip
 
     def _groups(self) -> list[Group | JudgedWhole | Undivided]:

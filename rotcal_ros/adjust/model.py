@@ -22,7 +22,7 @@ from rotcal_ros.adjust.designs import Derivatives, dense, design_of
 from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
-from rotcal_ros.adjust.outputs import Definitions, Outputs
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
@@ -100,14 +100,26 @@ class Grouping(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Shifts by one unit from each moment within a run on, in time: columns (n, k).
+    """Moves from each moment within a run on, in time: columns (n, k w), w of each moment.
 
     They are written out when they are asked for: of many observations they are very many.
-    ``run`` (n,): -1 for none; ``when`` (n,): the order or the time.
+    ``run`` (n,): -1 for none; ``when`` (n,): the order or the time. ``ways`` (n, w): what each
+    observation feels of w ways to move by one unit; None: of one way, by which all shift alike.
     """
 
     run: Ints
     when: Floats
+    ways: Floats | None = None
+
+    @property
+    def felt(self) -> Floats:
+        """What each observation feels of each way to move, (n, w)."""
+        return np.ones((len(self.run), 1)) if self.ways is None else self.ways
+
+    @property
+    def width(self) -> int:
+        """The number w of columns of a moment."""
+        return 1 if self.ways is None else int(self.ways.shape[1])
 
     @cached_property
     def runs(self) -> list[tuple[Ints, Ints]]:
@@ -122,25 +134,41 @@ class Steps:
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers n of observations and k of columns."""
-        return len(self.run), sum(len(first) for _, first in self.runs)
+        return len(self.run), self.width * sum(len(first) for _, first in self.runs)
 
-    def with_others(self, count: int) -> Steps:
-        """Return the same with ``count`` observations that belong to no run below the others."""
-        return Steps(
-            np.append(self.run, np.full(count, -1)), np.append(self.when, np.zeros(count))
-        )
+    def with_others(self, below: int, above: int = 0) -> Steps:
+        """Return the same beside observations, below and above, that belong to no run."""
+        rows = (above, below)
+        ways = None if self.ways is None else np.pad(self.ways, (rows, (0, 0)))
+        return Steps(np.pad(self.run, rows, constant_values=-1), np.pad(self.when, rows), ways)
 
     def few(self, which: slice = slice(None)) -> csr_array:
         """Return some columns (n, m) by those entries that are not zero."""
-        touched = [rows[k:] for rows, first in self.runs for k in first.tolist()][which]
-        begin = np.append(0, np.cumsum([len(rows) for rows in touched], dtype=np.int64))
-        rows = np.concatenate([np.zeros(0, dtype=np.int64), *touched])
-        entries = np.ones(len(rows)), rows, begin
-        return csr_array(csc_array(entries, shape=(len(self.run), len(touched))))
+        every, ways = range(self.width), self.felt
+        touched = [
+            (way, rows[k:]) for rows, first in self.runs for k in first.tolist() for way in every
+        ][which]
+        begin = np.append(0, np.cumsum([len(rows) for _, rows in touched], dtype=np.int64))
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in touched)])
+        values = np.concatenate([np.zeros(0), *(ways[rows, way] for way, rows in touched)])
+        shape = (len(self.run), len(touched))
+        return csr_array(csc_array((values, rows, begin), shape=shape))
 
     def whole(self, which: slice = slice(None)) -> Floats:
         """Return some columns (n, m), zeros included."""
         return np.asarray(self.few(which).toarray())
+
+    def some(self, most: int) -> Floats:
+        """Return all columns, of far more moments than ``most`` those of some, evenly.
+
+        One between two is seen nearly as well.
+        """
+        moments = self.shape[1] // self.width
+        stride = max(1, moments // most)
+        if stride == 1:
+            return self.whole()
+        every = [slice(k * self.width, (k + 1) * self.width) for k in range(0, moments, stride)]
+        return np.column_stack([self.whole(which) for which in every])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +179,8 @@ class Disturbing:
     makes such columns from the computed observations (n,), as a wrong scale does: the observed
     ones hold the very noise that they would explain. ``what`` happens, for people.
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
-    ``family`` has columns of which at most one is there, in the order of time; other columns are
-    there together.
+    ``family`` has members of which at most one is there, in the order of time, each of so many
+    columns as its :attr:`width`; other columns are there together.
     """
 
     effect: Effect
@@ -161,27 +189,48 @@ class Disturbing:
     largest: float
     unit: Unit = SECONDS
     family: bool = False
+    of_each: int = 1
+
+    @property
+    def width(self) -> int:
+        """How many columns each member of a family has; of :class:`Steps` they say it."""
+        return self.columns.width if isinstance(self.columns, Steps) else self.of_each
 
     def at(self, computed: Floats) -> Floats | Steps:
         """Return the columns (n, k) where the observations are ``computed`` (n,)."""
         return self.columns(computed) if callable(self.columns) else self.columns
 
     def whole(self, computed: Floats) -> Floats:
-        """Return the same, written out."""
+        """Return the same, written out; of very many moments some, evenly."""
         found = self.at(computed)
-        return found.whole() if isinstance(found, Steps) else found
+        return found.some(MOST_MOMENTS) if isinstance(found, Steps) else found
 
     def mapped(
-        self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats]
+        self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats], *, apart: bool
     ) -> Disturbing:
         """Return the effect on observations that were changed.
 
         ``to`` changes columns (n, k) as observations were, ``back`` takes computed ones (n',) to
-        what they were before.
+        what they were before. ``apart``: each element was changed by itself.
         """
+        if isinstance(self.columns, Steps) and apart:
+            return replace(self, columns=replace(self.columns, ways=to(self.columns.felt)))
         if callable(self.columns):
             return replace(self, columns=lambda computed: to(self.whole(back(computed))))
-        return replace(self, columns=to(self.whole(np.zeros(0))))
+        return replace(self, columns=to(self.whole(np.zeros(0))), of_each=self.width)
+
+    def beside(self, below: int, above: int = 0) -> Disturbing:
+        """Return the effect beside further observations, below and above, which it spares."""
+        if isinstance(self.columns, Steps):
+            return replace(self, columns=self.columns.with_others(below, above))
+
+        def spread(columns: Floats) -> Floats:
+            return np.pad(columns, ((above, below), (0, 0)))
+
+        def own(computed: Floats) -> Floats:
+            return computed[above : len(computed) - below]
+
+        return self.mapped(spread, own, apart=False)
 
 
 def linear(design: Derivatives) -> Equations:
@@ -233,19 +282,7 @@ def knocks(run: Ints, when: Floats, most: int | None = None) -> Floats:
 
     Of far more moments than ``most`` some, evenly: one between two is seen nearly as well.
     """
-    every = Steps(run, when)
-    stride = 1 if most is None else max(1, every.shape[1] // most)
-    return every.whole(slice(None, None, stride))
-
-
-def steps(run: Ints, when: Floats, felt: Floats) -> Floats:
-    """Return what a move by one unit does from each moment within a ``run`` (n,) on: (n, k m).
-
-    ``felt`` (n, k): what each reading feels of k ways to move, one after the other. Of very many
-    moments some, evenly.
-    """
-    some = knocks(run, when, MOST_MOMENTS)
-    return np.column_stack([some * each[:, None] for each in felt.T])
+    return Steps(run, when).some(most or len(run))
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str, str]:
@@ -329,6 +366,8 @@ class Model:
     that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
     ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
+    ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
+    ``unstated``: the noise is not known, ``std`` is a first guess of it.
     """
 
     blocks: Mapping[str, int]
@@ -349,7 +388,7 @@ class Model:
     correlated: Sequence[Correlated] = ()
     element: Ints | None = None
     mixed: csr_array | None = None
-    definitions: Definitions | None = None
+    definitions: Floats | None = None
     unstated: bool = False
 
     def __post_init__(self) -> None:
@@ -368,6 +407,11 @@ class Model:
             ("component", self.of_component, (n,)),
             ("judged", self.may_go, (n,)),
             *((("element", self.element, (n,)),) if self.element is not None else ()),
+            *(
+                (("definitions", self.definitions, (np.size(self.definitions) // p, p)),)
+                if self.definitions is not None
+                else ()
+            ),
             *((f"numbers of {g.kind}", g.number, (n,)) for g in self.groupings),
             *(
                 (f"places of {g.kind}", g.along, (n,))
@@ -526,19 +570,11 @@ class Model:
         that belong to no group, that no effect spoils and that are never left out, with noise of
         their own. ``what`` they are, for people.
         """
-        n, k = len(self.observed), len(values)
+        k = len(values)
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
             return np.append(computed, rows @ x), design_of(design).beside(rows)
-
-        def spared(effect: Disturbing) -> Disturbing:
-            if isinstance(effect.columns, Steps):
-                return replace(effect, columns=effect.columns.with_others(k))
-            return effect.mapped(below, lambda computed: computed[:n])
-
-        def below(columns: Floats) -> Floats:
-            return np.pad(columns, ((0, k), (0, 0)))
 
         return replace(
             self,
@@ -549,7 +585,7 @@ class Model:
             component=np.append(self.of_component, np.full(k, len(self.components))),
             judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
-            effects=[spared(effect) for effect in self.effects],
+            effects=[effect.beside(k) for effect in self.effects],
             row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
@@ -578,7 +614,7 @@ class Model:
             return changed(computed, 1.0 / root), changed(dense(design), 1.0 / root)
 
         return self._changed(
-            equations, lambda of: changed(of, 1.0 / root), lambda of: changed(of, root)
+            equations, lambda of: changed(of, 1.0 / root), lambda of: changed(of, root), False
         )
 
     def with_blocks(self, covariance: Floats) -> Model:
@@ -605,16 +641,17 @@ class Model:
             return to @ computed, to @ (design if isinstance(design, csr_array) else dense(design))
 
         alone = replace(self, std=std[there][order], mixed=back)
-        return alone._changed(equations, lambda of: np.asarray(to @ of), lambda of: back @ of)
+        return alone._changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
 
     def _changed(
         self,
         equations: Equations,
         to: Callable[[Floats], Floats],
         back: Callable[[Floats], Floats],
+        apart: bool,
     ) -> Model:
         """Return the model of combinations of its observations, which ``back`` takes back."""
-        effects = [e.mapped(to, back) for e in self.effects]
+        effects = [e.mapped(to, back, apart=apart) for e in self.effects]
         return replace(self, observed=to(self.observed), equations=equations, effects=effects)
 
     def name_of(self, unknown: int) -> str:

@@ -82,6 +82,15 @@ class Outputs:
         """Return C times ``x`` (p,) or (p, k)."""
         return self.times(x)
 
+    def fixed(self, fixing: Floats, rows: Floats) -> Outputs:
+        """Return C (I - F G) of a ``fixing`` F (p, g) and ``rows`` G (g, p)."""
+        share = -self.times(fixing)
+        share[np.abs(share) < ROUNDED * np.abs(share).max(initial=0.0)] = 0.0
+        common = np.concatenate([np.pad(self.common, _more(self.common, rows)), rows])
+        few = self.few.tocsr(copy=False)
+        few = csr_array((few.data, few.indices, few.indptr), shape=(len(self), rows.shape[1]))
+        return Outputs(few, common, np.hstack([self.share, share]))
+
     @cached_property
     def each(self) -> int:
         """The most entries of a row beside what it shares."""
@@ -145,36 +154,5 @@ class Outputs:
         return (int(circle[0]), int(place[0])) if follow and circle[0] * size < count else None
 
 
-@dataclass(frozen=True, eq=False)
-class Definitions:
-    """Conditions G x = 0, without noise, that choose among solutions that fit alike.
-
-    ``rows`` (k, p): G. ``directions`` (p, k): H, what the observations leave open; G H is regular.
-    """
-
-    rows: Floats
-    directions: Floats
-
-    @cached_property
-    def _back(self) -> Floats:
-        """H (G H)^-1, (p, k)."""
-        return np.asarray(np.linalg.solve((self.rows @ self.directions).T, self.directions.T).T)
-
-    def held(self, x: Floats) -> Floats:
-        """Return unknowns (p + q,) that fit as ``x`` does and obey the conditions."""
-        found, p = x.copy(), self.rows.shape[1]
-        found[:p] -= self._back @ (self.rows @ x[:p])
-        return np.asarray(found)
-
-    def outputs(self, rows: csr_array | Outputs) -> Outputs:
-        """Return what ``rows`` C (o, p) are where the conditions hold: C (I - H (G H)^-1 G)."""
-        rows = rows if isinstance(rows, Outputs) else Outputs.alone(rows)
-        share = -rows.times(self._back)
-        share[np.abs(share) < ROUNDED * np.abs(share).max(initial=0.0)] = 0.0
-        common = np.concatenate([rows.common, self.rows])
-        return Outputs(rows.few, common, np.hstack([rows.share, share]))
-
-    def wider(self, count: int) -> Definitions:
-        """Return the same beside ``count`` further unknowns, of which nothing is said."""
-        more = np.zeros((len(self.rows), count))
-        return Definitions(np.hstack([self.rows, more]), np.concatenate([self.directions, more.T]))
+def _more(rows: Floats, wider: Floats) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (0, 0), (0, wider.shape[1] - rows.shape[1])

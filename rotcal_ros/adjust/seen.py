@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
-from scipy.sparse import diags_array
 
-from rotcal_ros.adjust.effects import Seen
+from rotcal_ros.adjust.effects import Seen, SeenFamily
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Steps
 from rotcal_ros.foundation.arrays import Floats, Ints
 
 AT_A_TIME, FEW = 128, 64
 """Steps that are summed up at once, of themselves and of what they do to all outputs."""
-WEAK: Final = 1e-4
-"""Information of a size, per that of its errors without the unknowns, below which digits go."""
+WEAK, ROUNDED = 1e-4, 1e-12
+"""Information of a size, per that of its errors without the unknowns, below which digits go, and
+all of them are gone."""
 
 
 def columns_of(columns: Floats | Steps, which: slice) -> Floats:
@@ -25,115 +25,142 @@ def columns_of(columns: Floats | Steps, which: slice) -> Floats:
     return columns.whole(which) if isinstance(columns, Steps) else columns[:, which]
 
 
-def seen_by(fit: Fit, columns: Floats | Steps, *, family: bool = False) -> Seen:
-    """Return what a solution makes of ``columns`` (n, k) of errors, of a ``family`` or together.
-
-    Of a family, which may have as many columns as there are observations, neighbours alone.
-    """
-    if isinstance(columns, Steps):
-        return _steps_seen_by(fit, columns)
+def seen_by(fit: Fit, columns: Floats) -> Seen:
+    """Return what a solution makes of ``columns`` (n, k) of errors that are there together."""
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    if family:
-        return _family_seen_by(fit, white)
     left = fit.left_of(white)
     return Seen(fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0))
 
 
-def _family_seen_by(fit: Fit, white: Floats) -> Seen:
-    """Return what a solution makes of whitened columns (n, k), each beside the next."""
+def family_seen_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> SeenFamily:
+    """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
+    if isinstance(columns, Steps):
+        return _steps_seen_by(fit, columns)
+    white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     gain, felt = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
-    whole = (white**2).sum(axis=0)
-    own = whole - (felt * gain).sum(axis=0)
-    beside = (white[:, :-1] * white[:, 1:]).sum(axis=0) - (felt[:, :-1] * gain[:, 1:]).sum(axis=0)
-    for k in np.flatnonzero(own < WEAK * whole).tolist():  # a small difference of large numbers
-        own[k] = (fit.left_of(white[:, k : k + 1]) ** 2).sum()
-    information = diags_array([beside, own, beside], offsets=[-1, 0, 1], format="csr")
-    return Seen(fit.model.output_rows.times(gain).T, information, white.T @ fit.white, whole)
+    mine, solved, adjoint = (
+        each.reshape(len(each), -1, width).transpose(1, 2, 0) for each in (white, gain, felt)
+    )
+    whole, own = (mine**2).sum(axis=2), mine @ mine.swapaxes(1, 2)
+    own = own - adjoint @ solved.swapaxes(1, 2)
+    beside = mine[:-1] @ mine[1:].swapaxes(1, 2) - adjoint[:-1] @ solved[1:].swapaxes(1, 2)
+    _firm_up(fit, own, whole, lambda which: white[:, which])
+    moved, score = fit.model.output_rows.times(gain).T, (white.T @ fit.white).reshape(-1, width)
+    return SeenFamily(moved, own, beside, score, whole)
 
 
-def _steps_seen_by(fit: Fit, steps: Steps) -> Seen:
+def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[slice], Floats]) -> None:
+    """Work out anew what is a small difference of large numbers: ``own`` (k, w, w)."""
+    w, scale = own.shape[1], np.sqrt(np.maximum(whole, np.finfo(np.float64).tiny))
+    values = np.linalg.eigvalsh(own / scale[:, :, None] / scale[:, None])
+    weak = ((values < WEAK) & (values > ROUNDED)).any(axis=1)
+    for k in np.flatnonzero(weak).tolist():
+        left = fit.left_of(white(slice(k * w, (k + 1) * w)))
+        own[k] = left.T @ left
+
+
+def _steps_seen_by(fit: Fit, steps: Steps) -> SeenFamily:
     """Return what a solution makes of steps, by running sums along each run."""
-    moves = StepMoves(fit, steps)
-    parts = [np.zeros((4, 0)), *(_run_seen_by(fit, moves.root, *run) for run in steps.runs)]
-    own, beside, score, whole = np.concatenate(parts, axis=1)
+    moves, w = StepMoves(fit, steps), steps.width
+    parts = [_run_seen_by(fit, moves.root, *run) for run in steps.runs]
+    own, beside, score, whole = (
+        np.concatenate([np.zeros((0, *shape)), *(part[k] for part in parts)])
+        for k, shape in enumerate(((w, w), (w, w), (w,), (w,)))
+    )
     ends = np.cumsum([len(first) for _, first in steps.runs])[:-1]
     for end in ends[(ends > 0) & (ends < len(own))].tolist():
-        left = fit.left_of(moves.white(slice(end - 1, end + 1)))
-        beside[end - 1] = left[:, 0] @ left[:, 1]
-    for k in np.flatnonzero(own < WEAK * whole).tolist():  # a small difference of large numbers
-        own[k] = (fit.left_of(moves.white(slice(k, k + 1))) ** 2).sum()
-    between = beside[:-1]
-    information = diags_array([between, own, between], offsets=[-1, 0, 1], format="csr")
-    return Seen(moves, information, score, whole)
+        left = fit.left_of(moves.white(slice((end - 1) * w, (end + 1) * w)))
+        beside[end - 1] = left[:, :w].T @ left[:, w:]
+    _firm_up(fit, own, whole, moves.white)
+    return SeenFamily(moves, own, beside[:-1], score, whole)
 
 
-def _run_seen_by(fit: Fit, root: Floats, rows: Ints, first: Ints) -> Floats:
-    """Return of the steps of one run: S of each and of it and the next, u, and whole, (4, m).
+def _run_seen_by(
+    fit: Fit, root: Floats, rows: Ints, first: Ints
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return of the steps of one run: S of each, of it and the next, u, and whole; m of each.
 
-    In blocks: of a step, what all later blocks have in common with it is asked of the kernel.
+    ``root`` (n, w): what each row feels of a unit, whitened. In blocks: of a step, what all later
+    blocks have in common with it is asked of the kernel.
     """
-    mine, own, beside = root[rows], np.zeros(len(first)), np.zeros(len(first))
+    mine, w = root[rows], root.shape[1]
+    own, beside = np.zeros((2, len(first), w, w))
     ends = [*first[AT_A_TIME::AT_A_TIME].tolist(), len(rows)]
-    later = np.zeros((len(root), len(ends)))
     for k, end in enumerate(ends):
-        later[rows[end:], k] = mine[end:]
-    taken = mine[:, None] * fit.kernel.taken_in(later, rows)
-    for k, end in enumerate(ends):
+        if not k % FEW:  # what is written out at once stays small
+            many = ends[k : k + FEW]
+            later = np.zeros((len(root), len(many), w))
+            for j, until in enumerate(many):
+                later[rows[until:], j] = mine[until:]
+            felt = fit.kernel.taken_in(later.reshape(len(root), -1), rows)
+            taken = felt.reshape(len(rows), len(many), w)
         of = slice(k * AT_A_TIME, (k + 1) * AT_A_TIME)
         begin, here = int(first[of][0]) if len(first) else 0, first[of]
-        among = fit.kernel.among(rows[begin:end])
-        within = _later(_later(mine[begin:end, None] * among * mine[begin:end]).T)
-        within = np.pad(within, ((0, 1), (0, 1)))
-        shared = np.append(_later(taken[begin:end, k]), 0.0)
-        apart = float(taken[end:, k].sum())
+        among, part = fit.kernel.among(rows[begin:end]), mine[begin:end]
+        within = part[:, :, None, None] * among[:, None, :, None] * part
+        within = _later(_later(within).transpose(2, 3, 0, 1)).transpose(2, 3, 0, 1)
+        within = np.pad(within, ((0, 1), (0, 0), (0, 1), (0, 0)))
+        shared = _later(part[:, :, None] * taken[begin:end, k % FEW, None])
+        shared = np.concatenate([shared, np.zeros((1, w, w))])
+        apart = mine[end:].T @ taken[end:, k % FEW]
         at = here - begin
         after = np.append(at[1:], end - begin)[: len(at)]
-        own[of] = within[at, at] + 2.0 * shared[at] + apart
-        beside[of] = within[at, after] + shared[at] + shared[after] + apart
-    square = _later(mine**2)[first]
+        own[of] = within[at, :, at] + shared[at] + shared[at].swapaxes(1, 2) + apart
+        beside[of] = within[at, :, after] + shared[at] + shared[after].swapaxes(1, 2) + apart
+    square = _later(mine[:, :, None] * mine[:, None])[first]
     if len(first):
         beside[:-1], beside[-1] = square[1:] - beside[:-1], 0.0
-    return np.stack([square - own, beside, _later(mine * fit.white[rows])[first], square])
+    score = _later(mine * fit.white[rows, None])[first]
+    return square - own, beside, score, square.diagonal(axis1=1, axis2=2)
 
 
 @dataclass(frozen=True, eq=False)
 class StepMoves:
-    """What ``steps`` do to the outputs: (k, o + a), too many numbers to be kept."""
+    """What ``steps`` do to the outputs: (k w, o + a), too many numbers to be kept."""
 
     fit: Fit
     steps: Steps
 
     @cached_property
     def root(self) -> Floats:
-        """By what an error is whitened (n,)."""
-        return np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
+        """What each row feels of a unit, whitened (n, w)."""
+        return np.asarray(
+            self.steps.felt * np.where(self.fit.used, 1.0 / self.fit.std, 0.0)[:, None]
+        )
 
     def white(self, which: slice) -> Floats:
         """Return some columns (n, m), whitened."""
-        return np.asarray(self.steps.whole(which) * self.root[:, None])
+        by = np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
+        return np.asarray(self.steps.whole(which) * by[:, None])
 
     def __getitem__(self, which: slice) -> Floats:
         """Return what some columns do, (m, o + a)."""
         return np.asarray(self.fit.moved(self.white(which)).T)
 
-    def worst(self, std: Floats) -> Floats:
-        """Return the most (k,) that each does to an output, in their ``std`` (o + a,)."""
+    def worst(self, std: Floats, *roots: Floats) -> list[Floats]:
+        """Return the most (k,) that combinations of each do to an output, of ``std`` (o + a,).
+
+        As :func:`~.effects.worst_of`.
+        """
         counts, outputs = np.isfinite(std) & (std > 0.0), self.fit.model.counting_outputs
         unit = np.where(counts, 1.0 / np.where(counts, std, 1.0), 0.0)[: len(outputs)]
-        found = [np.zeros(0)]
+        found, before = [np.zeros(len(r)) for r in roots], 0
         for rows, first in self.steps.runs:
-            most, carried = np.zeros(len(rows)), np.zeros(len(outputs))
+            carried = np.zeros((self.steps.width, len(outputs)))
             for end in range(len(rows), 0, -FEW):
                 part = slice(max(end - FEW, 0), end)
-                felt = self.fit.response_of(rows[part], outputs).T[::-1]
-                felt *= self.root[rows[part], None][::-1]
+                felt = self.fit.response_of(rows[part], outputs).T[::-1, None]
+                felt = felt * self.root[rows[part], :, None][::-1]
                 felt[0] += carried
                 felt = np.cumsum(felt, axis=0, out=felt)
                 carried = felt[-1].copy()
-                felt *= unit
-                most[part] = np.maximum(felt.max(axis=1), -felt.min(axis=1))[::-1]
-            found.append(most[first])
-        return np.concatenate(found)
+                mine = np.flatnonzero((first >= part.start) & (first < end))
+                share = (felt[end - 1 - first[mine]] * unit).swapaxes(1, 2)  # (m, o, w)
+                for each, r in zip(found, roots, strict=True):
+                    squares = ((share @ r[before + mine]) ** 2).sum(axis=2)
+                    each[before + mine] = np.sqrt(squares.max(axis=1, initial=0.0))
+            before += len(first)
+        return found
 
 
 def _later(rows: Floats) -> Floats:

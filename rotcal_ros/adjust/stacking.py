@@ -37,6 +37,7 @@ def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model
         equations=equations,
         outputs=model.outputs @ to,
         also={name: rows @ to for name, rows in model.also.items()},
+        definitions=None if model.definitions is None else model.definitions @ to,
         start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
     )
 
@@ -58,7 +59,9 @@ def whitened(model: Model) -> Model:
         std=np.ones(len(std)),
         equations=equations,
         unit=IN_NOISE,
-        effects=[e.mapped(divided, lambda computed: computed * std) for e in model.effects],
+        effects=[
+            e.mapped(divided, lambda computed: computed * std, apart=True) for e in model.effects
+        ],
     )
 
 
@@ -163,9 +166,4 @@ def _spread(rows: Floats, columns: Floats, unknowns: int) -> Floats:
 
 def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
     """Return the effect on the rows ``at`` of n, which says in whose observations it is."""
-
-    def spread(columns: Floats) -> Floats:
-        return np.pad(columns, ((at.start, n - at.stop), (0, 0)))
-
-    there = replace(effect, what=f"in {name} {effect.what}")
-    return there.mapped(spread, lambda computed: computed[at])
+    return replace(effect, what=f"in {name} {effect.what}").beside(n - at.stop, at.start)

@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.effects import worst_of
 from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
@@ -15,6 +16,7 @@ from rotcal_ros.adjust.model import (
     Disturbing,
     Grouping,
     Model,
+    Steps,
     Unit,
     drifts,
     from_mean,
@@ -22,9 +24,8 @@ from rotcal_ros.adjust.model import (
     instrument_effects,
     knocks,
     linear,
-    steps,
 )
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
 SIGMA = 1e-6
@@ -684,17 +685,45 @@ def test_sparse_derivatives_give_the_same_where_they_do_not_fall_into_groups():
     assert other.value == pytest.approx(np.linalg.lstsq(design, noise, rcond=None)[0], rel=1e-9)
 
 
-def test_a_family_is_seen_as_its_columns_one_by_one_are():
+@pytest.mark.parametrize("width", [1, 3])
+@pytest.mark.parametrize("written", [True, False])
+def test_a_family_is_seen_as_its_columns_one_by_one_are(width, written):
+    """Written out, and by running sums along two runs."""
     model = comparison(np.random.default_rng(6))[1]
-    fit = adjust(model).fit
-    columns = model.effects[1].at(fit.computed)
-    together, plain = seen_by(fit, columns, family=True), seen_by(fit, columns)
-    beside = np.abs(np.subtract.outer(*[np.arange(columns.shape[1])] * 2)) < 2
-    expected = np.where(beside, plain.information, 0.0)
-    assert together.information.toarray() == pytest.approx(expected, rel=1e-9, abs=1.0)
-    assert together.moved == pytest.approx(plain.moved)
-    assert together.score == pytest.approx(plain.score, rel=1e-6)
-    assert together.whole == pytest.approx(plain.whole)
+    fit, n = adjust(model).fit, RUNS * PLACES
+    ways = np.random.default_rng(7).standard_normal((n, 3)) if width > 1 else None
+    moves = Steps(np.arange(n) // 20, np.arange(float(n)), ways)
+    columns = moves.whole()
+    found, plain = family_seen_by(fit, columns if written else moves, width), seen_by(fit, columns)
+    each, at = plain.information.reshape(57, width, 57, width), np.arange(57)
+    assert found.information == pytest.approx(each[at, :, at], rel=1e-9, abs=1.0)
+    assert found.beside == pytest.approx(each[at[:-1], :, at[1:]], rel=1e-9, abs=1.0)
+    assert found.moved[:] == pytest.approx(plain.moved)
+    assert found.score.ravel() == pytest.approx(plain.score, rel=1e-6, abs=1e-3)
+    assert found.whole.ravel() == pytest.approx(plain.whole)
+    roots = np.random.default_rng(8).standard_normal((57, width, 2))
+    worst = worst_of(found.moved, fit.noise_std, roots)[0]
+    share = plain.moved.reshape(57, width, -1)[:, :, 1:] / fit.noise_std[1:]
+    expected = np.sqrt((np.einsum("kwo,kwr->kor", share, roots) ** 2).sum(axis=2)).max(axis=1)
+    assert worst == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("width", [1, 2])
+def test_a_move_is_found_whichever_way_it_goes(width):
+    """From the 38th reading on; what it does to even and to odd readings are two ways."""
+    n, found = RUNS * PLACES, 0
+    odd = np.arange(n) % 2 == 1
+    ways = np.column_stack([odd, ~odd]).astype(float) if width > 1 else None
+    for seed in range(10):
+        truth, model = comparison(np.random.default_rng(seed))
+        move = Steps(0 * odd, np.arange(float(n)), ways)
+        knock = Disturbing("knock", "something moved", move, 1e-3, MICRON, family=True)
+        moved = model.observed + (np.arange(n) >= 37) * (8e-6 * odd if width > 1 else 8e-6)
+        result = adjust(replace(model, observed=moved, effects=[model.effects[0], knock]))
+        sizes = [np.abs(e.sizes).max() for e in result.found_effects]
+        found += bool(sizes) and sizes[0] == pytest.approx(8e-6, abs=3e-6)
+        assert np.abs(result.value - truth).max() < 5.0 * result.std.max()
+    assert found >= 9
 
 
 def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
@@ -706,11 +735,13 @@ def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
 
 
 def test_a_move_in_two_ways_is_looked_for_from_every_moment_on():
-    """Of two runs, the second backwards in time: columns of one way, then those of the other."""
+    """Of two runs, the second backwards in time: moment by moment the columns of both ways."""
     run, when = np.array([0, 0, 0, 1, 1]), np.array([1.0, 2.0, 3.0, 9.0, 8.0])
     felt = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0], [5.0, 50.0]])
     one = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 3.0, 0.0], [0.0, 0.0, 4.0], [0.0] * 3])
-    np.testing.assert_array_equal(steps(run, when, felt), np.hstack([one, 10.0 * one]))
-    assert steps(np.zeros(1, dtype=np.int64), np.zeros(1), np.ones((1, 2))).shape == (1, 0)
+    both = np.stack([one, 10.0 * one], axis=2).reshape(5, 6)
+    np.testing.assert_array_equal(Steps(run, when, felt).whole(), both)
+    assert Steps(np.zeros(1, dtype=np.int64), np.zeros(1), np.ones((1, 2))).whole().shape == (1, 0)
     many = np.arange(2100)
-    assert steps(0 * many, many.astype(np.float64), np.ones((2100, 1))).shape == (2100, 1050)
+    moves = Steps(0 * many, many.astype(np.float64), np.ones((2100, 2)))
+    assert moves.some(1000).shape == (2100, 2100)

@@ -29,7 +29,8 @@ from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.circles import Circular, Turns
-from rotcal_ros.adjust.outputs import Definitions, Outputs
+from rotcal_ros.adjust.kernels import Defined
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -307,11 +308,6 @@ class PlateLayout:
         there = (tilt @ there[:, :, None])[:, :, 0] + found.axis_shift[group]
         return np.asarray((self.radial @ there[:, :, None])[:, :, 0])
 
-    @cached_property
-    def defined(self) -> Definitions:
-        """What chooses among solutions that fit alike (Eq. 16 to 19)."""
-        return Definitions(self.definitions, self.free)
-
     def curves(self) -> csr_array:
         """Return what takes unknowns to the six deviations (6 M, p), m and rad.
 
@@ -369,7 +365,8 @@ class PlateLayout:
         kernel = by_groups.kernel() if found is None else found
         if kernel is None or kernel.directions.shape[1] != FREE * self.groups:
             raise ObservabilityError("these balls and CMM positions do not separate the errors")
-        std = np.sqrt(kernel.variances_of(self.defined.outputs(self.curves())))
+        outputs = Outputs.alone(self.curves())
+        std = np.sqrt(Defined.of(kernel, self.definitions).variances_of(outputs))
         return dict(zip(COMPONENTS, std.reshape(len(COMPONENTS), -1), strict=True))
 
 

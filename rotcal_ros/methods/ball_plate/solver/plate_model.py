@@ -15,7 +15,7 @@ from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import Design, Whole
-from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit, steps
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Steps, Unit
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
@@ -132,7 +132,6 @@ def plate_model(layout: PlateLayout) -> Model:
         return rows.computed(x), design
 
     start = np.zeros(layout.unknowns + drifts)
-    defined = layout.defined.wider(drifts)
     others = layout.others()
     blocks = {"table shift": 3 * table, "table turn": 3 * table, "CMM": 3 * cmm, "ball": 3 * ball}
     return Model(
@@ -140,8 +139,8 @@ def plate_model(layout: PlateLayout) -> Model:
         observed=observed,
         std=rows.noise(design, observed - rows.computed(start)),
         equations=equations,
-        outputs=defined.outputs(_wider(Outputs.alone(layout.curves()), drifts)),
-        also={name: defined.outputs(_wider(each, drifts)) for name, each in others.items()},
+        outputs=_wider(Outputs.alone(layout.curves()), drifts),
+        also={name: _wider(each, drifts) for name, each in others.items()},
         words=WORDS,
         unit=UM,
         components=(IN_PLANE, ALONG_AXIS),
@@ -150,7 +149,7 @@ def plate_model(layout: PlateLayout) -> Model:
         effects=_effects(rows),
         row_names=[problem.row_name(k) for k in layout.row.tolist() for _ in range(3)],
         element=np.repeat(np.arange(n), 3),
-        definitions=defined,
+        definitions=np.pad(layout.definitions, ((0, 0), (0, drifts))),
         unstated=problem.std is None and problem.sigma is None,
     )
 
@@ -189,11 +188,7 @@ def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
     """Return what could spoil the centres: the CMM drifts, the plate moves, warms and grows."""
     problem, row = rows.problem, rows.layout.row
     once, when = np.zeros(3 * len(row), dtype=np.int64), np.repeat(np.arange(len(row)), 3)
-    moved = steps(
-        once,
-        (when // max(1, len(row) // 40)).astype(np.float64),
-        rows.of(plate_motion(problem)[row]),
-    )
+    moved = Steps(once, when.astype(np.float64), rows.of(plate_motion(problem)[row]))
     places = problem.radius * on_circle(problem.angles[problem.cmm_index[row]])
     grown = rows.of((rows.time[:, None] * places)[:, :, None])
     found = (

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.adjust.model import (
+    MOST_MOMENTS,
     CurveModel,
     Disturbing,
     Grouping,
     Model,
+    Steps,
     drifts,
     linear,
-    steps,
 )
 from rotcal_ros.adjust.stacking import IN_NOISE
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -76,9 +76,7 @@ def curve_model(problem: PlaneMirrorProblem) -> tuple[CurveModel, Ints]:
             Grouping("position", of_rows(view.elements.position)),
             Grouping("station", of_rows(view.elements.station), moment),
         ],
-        effects=[
-            replace(e, columns=below(e.whole(observed[: 3 * m]))) for e in _effects(view, prepared)
-        ],
+        effects=[e.beside(stated) for e in _effects(view, prepared)],
         row_names=[
             *(
                 f"{axis} of point {k}"
@@ -114,10 +112,10 @@ def _effects(view: Linear, prepared: PreparedWay) -> tuple[Disturbing, ...]:
 
     mirror, tracker = "the mirror turned on the table", "the tracker turned"
     drifting, drifted = drifts(once, moment) * turns, drifts(station, when) * sideways
-    knocked, moved = steps(once, moment, turns), steps(station, when, sideways)
+    knocked, moved = Steps(once, moment, turns), Steps(station, when, sideways)
     return (
         Disturbing("drift", "the mirror turns slowly on the table", drifting, LARGEST),
         Disturbing("drift", "the tracker turns slowly", seen(drifted), LARGEST, family=True),
         Disturbing("knock", mirror, knocked, LARGEST, family=True),
-        Disturbing("knock", tracker, seen(moved), LARGEST, family=True),
+        Disturbing("knock", tracker, seen(moved.some(MOST_MOMENTS)), LARGEST, family=True),
     )

@@ -25,11 +25,10 @@ from rotcal_ros.adjust.model import (
     Disturbing,
     Grouping,
     Model,
+    Steps,
     Unit,
     block_rows,
     drifts,
-    knocks,
-    steps,
 )
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -157,7 +156,7 @@ class CarriedLengths:
         once, when = np.zeros(len(design), dtype=np.int64), self.order.astype(np.float64)
         gone, read = drifts(once, when), drifts(self.zero, when)
         moves = np.einsum("kij,kj->ki", _about_axis(self.places)[self.place], felt("place"))
-        moved, shifted = steps(self.place, when, moves), knocks(self.zero, when)
+        moved, shifted = Steps(self.place, when, moves), Steps(self.zero, when)
         distance = self.computed(np.zeros(design.shape[1]))[0] + self.zeros[self.zero]
         return (
             Disturbing("drift", "the machine drifts", gone * felt("target"), LARGEST_MOVE, UM),
@@ -204,7 +203,7 @@ class CarriedLengths:
                 Grouping("position", np.append(self.position, beyond)),
                 Grouping("target", np.append(self.target, beyond)),
             ],
-            effects=[e.mapped(below, lambda computed: computed[:k]) for e in self.effects],
+            effects=[e.beside(len(known)) for e in self.effects],
             row_names=[
                 *(f"length {row}" for row in self.row.tolist()),
                 *(f"value {i} of {s.what}" for s in parts for i in range(len(s.rows))),
