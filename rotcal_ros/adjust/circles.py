@@ -425,7 +425,7 @@ class ByOrder(Kernel):
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
         if outputs.each != 1:
-            return super().response(outputs, rows)
+            return self._response_of_few(outputs, rows)
         (circles, size), (places, others) = (self.turns.circles, self.turns.size), self._felt
         turn, place = self.turns.turn[rows], self.turns.place[rows]
         column, value = (each[:, 0] for each in outputs.entries)
@@ -442,6 +442,25 @@ class ByOrder(Kernel):
                 found[np.ix_(here, mine)] = turned[:, column[mine] - begin] * value[mine]
         beyond = np.flatnonzero(column >= circles * size)
         found[:, beyond] = others[turn[:, None], column[beyond] - circles * size] * value[beyond]
+        return self._beside_common(found, outputs, turn, place)
+
+    def _response_of_few(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return the same of outputs that read several places each, (o, k)."""
+        (circles, size), (places, others) = (self.turns.circles, self.turns.size), self._felt
+        turn, place = self.turns.turn[rows], self.turns.place[rows]
+        found = np.zeros((len(rows), len(outputs)))
+        for column, value in zip(*(each.T for each in outputs.entries), strict=True):
+            circle, at = np.divmod(np.minimum(column, circles * size - 1), size)
+            inside = column < circles * size
+            own = places.reshape(len(places), -1)
+            for k in np.unique(turn).tolist():
+                here = np.flatnonzero(turn == k)
+                step = circle * size + (at - place[here, None]) % size
+                found[here] += own[k][step] * np.where(inside, value, 0.0)
+            beyond = np.flatnonzero(~inside)
+            if len(beyond):
+                felt = others[turn[:, None], column[beyond] - circles * size]
+                found[:, beyond] += felt * value[beyond]
         return self._beside_common(found, outputs, turn, place)
 
     def _beside_common(self, found: Floats, outputs: Outputs, turn: Ints, place: Ints) -> Floats:
@@ -468,6 +487,16 @@ class ByOrder(Kernel):
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""
         return np.asarray(self.between[self.turns.turn, self.turns.turn, 0])
+
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
+        turns = self.turns
+        cell, whole = turns.turn * turns.size + turns.place, len(turns.sign) * turns.size
+        cells = np.stack([np.bincount(cell, part, whole) for part in share])
+        orders = np.fft.rfft(cells.reshape(len(share), -1, turns.size), axis=2)
+        between = np.fft.rfft(self.between**2, axis=2)
+        found = np.einsum("atq,tuq,buq->abq", orders.conj(), between, orders, optimize=True)
+        return np.asarray(np.fft.irfft(found, turns.size, axis=2)[:, :, 0])
 
     @cached_property
     def between(self) -> Floats:

@@ -56,6 +56,8 @@ FAILED_FACTOR: Final = 10.0
 """Times the stated noise from which the model does not describe the observations."""
 COVERED: Final = 1.959964
 """Standard uncertainties on either side that hold 95 % of a normal distribution."""
+SURE: Final = 0.01
+"""Standard deviation of the logarithm of a noise up to which Student's t is the normal one."""
 UNCHECKED: Final = 0.99
 """Share of its prior from which on the factor of a component is no estimate."""
 MOST_SIZES: Final = 6
@@ -150,10 +152,12 @@ class Adjusted:
         estimated, model = self.diagnosis.noise.estimated, self.model
         if estimated is None:
             return np.ones(len(self.fit.value))
-        part = model.of_component == np.arange(len(model.components))[:, None]
-        variance = self.fit.variance_from(part)  # (o, c)
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
         known = np.where(checked, estimated.log_std, 0.0)
+        if known.max(initial=0.0) < SURE:
+            return np.ones(len(self.fit.value))
+        part = model.of_component == np.arange(len(model.components))[:, None]
+        variance = self.fit.variance_from(part)  # (o, c)
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)

@@ -227,6 +227,10 @@ class Kernel(ABC):
         """Return the same in parts that are few, where they are."""
         return Sensitivity.whole(self.response(outputs, rows))
 
+    def squares_between(self, share: Floats) -> Floats | None:
+        """Return the same of rows that count ``share`` (c, n) in parts; None: the form cannot."""
+        return None
+
     def shared(self, parts: Bools) -> Floats:
         """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows.
 
@@ -435,6 +439,24 @@ class Updated(Kernel):
             low = self.design.some_times(rows.ravel(), self.columns).reshape(*rows.shape, -1)
             found += (low @ self.core) @ low.swapaxes(1, 2)
         return np.asarray(found)
+
+    def shared(self, parts: Bools) -> Floats:
+        """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows.
+
+        Of a base B and a low rank L C L': those of B, of both, and of the low rank alone.
+        """
+        found = self.base.squares_between(parts * self.share**2)
+        if found is None:
+            return super().shared(parts)
+        low, p = self.design.times(self.columns), self.base.directions.shape[0]
+        each = [part[:, None] * low for part in parts]
+        taken = np.zeros((len(parts), *self.columns.shape))
+        taken[:, :p] = [self.base.times(self.design.adjoint(own)[:p]) for own in each]
+        squares = np.stack([own.T @ own for own in each])
+        mixed = np.stack([[other.T @ self.design.times(own) for other in each] for own in taken])
+        found = found + 2.0 * (mixed * self.core).sum(axis=(2, 3))
+        spread = self.core @ squares @ self.core
+        return np.asarray(found + (spread[:, None] * squares).sum(axis=(2, 3)))
 
     @property
     def leverage(self) -> Floats:

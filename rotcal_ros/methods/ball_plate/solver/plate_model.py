@@ -15,7 +15,7 @@ from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import Design, Whole
-from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Steps, Unit
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
@@ -34,6 +34,9 @@ QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 ROUNDING: Final = 1e3 * np.finfo(np.float64).eps
 """Standard deviation below which a coordinate has no noise, as part of the radius."""
+MOMENTS: Final = 40
+"""Moments at which a knock is looked for, evenly over the run; a quarter where each costs more."""
+MANY_CENTRES: Final = 3000
 JUDGED: Final = 1200
 """Unknowns up to which it is asked which centres of a place are off together."""
 
@@ -132,7 +135,6 @@ def plate_model(layout: PlateLayout) -> Model:
         return rows.computed(x), design
 
     start = np.zeros(layout.unknowns + drifts)
-    others = layout.others()
     blocks = {"table shift": 3 * table, "table turn": 3 * table, "CMM": 3 * cmm, "ball": 3 * ball}
     return Model(
         blocks=blocks | ({"drift": drifts} if drifts else {}),
@@ -140,7 +142,6 @@ def plate_model(layout: PlateLayout) -> Model:
         std=rows.noise(design, observed - rows.computed(start)),
         equations=equations,
         outputs=_wider(Outputs.alone(layout.curves()), drifts),
-        also={name: _wider(each, drifts) for name, each in others.items()},
         words=WORDS,
         unit=UM,
         components=(IN_PLANE, ALONG_AXIS),
@@ -177,25 +178,27 @@ def _groupings(layout: PlateLayout) -> list[Grouping]:
         near = None if circle is None else np.repeat(circle[beside], 3, axis=0)
         return Grouping(kind, np.repeat(number, 3), near=near)
 
-    return [
-        grouping("table position", table, ball),
-        grouping("ball step", ball, table),
-        grouping("CMM position", place, ball),
-    ]
+    of_ball = [] if circle is None else [grouping("ball step", ball, table)]
+    cmm = Grouping("CMM position", np.repeat(place, 3))
+    return [grouping("table position", table, ball), *of_ball, cmm]
 
 
 def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
     """Return what could spoil the centres: the CMM drifts, the plate moves, warms and grows."""
     problem, row = rows.problem, rows.layout.row
-    once, when = np.zeros(3 * len(row), dtype=np.int64), np.repeat(np.arange(len(row)), 3)
-    moved = Steps(once, when.astype(np.float64), rows.of(plate_motion(problem)[row]))
+    n = len(row)
+    count = MOMENTS if n <= MANY_CENTRES else MOMENTS // 4
+    moments = np.unique(np.ceil((np.arange(count) + 0.5) / count * n).astype(np.int64))
+    later = np.repeat(np.arange(n), 3)[:, None] >= moments
+    moved = later[:, :, None] * rows.of(plate_motion(problem)[row])[:, None]
     places = problem.radius * on_circle(problem.angles[problem.cmm_index[row]])
     grown = rows.of((rows.time[:, None] * places)[:, :, None])
     found = (
         Disturbing("drift", "the origin of the CMM drifts", rows.of(drift_columns(rows.time, 1)),
                    LARGEST, UM),
         Disturbing("growth", "the plate grew", grown, LARGEST_GROWTH, Unit("um/m", MICROMETRE)),
-        Disturbing("knock", "the plate moved on the table", moved, LARGEST, UM, family=True),
+        Disturbing("knock", "the plate moved on the table", moved.reshape(3 * n, -1), LARGEST, UM,
+                   family=True, of_each=6),
     )  # fmt: skip
     return found[1:] if problem.drift else found
 

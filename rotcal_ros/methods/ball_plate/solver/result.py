@@ -374,10 +374,10 @@ def _warnings(solution: PlateSolution) -> Iterator[str]:
 def _details(solution: PlateSolution) -> dict[str, Any]:
     """Everything else the method knows, in SI; one entry per group under ``groups``."""
     layout, found, problem = solution.layout, solution.found, solution.fitted
-    each = {
-        name: (value.reshape(-1, 3), std.reshape(-1, 3))
-        for name, (value, std) in found.also.items()
-    }
+    kernel, each = found.fit.kernel, dict[str, tuple[Floats, Floats]]()
+    for name, rows in layout.others().items():
+        std = found.scale * np.sqrt(kernel.variances_of(rows))
+        each[name] = rows.times(found.fit.x).reshape(-1, 3), std.reshape(-1, 3)
     table, cmm, ball = layout.group
     of_group = {
         "plate_errors": ball, "cmm_errors": cmm,
