@@ -89,6 +89,13 @@ class SeenFamily:
         moved = self.moved[k * w : (k + 1) * w]
         return Seen(moved, self.information[k], self.score[k], self.whole[k])
 
+    def column(self, j: int) -> Seen:
+        """Return what is seen of one column of a member alone."""
+        k, way = divmod(j, self.score.shape[1])
+        at = slice(way, way + 1)
+        information, score = self.information[k, at, at], self.score[k, at]
+        return Seen(self.moved[j : j + 1], information, score, self.whole[k, at])
+
     @cached_property
     def roots(self) -> tuple[Floats, Floats]:
         """Combinations (k, w, w) of unit information, zero where there is none; and of none."""
@@ -108,6 +115,13 @@ class SeenFamily:
     def squares(self) -> Floats:
         """What chi-squared falls by for each member (k,) alone; 0 where nothing is seen."""
         return np.asarray(((self.score[:, None] @ self.roots[0]) ** 2).sum(axis=(1, 2)))
+
+    @cached_property
+    def squares_of_one(self) -> Floats:
+        """The same of each column (k w,) alone."""
+        own = self.information.diagonal(axis1=1, axis2=2)
+        seen = own > UNSEEN * self.whole
+        return np.where(seen, self.score**2 / np.where(seen, own, 1.0), 0.0).ravel()
 
     @cached_property
     def alike(self) -> Floats:

@@ -426,7 +426,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     require_determined(model)
     computed, _ = model.equations(model.first)
     # nothing is read yet that would tell ways to move apart
-    correlated = [replace(each, likely=None) for each in model.correlated]
+    correlated = [each.below(0) for each in model.correlated]  # data would say which are likely
     exact = replace(model, observed=computed, correlated=correlated)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
     every_std = fit.noise_std

@@ -8,9 +8,9 @@ to the axis average line (ISO 230-7), as what turns with the table does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -109,23 +109,18 @@ class Correlated:
 
     They are sums of independent ``parts``, as of radial and axial motions. Each part is one of
     several ways, roots (k, r) whose products are its covariance; which one is not known.
-    ``likely``: which ways of the first, of the second ... part (w, v, ...) a fit of that model
-    leaves possible; without it all are.
     """
 
     rows: Ints
     parts: tuple[tuple[Floats, ...], ...]
-    likely: Callable[..., Bools] | None = None
 
     def below(self, count: int) -> Correlated:
         """Return the same below ``count`` further rows, in a model where all ways are possible."""
         return Correlated(self.rows + count, self.parts)
 
-    def possible(self, fit: object) -> Bools:
-        """Return which ways (w, v, ...) are possible together, of a ``fit`` of the model."""
-        if self.likely is None:
-            return np.ones([len(ways) for ways in self.parts], np.bool_)
-        return self.likely(fit)
+    def possible(self, _fit: Any) -> Bools:
+        """Return which ways (w, v, ...) a fit of the model leaves possible together: all."""
+        return np.ones([len(ways) for ways in self.parts], np.bool_)
 
     def spread(self, felt: Floats, possible: Bools) -> Floats:
         """Return what independent errors would have to do (o, k) in the place of these.

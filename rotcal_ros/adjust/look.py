@@ -191,6 +191,7 @@ class Look:
         """That a declared effect is there: each a list, of a family the best members first.
 
         Of a family another member may be there, too; the one before leaves no residual any more.
+        What moves may do so in one way alone, which costs less.
         """
         taken = [e.effect for e in self.before.taken]
         asked = (e for e in self.before.model.effects if e.family or e not in taken)
@@ -203,36 +204,45 @@ class Look:
             whole = columns_of(columns, slice(None))
             seen = seen_by(self.fit, whole)
             test = effect_test(seen, self.rest, largest=effect.largest)
-            return [self._explanation(effect, whole, seen, test)] if test.rank else []
+            return [self._explanation(effect, whole, seen, test, 1)] if test.rank else []
         family = family_seen_by(self.fit, columns, width)
         if not family.squares.any():
             return []
-        chance, found = family_test(family, self.rest).probability, []
-        for k in np.argsort(-family.squares, kind="stable")[: MOST_RIVALS + 1].tolist():
-            seen, mine = family.member(k), columns_of(columns, slice(k * width, (k + 1) * width))
+        chance, found = family_test(family, self.rest).probability, list[Explanation]()
+
+        def tried(seen: Seen, first: int, count: int) -> None:
             test = effect_test(seen, self.rest, largest=effect.largest)
             if test.rank:
-                test = test._replace(probability=chance)
-                found.append(self._explanation(effect, mine, seen, test))
-        return found
+                test, mine = test._replace(probability=chance), slice(first, first + count)
+                among = columns.shape[1] // count
+                written = columns_of(columns, mine)
+                found.append(self._explanation(effect, written, seen, test, among))
+
+        for k in _largest(family.squares):
+            tried(family.member(k), k * width, width)
+        for j in _largest(family.squares_of_one) if width > 1 else ():
+            tried(family.column(j), j, 1)
+        return sorted(found, key=lambda e: -e.support)
 
     def _explanation(
-        self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest
+        self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest, among: int
     ) -> Explanation:
-        """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show."""
+        """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show.
+
+        ``among``: how many of their kind there are.
+        """
         every = effect.at(self.fit.computed)
-        members = every.shape[1] // effect.width if effect.family else 1
-        support, price = self._support(test.squares, test.rank, RARER * members)
+        support, price = self._support(test.squares, test.rank, RARER * among)
         where = ""
         if isinstance(every, Steps):
             touched = np.flatnonzero(columns.any(axis=1))
             where = f" from {self.before.model.names[touched[every.when[touched].argmin()]]} on"
         elif effect.family:
-            touched = np.flatnonzero(columns[:, 0])
+            touched = np.flatnonzero(columns.any(axis=1))
             if len(np.unique(columns[touched, 0])) == 2 and columns[touched, 0].max() > 0.0:
                 touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift counted from its mean
             first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
-            stays = np.ptp(columns[touched, 0]) == 0.0
+            stays = effect.stays or np.ptp(columns[touched, 0]) == 0.0
             where = f" from {first} on" if stays else f" from {first} to {last}"
         return Explanation(
             f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
@@ -304,6 +314,12 @@ class Look:
             grouping.kind, name, members, fit.white[rows], 1.0 / fit.std[rows],
             fit.kernel.among(rows.ravel()), felt, gathered, lost,
         )  # fmt: skip
+
+
+def _largest(squares: Floats) -> list[int]:
+    """Return the best of a kind and its rivals, the largest first."""
+    order: list[int] = np.argsort(-squares, kind="stable")[: MOST_RIVALS + 1].tolist()
+    return order
 
 
 def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:

@@ -180,7 +180,8 @@ class Disturbing:
     ones hold the very noise that they would explain. ``what`` happens, for people.
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
     ``family`` has members of which at most one is there, in the order of time, each of so many
-    columns as its :attr:`width`; other columns are there together.
+    columns as its :attr:`width`; other columns are there together. What ``stays`` does so from
+    its moment on until the run ends, as :class:`Steps` do.
     """
 
     effect: Effect
@@ -190,6 +191,7 @@ class Disturbing:
     unit: Unit = SECONDS
     family: bool = False
     of_each: int = 1
+    stays: bool = False
 
     @property
     def width(self) -> int:
@@ -217,7 +219,9 @@ class Disturbing:
             return replace(self, columns=replace(self.columns, ways=to(self.columns.felt)))
         if callable(self.columns):
             return replace(self, columns=lambda computed: to(self.whole(back(computed))))
-        return replace(self, columns=to(self.whole(np.zeros(0))), of_each=self.width)
+        stays = self.stays or isinstance(self.columns, Steps)
+        whole = to(self.whole(np.zeros(0)))
+        return replace(self, columns=whole, of_each=self.width, stays=stays)
 
     def beside(self, below: int, above: int = 0) -> Disturbing:
         """Return the effect beside further observations, below and above, which it spares."""

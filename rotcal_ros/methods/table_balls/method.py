@@ -57,10 +57,9 @@ from rotcal_ros.methods.table_balls.model import (
     BallsOnTable,
     components_of,
     model_of,
-    moves,
     untold_of,
 )
-from rotcal_ros.methods.table_balls.motions import MOTION_KINDS, contradictions
+from rotcal_ros.methods.table_balls.motions import MOTION_KINDS, stated_motions_of
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     DISPLACEMENT,
@@ -402,15 +401,13 @@ def states(
     return Statement(doubts, protections, details | {"trajectories": ways}, axes)
 
 
-def restated(configuration: Configuration, read: Readings, found: Adjusted) -> Restated | None:
+def restated(configuration: Configuration, _read: Readings, found: Adjusted) -> Restated | None:
     """Return larger statements of motions where the balls show more; None where they fit."""
-    balls, solver = balls_of(configuration, read), configuration.solver
-    if not found.model.correlated:
-        return None  # they determine every motion: nothing is stated
-    every = contradictions(found.fit, balls.stated, moves(balls, solver), balls.first["EXC"])
+    solver = configuration.solver
     beyond = [
         each
-        for each in every
+        for together in stated_motions_of(found.model)
+        for each in together.contradictions(found.fit)
         if each.factor > 1.0 and each.probability < LIMITS.significance / len(MOTION_KINDS)
     ]
     if not beyond:
@@ -432,7 +429,7 @@ def restated(configuration: Configuration, read: Readings, found: Adjusted) -> R
 def _protections(
     configuration: Configuration, balls: BallsOnTable, found: Adjusted
 ) -> Iterator[Protection]:
-    worst = exceeded(balls, found, moves(balls, configuration.solver))
+    worst = exceeded(balls, found)
     of_effects: tuple[tuple[Effect, tuple[str, ...], tuple[str, ...]], ...] = (
         ("error motion", COMPONENTS[:3], ("radial", "axial")), ("tilt", COMPONENTS[3:5], ("tilt",))
     )  # fmt: skip

@@ -55,7 +55,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.table_balls.motions import correlated, drawn, spectra
+from rotcal_ros.methods.table_balls.motions import StatedMotions, spectra
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     BallsPlanSettings,
@@ -600,8 +600,10 @@ def model_of(
     model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
     if not len(motions):
         return model
-    rows, first = motions[:, balls.motions], balls.first["EXC"]
-    together = correlated(rows, len(zero), balls.stated, moves(balls, solver), first, balls.angles)
+    together = StatedMotions.of(
+        motions[:, balls.motions], len(zero), _sums(balls), balls.stated, balls.angles,
+        balls.tilts, spectra(solver), balls.first["EXC"],
+    )  # fmt: skip
     return replace(model, correlated=(together,))
 
 
@@ -623,11 +625,6 @@ def _returning(balls: BallsOnTable, read: Readings, zero: Ints) -> Floats:
         along = arm / np.linalg.norm(arm, axis=1)[:, None]
         felt = np.insert(along, 3, 1.0, axis=1)[:, None]
     return _from_mean(np.einsum("nca,ns->ncas", felt, shapes).reshape(len(zero), -1), zero)
-
-
-def moves(balls: BallsOnTable, solver: BallsSolverSettings) -> dict[str, tuple[Floats, ...]]:
-    """Return how the table may move; see :func:`~.motions.drawn`."""
-    return drawn(_sums(balls), balls.stated, balls.angles, balls.tilts, spectra(solver))
 
 
 def _outputs(balls: BallsOnTable) -> Floats:

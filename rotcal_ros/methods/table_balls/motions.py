@@ -11,8 +11,10 @@ that stands or leans elsewhere.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
 from rotcal_ros.adjust.engine import LIMITS
 from rotcal_ros.adjust.error_motion import HIGHEST, WHITE, Correlated, Spectrum
 from rotcal_ros.adjust.fit import Fit
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.table_balls.settings import (
@@ -95,79 +98,156 @@ def ways(spectrum: Spectrum, angles: Floats, tilts: int) -> Iterator[Floats]:
         yield np.tile(once, (tilts, 1))
 
 
-def drawn(
-    sums: Floats,
-    stated: Floats,
-    angles: Floats,
-    tilts: int,
-    possible: Mapping[str, tuple[Spectrum, ...]],
-) -> dict[str, tuple[Floats, ...]]:
-    """Return columns (6 t p, r) of motions of each kind in each possible way, m and rad.
+class Contradiction(NamedTuple):
+    """Motions of a ``kind`` are ``factor`` times as large as stated, with this ``probability``.
 
-    ``sums`` (d, 6 t p): what is zero by definition; ``stated`` (6,): sizes of the motions.
+    That is: how probably they are what is shown, were the statement true.
     """
-    basis, count = np.linalg.qr(sums.T)[0], tilts * len(angles)
 
-    def placed(kind: str, way: Floats) -> Floats:
-        found = np.zeros((6, count, len(MOTION_KINDS[kind]), way.shape[1]))
-        for k, number in enumerate(MOTION_KINDS[kind]):
-            found[number, :, k] = stated[number] * way
-        flat = found.reshape(6 * count, -1)
-        return np.asarray(flat - basis @ (basis.T @ flat))
-
-    return {
-        kind: tuple(
-            placed(kind, way) for spectrum in each for way in ways(spectrum, angles, tilts)
-        )
-        for kind, each in possible.items()
-    }
+    kind: str
+    factor: float
+    probability: float
 
 
-def correlated(
-    rows: Floats,
-    before: int,
-    stated: Floats,
-    moves: Mapping[str, tuple[Floats, ...]],
-    first: int,
-    angles: Floats,
-) -> Correlated:
-    """Return what the errors of statements have in common, whose rows follow ``before`` others.
+@dataclass(frozen=True, eq=False)
+class StatedMotions(Correlated):
+    """What the errors of statements have in common that hold of the table's motions.
 
-    ``rows`` (k, 6 t p): what each statement takes of the motions, per standard deviation;
-    ``moves``: what :func:`drawn` returns; ``first``: where the motions are among the unknowns.
+    ``rows`` and ``parts`` as of :class:`~.error_motion.Correlated`, a part for each kind of
+    motion. ``stated`` (6,): sizes of the motions, m and rad; ``ways``: columns (6 t p, r) of them
+    in each possible way, by kind; ``first``: where they are among the unknowns. ``angles`` (p,).
     """
-    parts = tuple(tuple(rows @ way for way in each) for each in moves.values())
-    found = Correlated(before + np.arange(len(rows)), parts)
-    if len(stated) * len(angles) < len(next(iter(moves.values()))[0]):
-        return found  # several tilts, each of which may move by itself
-    return replace(found, likely=lambda fit: likely(fit, stated, moves, first, angles))
+
+    stated: Floats
+    ways: Mapping[str, tuple[Floats, ...]]
+    first: int
+    angles: Floats
+
+    @classmethod
+    def of(
+        cls,
+        rows: Floats,
+        before: int,
+        sums: Floats,
+        stated: Floats,
+        angles: Floats,
+        tilts: int,
+        possible: Mapping[str, tuple[Spectrum, ...]],
+        first: int,
+    ) -> StatedMotions:
+        """Return that of statements whose rows follow ``before`` others.
+
+        ``rows`` (k, 6 t p): what each takes of the motions, per standard deviation; ``sums``
+        (d, 6 t p): what is zero by definition; ``possible``: spectra of each kind.
+        """
+        basis, count = np.linalg.qr(sums.T)[0], tilts * len(angles)
+        every, parts = dict[str, tuple[Floats, ...]](), list[tuple[Floats, ...]]()
+        for kind, numbers in MOTION_KINDS.items():
+            each = [way for spectrum in possible[kind] for way in ways(spectrum, angles, tilts)]
+            width = len(numbers) * np.array([way.shape[1] for way in each])
+            found = np.zeros((6, count, width.sum()))
+            ends = np.cumsum(width)[:-1]
+            for way, here in zip(each, np.split(np.arange(width.sum()), ends), strict=True):
+                for number, columns in zip(numbers, np.split(here, len(numbers)), strict=True):
+                    found[number, :, columns] = stated[number] * way.T
+            flat = found.reshape(6 * count, -1)
+            flat -= basis @ (basis.T @ flat)
+            every[kind] = tuple(np.split(flat, ends, axis=1))
+            parts.append(tuple(np.split(rows @ flat, ends, axis=1)))
+        at = before + np.arange(len(rows))
+        return cls(at, tuple(parts), stated, every, first, angles)
+
+    def possible(self, fit: Fit) -> Bools:
+        """Return which ways to move (w, v, u), of each kind one, fit what the balls show.
+
+        Of the motions order by order, as if these were independent, which they are where angles
+        are even and complete; by the likelihood of each per that of the best.
+        """
+        moved, gain, noise = self._moved(fit)
+        if len(moved) > len(self.stated) * len(self.angles):
+            return super().possible(fit)  # several tilts, each of which may move by itself
+        scale, merit = np.repeat(self.stated, len(self.angles))[:, None], np.zeros(())
+        for order in range(min(ORDERS, len(self.angles) // 2) + 1):
+            waves = np.kron(np.eye(6)[:5], _waves(order, self.angles))  # nothing is stated of ECC
+            rows = _white(waves @ noise) @ waves
+            felt = rows @ gain[:, self.rows]
+            columns = [
+                [rows @ (way / scale) - felt @ root for way, root in zip(*both, strict=True)]
+                for both in zip(self.ways.values(), self.parts, strict=True)
+            ]
+            size, axes = np.linalg.eigh(sum(_square(c) for each in columns for c in each))
+            shown = axes[:, size > SHOWN].T
+            squares = [np.array([_square(shown @ c) for c in each]) for each in columns]
+            merit = merit + _log_likelihood(shown @ rows @ moved, squares)
+        best = merit.max(axis=0)
+        return np.asarray(best >= best.max() + np.log(LIKELY))
+
+    def contradictions(self, fit: Fit) -> Iterator[Contradiction]:
+        """Yield of each kind of motion how what is shown of it fits its statement.
+
+        Each way to move is weighed by how well it fits at the size that suits it best; the rest
+        of its directions, which noise rules, say nothing.
+        """
+        for kind, each in self._shown(fit).items():
+            yield _contradiction(kind, each)
+
+    def found_from(self, fit: Fit) -> Iterator[Floats]:
+        """Yield of each kind of motion how many times (w,) as large as stated each way is found.
+
+        With a probability of POWER by :meth:`contradictions`; infinite where nothing shows it.
+        """
+        each = LIMITS.significance / len(MOTION_KINDS)
+        for shown in self._shown(fit).values():
+            rules = [int((grown > 1.0).sum()) for grown, _ in shown]
+            yield np.array([np.sqrt(noise_growth(each, POWER, n)) if n else np.inf for n in rules])
+
+    def _shown(self, fit: Fit) -> dict[str, list[tuple[Floats, Floats]]]:
+        """Return of each way of each kind its variances along axes (a,), and the squares shown.
+
+        Both per variance of the noise.
+        """
+        if fit in self._looked:
+            return self._looked[fit]
+        value, gain, noise = self._moved(fit)
+        count = len(value) // 6
+        scale = np.repeat(self.stated, count)
+        per_way = [
+            np.concatenate([
+                way / scale[:, None] - gain[:, self.rows] @ root
+                for way, root in zip(both, roots, strict=True)
+            ], axis=1)
+            for both, roots in zip(zip(*self.ways.values(), strict=True),
+                                   zip(*self.parts, strict=True), strict=True)
+        ]  # fmt: skip
+        found = dict[str, list[tuple[Floats, Floats]]]()
+        for kind, numbers in MOTION_KINDS.items():
+            own = np.isin(np.repeat(np.arange(6), count), numbers)
+            white = _white(noise[own])
+            shown = white @ value[own]
+            found[kind] = [_along_axes(white @ way[own], shown) for way in per_way]
+        self._looked[fit] = found
+        return found
+
+    def _moved(self, fit: Fit) -> tuple[Floats, Floats, Floats]:
+        """Return motions (6 t p,), what whitened errors do to them, and what those of readings do.
+
+        Per stated size of each.
+        """
+        count = len(next(iter(self.ways.values()))[0])
+        motions = slice(self.first, self.first + count)
+        scale = np.repeat(self.stated, count // 6)
+        gain = fit.gain(motions) / scale[:, None]
+        return fit.x[motions] / scale, gain, np.delete(gain, self.rows, axis=1)
+
+    @cached_property
+    def _looked(self) -> WeakKeyDictionary[Fit, dict[str, list[tuple[Floats, Floats]]]]:
+        """What :meth:`_shown` returned: it is asked twice."""
+        return WeakKeyDictionary()
 
 
-def likely(
-    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int, angles: Floats
-) -> Bools:
-    """Return which ways to move (w, v, u), of each kind one, fit what the balls show.
-
-    Of the motions order by order, as if these were independent, which they are where angles are
-    even and complete; by the likelihood of each per that of the best.
-    """
-    moved, gain, noise = _moved(fit, stated, moves, first)
-    (together,) = fit.model.correlated
-    scale, merit = np.repeat(stated, len(angles))[:, None], np.zeros(())
-    for order in range(min(ORDERS, len(angles) // 2) + 1):
-        waves = np.kron(np.eye(6)[:5], _waves(order, angles))  # nothing is stated of ECC
-        rows = _white(waves @ noise) @ waves
-        felt = rows @ gain[:, together.rows]
-        columns = [
-            [rows @ (way / scale) - felt @ root for way, root in zip(*both, strict=True)]
-            for both in zip(moves.values(), together.parts, strict=True)
-        ]
-        size, axes = np.linalg.eigh(sum(_square(c) for each in columns for c in each))
-        shown = axes[:, size > SHOWN].T
-        squares = [np.array([_square(shown @ c) for c in each]) for each in columns]
-        merit = merit + _log_likelihood(shown @ rows @ moved, squares)
-    best = merit.max(axis=0)
-    return np.asarray(best >= best.max() + np.log(LIKELY))
+def stated_motions_of(model: Model) -> Iterator[StatedMotions]:
+    """Yield what is stated of motions; nothing where balls determine all of them."""
+    yield from (each for each in model.correlated if isinstance(each, StatedMotions))
 
 
 def _waves(order: int, angles: Floats) -> Floats:
@@ -204,80 +284,6 @@ def _square(columns: Floats) -> Floats:
     return np.asarray(columns @ columns.T)
 
 
-class Contradiction(NamedTuple):
-    """Motions of a ``kind`` are ``factor`` times as large as stated, with this ``probability``.
-
-    That is: how probably they are what is shown, were the statement true.
-    """
-
-    kind: str
-    factor: float
-    probability: float
-
-
-def contradictions(
-    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int
-) -> Iterator[Contradiction]:
-    """Yield of each kind of motion how what is shown of it fits its statement.
-
-    ``first``: where the motions are among the unknowns; ``stated`` (6,), ``moves`` as above. Each
-    way to move is weighed by how well it fits at the size that suits it best; the rest of its
-    directions, which noise rules, say nothing.
-    """
-    for kind, white, value, ways in _shown(fit, stated, moves, first):
-        yield _contradiction(kind, white @ value, [white @ way for way in ways])
-
-
-def found_from(
-    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int
-) -> Iterator[Floats]:
-    """Yield of each kind of motion how many times (w,) as large as stated each way is found.
-
-    With a probability of POWER by :func:`contradictions`, whose arguments these are; infinite
-    where no reading shows it.
-    """
-    each = LIMITS.significance / len(MOTION_KINDS)
-    for _, white, _, ways in _shown(fit, stated, moves, first):
-        rules = [int((np.linalg.svd(white @ way, compute_uv=False) > 1.0).sum()) for way in ways]
-        yield np.array([np.sqrt(noise_growth(each, POWER, n)) if n else np.inf for n in rules])
-
-
-def _shown(
-    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int
-) -> Iterator[tuple[str, Floats, Floats, list[Floats]]]:
-    """Yield each kind, what makes the noise in its motions white (k, m), these (m,), its ways."""
-    (together,) = fit.model.correlated
-    value, gain, noise = _moved(fit, stated, moves, first)
-    count = len(value) // 6
-    scale = np.repeat(stated, count)
-    per_way = [
-        np.concatenate([
-            way / scale[:, None] - gain[:, together.rows] @ root
-            for way, root in zip(both, roots, strict=True)
-        ], axis=1)
-        for both, roots in zip(zip(*moves.values(), strict=True),
-                               zip(*together.parts, strict=True), strict=True)
-    ]  # fmt: skip
-    for kind, numbers in MOTION_KINDS.items():
-        own = np.isin(np.repeat(np.arange(6), count), numbers)
-        white = _white(noise[own])
-        yield kind, white, value[own], [way[own] for way in per_way]
-
-
-def _moved(
-    fit: Fit, stated: Floats, moves: Mapping[str, tuple[Floats, ...]], first: int
-) -> tuple[Floats, Floats, Floats]:
-    """Return motions (6 t p,), what whitened errors do to them, and what those of readings do.
-
-    Per stated size of each; ``first`` and ``moves`` as of :func:`contradictions`.
-    """
-    (together,) = fit.model.correlated
-    count = len(next(iter(moves.values()))[0])
-    scale, motions = np.repeat(stated, count // 6), slice(first, first + count)
-    gain = fit.gain(motions) / scale[:, None]
-    return fit.x[motions] / scale, gain, np.delete(gain, together.rows, axis=1)
-
-
 def _white(noise: Floats) -> Floats:
     """Return rows (k, m) that make errors with the root ``noise`` (m, n) white, but for none."""
     size, axes = np.linalg.eigh(noise @ noise.T)
@@ -285,21 +291,31 @@ def _white(noise: Floats) -> Floats:
     return np.asarray((axes[:, kept] / np.sqrt(size[kept])).T)
 
 
-def _contradiction(kind: str, value: Floats, ways: Sequence[Floats]) -> Contradiction:
-    """Return how a ``value`` (m,) fits each of the ways (m, r), both with white noise of 1."""
+def _along_axes(way: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Return the variances (a,) of a way (m, r) to move, and what a ``value`` (m,) has of each.
+
+    Squared.
+    """
+    wide = len(way) < way.shape[1]
+    size, axes = np.linalg.eigh(way @ way.T if wide else way.T @ way)
+    kept = size > SILENT * max(size[-1], np.finfo(np.float64).tiny)
+    size, axes = size[kept], axes[:, kept]
+    along = axes if wide else way @ (axes / np.sqrt(size))
+    return size, (along.T @ value) ** 2
+
+
+def _contradiction(kind: str, ways: Sequence[tuple[Floats, Floats]]) -> Contradiction:
+    """Return how what is shown fits each of the ways, as :func:`_along_axes` returns them."""
     merit, chance, factor = np.zeros((3, len(ways)))
-    for k, way in enumerate(ways):
-        along, single, _ = np.linalg.svd(way, full_matrices=False)
-        squares, grown = (along.T @ value) ** 2, single**2
+    for k, (grown, squares) in enumerate(ways):
         ruled = 1.0 + np.multiply.outer(FACTORS**2, grown)
         fits = -0.5 * (np.log(ruled) + squares / ruled - squares).sum(axis=1)
         merit[k], factor[k] = fits.max(), FACTORS[fits.argmax()]
-        rules = grown > 1.0
-        chance[k] = (
-            chi2_sf(float((squares / (1.0 + grown))[rules].sum()), int(rules.sum()))
-            if (rules.any())
-            else 1.0
-        )
+        if (rules := grown > 1.0).any():
+            square = float((squares / (1.0 + grown))[rules].sum())
+            chance[k] = chi2_sf(square, int(rules.sum()))
+        else:
+            chance[k] = 1.0
     weight = np.exp(merit - merit.max())
     weight /= weight.sum()
     size_of = float(np.sqrt(weight @ factor**2))

@@ -8,7 +8,6 @@ not from what was read.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import isfinite
 from typing import Final
 
@@ -20,20 +19,18 @@ from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.table_balls.model import BallsOnTable
-from rotcal_ros.methods.table_balls.motions import MOTION_KINDS, found_from
+from rotcal_ros.methods.table_balls.motions import MOTION_KINDS, stated_motions_of
 
 EXCEEDED: Final = 5.0
 """Times as large as stated that something may be without striking anybody."""
 
 
-def exceeded(
-    balls: BallsOnTable, found: Adjusted, moves: Mapping[str, tuple[Floats, ...]]
-) -> dict[str, Unseen]:
+def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Unseen]:
     """Return what may stay unseen of each kind of motion that is stated, and of each other block.
 
-    ``moves`` as of :func:`~.model.moves`. A motion is found by what the balls show of it
-    (:func:`~.motions.contradictions`), all else by chi-squared; where motions are stated too, they
-    explain whatever that would find.
+    A motion is found by what the balls show of it, see
+    :meth:`~.motions.StatedMotions.contradictions`, all else by chi-squared; where motions are
+    stated too, they explain whatever that would find.
     """
     fit, model, outputs = found.fit, found.model, len(found.value)
     std = found.counting_std[:outputs]
@@ -45,10 +42,10 @@ def exceeded(
             fit.alone(np.arange(rows.start, rows.stop))[:outputs][counts] / std[counts, None]
         )
 
-    for together in model.correlated:
+    for together in stated_motions_of(model):
         every = slice(row, row + len(together.rows))
         felt, row = share(every), every.stop
-        sizes = found_from(fit, balls.stated, moves, balls.first["EXC"])
+        sizes = together.found_from(fit)
         for kind, roots, size in zip(MOTION_KINDS, together.parts, sizes, strict=True):
             moved = [np.linalg.norm(felt @ root, axis=1).max(initial=0.0) for root in roots]
             worst[kind] = Unseen.worst(size, np.array(moved), EXCEEDED)
