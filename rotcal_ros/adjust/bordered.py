@@ -21,7 +21,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from rotcal_ros.adjust.kernels import OPEN, Design, Kernel
+from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -96,9 +96,16 @@ class FewEach(Design):
         found[which >= n] = self.known[which[which >= n] - n]
         return np.hstack([found, self.columns[which]])
 
-    def beside(self, rows: Floats) -> FewEach:
+    def beside(self, rows: Floats | csr_array) -> FewEach:
         """Return the design with further ``rows`` (k, p) at its end."""
-        return replace(self, known=np.concatenate([self.known, rows]))
+        if isinstance(rows, csr_array) and not len(self.known):
+            both, n = (self.few, rows), self.few.shape[0] + rows.shape[0]
+            data, indices = (
+                np.concatenate([getattr(m, of) for m in both]) for of in ("data", "indices")
+            )
+            begin = np.append(self.few.indptr, self.few.indptr[-1] + rows.indptr[1:])
+            return replace(self, few=csr_array((data, indices, begin), shape=(n, rows.shape[1])))
+        return replace(self, known=np.concatenate([self.known, dense(rows)]))
 
     def with_extra(self, columns: Floats) -> FewEach:
         """Return the design with the ``columns`` (n + m, q) of further unknowns."""
@@ -123,9 +130,12 @@ class FewEach(Design):
         known = self.groups
         return known if known is not None and known.fit(self.few) else Groups.of(self.few)
 
-    def kernel(self) -> Kernel | None:
-        """Return the kernel by blocks; None where there are none, or most are not firm."""
-        return None if self.structure is None else Bordered.of(self, self.structure)
+    def kernel(self, weak: float = OPEN) -> Kernel | None:
+        """Return the kernel by blocks; None where there are none, or most are not firm.
+
+        What is determined by no more than a share ``weak`` of its length counts as open.
+        """
+        return None if self.structure is None else Bordered.of(self, self.structure, weak)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,10 +236,10 @@ class Bordered(Kernel):
     below: Floats
 
     @classmethod
-    def of(cls, design: FewEach, groups: Groups) -> Bordered | None:
+    def of(cls, design: FewEach, groups: Groups, open_: float = OPEN) -> Bordered | None:
         """Return that of a whitened ``design``; None where most of its blocks are not firm.
 
-        Those few that are not join the border.
+        Those few that are not join the border, of which a share ``open_`` determines nothing.
         """
         (count, size), n = groups.own.shape, design.few.shape[0]
         blocks, border = groups.stacked(design)
@@ -242,21 +252,21 @@ class Bordered(Kernel):
             own = groups.own[weak]
             joined = np.append(groups.shared, own[own >= 0])
             rest = Groups.of(design.few, joined) if 2 * weak.sum() < count else None
-            return None if rest is None else cls.of(design, rest)
+            return None if rest is None else cls.of(design, rest, open_)
         inverse, felt = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
         known = np.hstack([design.known[:, groups.shared], design.columns[n:]])
         of_own = _own_of(groups, design.known.T)  # (g, s, m)
         of_own = (np.swapaxes(inverse, 1, 2) @ of_own).reshape(count * size, -1)  # H'
         _, grown, ways = np.linalg.svd(_triangle(np.concatenate([np.eye(len(known)), of_own])))
         root, tied = grown[:, None] * ways, of_own @ (ways.T / grown)
-        open_ = known - of_own.T @ felt.reshape(count * size, known.shape[1])
-        white = np.linalg.solve(root.T, open_)
+        left_known = known - of_own.T @ felt.reshape(count * size, known.shape[1])
+        white = np.linalg.solve(root.T, left_known)
         flat = border.reshape(count * groups.depth, known.shape[1])
         length = np.linalg.norm(np.concatenate([flat, known]), axis=0)
         length = np.where(length > 0.0, length, 1.0)
         beside_own = flat - (basis @ felt).reshape(flat.shape)
         left = np.concatenate([beside_own, white])
-        ways, nothing = _determined(left / length)
+        ways, nothing = _determined(left / length, open_)
         by_known = (tied @ white).reshape(felt.shape)
         moved = -(felt + by_known)
         every = np.zeros((sum(design.shape[1:]), len(length)))
@@ -419,13 +429,13 @@ def _to_own(groups: Groups, columns: Floats, own: Floats) -> None:
     columns[groups.own[real]] += own[real]
 
 
-def _determined(rows: Floats) -> tuple[Floats, Floats]:
+def _determined(rows: Floats, open_: float) -> tuple[Floats, Floats]:
     """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k).
 
-    They are what is left of columns of length 1, of which nothing but rounding may be left.
+    They are what is left of columns of length 1: nothing where that is a share ``open_`` of it.
     """
     _, share, turn = np.linalg.svd(_triangle(rows))
-    determined = np.arange(rows.shape[1]) < (share > OPEN * share.max(initial=1.0)).sum()
+    determined = np.arange(rows.shape[1]) < (share > open_ * share.max(initial=1.0)).sum()
     return turn[determined].T / share[: int(determined.sum())], turn[~determined].T
 
 

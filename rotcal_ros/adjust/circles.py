@@ -21,7 +21,7 @@ from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.bordered import FewEach
-from rotcal_ros.adjust.kernels import Design, Kernel, Updated
+from rotcal_ros.adjust.kernels import Design, Kernel, Updated, dense
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -213,11 +213,11 @@ class Circular(Design):
         """Return the transposed design times ``y`` (n,) or (n, k)."""
         return np.concatenate([self.few.T @ y, self.extra.T @ y])
 
-    def beside(self, rows: Floats) -> Design:
+    def beside(self, rows: Floats | csr_array) -> Design:
         """Return the design with further ``rows`` (k, p) at its end, turns too where they can."""
         few = csr_array(vstack([self.few, csr_array(rows)], format="csr"))
         found = Circular.of(few, self.turns.circles, self.turns.size)
-        return found if isinstance(found, Circular) else FewEach(self.few, rows)
+        return found if isinstance(found, Circular) else FewEach(self.few, dense(rows))
 
     def with_extra(self, columns: Floats) -> Circular:
         """Return the design with the ``columns`` (n, q) of further unknowns."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -15,10 +15,15 @@ from rotcal_ros.foundation.arrays import Floats
 Derivatives: TypeAlias = "Floats | csr_array | Design"
 """Derivatives (n, p), whole or only those that may not be zero."""
 
+FEW: Final = 120
+"""Unknowns below which the whole of them is quicker."""
+
 
 def design_of(found: Derivatives, groups: Groups | None = None) -> Design:
     """Return the design of derivatives; ``groups``: into which they fall, if they are those."""
     if isinstance(found, csr_array):
+        if found.shape[1] < FEW:
+            return WholeMatrix(found.toarray())
         found = FewEach(found, np.zeros((0, found.shape[1])))
     if isinstance(found, FewEach):
         return replace(found, groups=groups)

@@ -69,7 +69,7 @@ class Design(ABC):
         """Return some rows (k, p)."""
 
     @abstractmethod
-    def beside(self, rows: Floats) -> Design:
+    def beside(self, rows: Floats | csr_array) -> Design:
         """Return the design with further ``rows`` (k, p) at its end."""
 
     @abstractmethod
@@ -147,9 +147,9 @@ class WholeMatrix(Design):
         """Return some rows (k, p)."""
         return self.matrix[which]
 
-    def beside(self, rows: Floats) -> WholeMatrix:
+    def beside(self, rows: Floats | csr_array) -> WholeMatrix:
         """Return the design with further ``rows`` (k, p) at its end."""
-        return WholeMatrix(np.concatenate([self.matrix, rows]))
+        return WholeMatrix(np.concatenate([self.matrix, dense(rows)]))
 
     def with_extra(self, columns: Floats) -> WholeMatrix:
         """Return the design with the ``columns`` (n, q) of further unknowns."""
@@ -261,7 +261,7 @@ class Whole(Kernel):
     root: Floats
 
     @classmethod
-    def of(cls, design: Design, held: Ints) -> Whole:
+    def of(cls, design: Design, held: Ints, weak: float = OPEN) -> Whole:
         """Return that of any ``design``; unknowns that may be ``held`` (k,) stand still.
 
         Of columns that were brought to length one: by QR, or by SVD where that is not firm. What
@@ -277,14 +277,14 @@ class Whole(Kernel):
             basis, upper = np.linalg.qr(unit[:, moving])
             along = basis.T @ unit[:, held]
             left = np.linalg.norm(unit[:, held] - basis @ along, axis=0)
-            if lapack.dtrcon(upper)[0] > FIRM and not (left > OPEN).any():
+            if lapack.dtrcon(upper)[0] > max(FIRM, weak) and not (left > weak).any():
                 root, open_ = np.zeros((len(scale), len(upper))), np.zeros((len(scale), len(held)))
                 root[moving] = lapack.dtrtri(upper)[0]
                 open_[moving] = -lapack.dtrtrs(upper, along)[0] if len(held) else 0.0
                 open_[held, np.arange(len(held))] = 1.0
                 return cls(design, open_ / scale[:, None], basis, root / scale[:, None])
         u, s, vt = np.linalg.svd(unit, full_matrices=False)
-        determined = s > OPEN * s[0]
+        determined = s > weak * s[0]
         full = vt if len(vt) == len(scale) else np.linalg.svd(unit)[2]
         open_ = full[int(determined.sum()) :].T / scale[:, None]
         root = vt[determined].T / s[determined] / scale[:, None]

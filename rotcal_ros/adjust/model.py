@@ -567,14 +567,21 @@ class Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
         return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
 
-    def knowing(self, what: str, rows: Floats, values: Floats, std: float) -> Model:
+    def knowing(self, what: str, rows: Floats | csr_array, values: Floats, std: float) -> Model:
         """Return the model with what is known beforehand, as from a certificate.
 
         ``rows`` (k, p) times the unknowns are ``values`` (k,), each with ``std``: observations
         that belong to no group, that no effect spoils and that are never left out, with noise of
-        their own. ``what`` they are, for people.
+        their own: one for each ``what`` they are, for people. As ``csr_array`` they fall into
+        blocks with those before.
         """
         k = len(values)
+        every = tuple(dict.fromkeys([*self.components, what]))
+        before = (
+            0
+            if what not in self.components
+            else int((self.of_component == every.index(what)).sum())
+        )
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
@@ -585,12 +592,12 @@ class Model:
             observed=np.append(self.observed, values),
             std=np.append(self.std, np.full(k, std)),
             equations=equations,
-            components=(*self.components, what),
-            component=np.append(self.of_component, np.full(k, len(self.components))),
+            components=every,
+            component=np.append(self.of_component, np.full(k, every.index(what))),
             judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
-            row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
+            row_names=[*self.names, *(f"value {before + i} of {what}" for i in range(k))],
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
             if self.mixed is None

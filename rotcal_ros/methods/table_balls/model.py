@@ -32,14 +32,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array, hstack
 
-from rotcal_ros.adjust.designs import design_of
+from rotcal_ros.adjust.bordered import FewEach
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.kernels import Design
+from rotcal_ros.adjust.kernels import Whole
 from rotcal_ros.adjust.model import (
     MOST_MOMENTS,
     Disturbing,
@@ -73,6 +73,8 @@ MOTIONS: Final = ("radial motion", "tangential motion", "axial motion")
 """Of a ball, in the directions that turn with it."""
 ALSO: Final = ("scale", "squareness", "lag")
 """What is found beside the table, of that which is stated."""
+SUMS: Final = "defined part"
+"""Block of what statements do not count of motions, since it is a matter of definition."""
 ENTRIES: Final = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 """Rows and columns of S: the blocks ``scale`` and, behind it, ``squareness``."""
 LEFT_OVER: Final = 0.05
@@ -82,7 +84,7 @@ UNSTATED_RAD: Final = 0.1
 HELD: Final = 1e-3
 """Standard deviation of a definition in those of a centre: it adds a millionth to a variance."""
 WEAK: Final = 3e-4
-"""Singular values below this share of the largest determine nothing that is of use."""
+"""Share of the length of an unknown's column, beside the others, that is of no use."""
 SHARED: Final = 0.01
 """Share of a definition that has to be new, beside those before it; of a variance, to be left."""
 WORDS: Final = {
@@ -109,7 +111,7 @@ class BallsOnTable:
     of a centre or of a length, m. ``speed``: rad/s at which the table turns, of each run or,
     where something was read, at each reading (n,); none: it stands.
     ``known``: blocks of what else is stated to be zero, with its standard deviation, SI; infinite:
-    the readings alone determine it.
+    the readings alone determine it. ``sums``: columns of :attr:`StatedRows.sums`.
     """
 
     angles: Floats
@@ -125,6 +127,7 @@ class BallsOnTable:
     tilt: Ints
     speed: Floats
     known: Mapping[str, float]
+    sums: int = 0
 
     @classmethod
     def of(
@@ -217,7 +220,8 @@ class BallsOnTable:
         if (axis := self.tilting) is not None:
             found |= dict.fromkeys(axis.line, 1) | dict.fromkeys(axis.motions, self.tilts)
         last = {"lag": 1, "tip": 3, "bar": len(self.arms)}
-        return found | {name: count for name, count in last.items() if name in self.known}
+        found |= {name: count for name, count in last.items() if name in self.known}
+        return found | ({SUMS: self.sums} if self.sums else {})
 
     @cached_property
     def first(self) -> dict[str, int]:
@@ -285,6 +289,7 @@ class BallsOnTable:
     def columns(self) -> Ints:
         """Numbers of the unknowns that each reading feels (n, f), by kind as in ``blocks``."""
         own = {"ball": 3 * self.ball[:, None] + np.arange(3), "bar": self.target[:, None]}
+        own[SUMS] = np.zeros((1, 0), dtype=np.int64)  # no reading feels them
         own |= dict.fromkeys(COMPONENTS, self.stop[:, None])
         if self.tilting is not None:
             own |= dict.fromkeys(self.tilting.motions, self.tilt[:, None])
@@ -430,19 +435,47 @@ def definitions(angles: Floats, tilts: int = 1) -> Iterator[dict[str, Floats]]:
         yield from ({x: c, y: s}, {x: -s, y: c})
 
 
-def stated_motions(balls: BallsOnTable, places: Floats, *, whole: bool = False) -> Floats:
-    """Return rows (k, u) of motions that are stated to be zero, per their standard deviation.
+class StatedRows(NamedTuple):
+    """Rows of motions that are stated to be zero, per standard deviation, of the motions alone.
 
     Motions are stated as they are, and by definition without their means and turning parts
-    (:func:`definitions`): what is left of the untold ones scatters less, and not each by itself.
+    (:func:`definitions`). ``each`` (k, 6 t p) are the open ones stop by stop; ``sums`` (k, d) is
+    what those parts are of them, which they do not count. What is open of a part counts for
+    itself, and with the less scatter the more of it is definition: ``parts`` (l, 6 t p).
     """
-    rows, at = _untold_rows(balls, places, whole=whole), balls.motions
-    taken = rows[:, at] @ np.linalg.qr(_sums(balls).T)[0]
-    left, ways = np.linalg.eigh(np.eye(len(rows)) - taken @ taken.T)
-    kept = left > SHARED
-    rows = (ways[:, kept] / np.sqrt(left[kept])).T @ rows
-    rows[:, at] /= np.repeat(balls.stated, balls.tilts * len(balls.angles))
-    return np.asarray(rows)
+
+    each: csr_array
+    sums: Floats
+    parts: Floats
+
+    @classmethod
+    def of(cls, balls: BallsOnTable, places: Floats, *, whole: bool) -> StatedRows:
+        """Return that of open motions of balls at ``places`` (k, 3), or of the whole."""
+        each = _open_motions(balls, places, whole=whole)
+        along, share, _ = np.linalg.svd(
+            each @ np.linalg.qr(_sums(balls).T)[0], full_matrices=False
+        )
+        along, left = along[:, share > SHARED], 1.0 - share[share > SHARED] ** 2
+        kept, stated = left > SHARED, np.repeat(balls.stated, balls.tilts * len(balls.angles))
+        parts = (along[:, kept] / np.sqrt(left[kept])).T @ each
+        scaled = csr_array(
+            (each.data / stated[each.indices], each.indices, each.indptr), each.shape
+        )
+        return cls(scaled, along, parts / stated)
+
+    @property
+    def whole(self) -> Floats:
+        """All rows (k + l, 6 t p)."""
+        return np.concatenate([self.each.toarray(), self.parts])
+
+    def known(self, balls: BallsOnTable) -> tuple[csr_array, Floats]:
+        """Return the rows (k, u) stop by stop, and those (l, u) of parts, of all unknowns."""
+        at, k, unknowns = balls.motions, self.each.shape[0], sum(balls.blocks.values())
+        before, between = (k, at.start), (k, unknowns - balls.sums - at.stop)
+        each = hstack([csr_array(before), self.each, csr_array(between), csr_array(self.sums)])
+        rows = np.zeros((len(self.parts), unknowns))
+        rows[:, at] = self.parts
+        return csr_array(each), rows
 
 
 def _sums(balls: BallsOnTable) -> Floats:
@@ -457,16 +490,16 @@ def _stated_beside(balls: BallsOnTable) -> Floats:
     return np.concatenate([np.zeros((0, sum(balls.blocks.values()))), *known])
 
 
-def _untold_rows(balls: BallsOnTable, places: Floats, *, whole: bool) -> Floats:
-    """Return orthonormal rows (k, u), per unit of a statement, of open motions or of all."""
+def _open_motions(balls: BallsOnTable, places: Floats, *, whole: bool) -> csr_array:
+    """Return orthonormal rows (k, 6 t p), per unit of a statement, of open motions or of all."""
     count = balls.tilts * len(balls.angles)
-    stop, seen = np.arange(count), np.zeros((count, len(balls.aims), 1, 1))
+    seen = np.zeros((count, len(balls.aims), 1, 1))
     seen[balls.stop, balls.target] = 1.0
     untold = np.broadcast_to(np.eye(6), (count, 6, 6)) if whole else balls.untold(places, seen)
-    rows = np.zeros((count, 6, sum(balls.blocks.values())))
-    at = balls.first["EXC"] + np.arange(6) * count + stop[:, None]  # of each stop, its six
-    rows[stop[:, None, None], np.arange(6)[:, None], at[:, None]] = untold
-    return np.asarray(rows[untold.any(axis=2)])
+    stop, row = np.nonzero(untold.any(axis=2))
+    at = np.arange(6) * count + stop[:, None]  # of each stop, its six
+    entries = untold[stop, row].ravel(), (np.repeat(np.arange(len(stop)), 6), at.ravel())
+    return csr_array(coo_array(entries, shape=(len(stop), 6 * count)))
 
 
 def _row(balls: BallsOnTable, sums: Mapping[str, Floats]) -> Floats:
@@ -477,15 +510,15 @@ def _row(balls: BallsOnTable, sums: Mapping[str, Floats]) -> Floats:
     return row
 
 
-def defined(balls: BallsOnTable, telling: Design) -> Floats:
+def defined(balls: BallsOnTable, telling: FewEach) -> Floats:
     """Return rows (d, u) of the definitions that are needed beside the ``telling`` rows (n, u).
 
     Per standard deviation of each; without them the unknowns that they join would be open.
     """
-    together = telling.normal()
-    scale = np.sqrt(np.where(together.diagonal() > 0.0, together.diagonal(), 1.0))
-    squares, ways = np.linalg.eigh(together / scale / scale[:, None])
-    open_, chosen = ways.T[squares <= WEAK**2 * squares[-1]], np.zeros((0, len(scale)))
+    kernel = telling.kernel(WEAK) or Whole.of(telling, np.zeros(0, np.int64), WEAK)
+    scale = np.where(telling.lengths > 0.0, telling.lengths, 1.0)
+    open_ = np.linalg.qr(scale[:, None] * kernel.directions)[0].T
+    chosen = np.zeros((0, len(scale)))
     known, radius = np.zeros((0, len(open_))), float(np.abs(balls.places).max())
     of_tilting = () if balls.tilting is None else balls.tilting.definitions()
     for sums in (*definitions(balls.angles, balls.tilts), *of_tilting):
@@ -564,10 +597,15 @@ def model_of(
     """
     balls = BallsOnTable.of(plan, solver, read)
     start, count = balls.started(read.points), balls.coordinates
-    design, places = balls(start)[1], start[4 : balls.first["EXC"]].reshape(-1, 3)
-    motions = stated_motions(balls, places, whole=whole)
-    known = np.concatenate([motions, _stated_beside(balls)])
-    known = np.concatenate([known, defined(balls, design_of(design / balls.sigma).beside(known))])
+    places = start[4 : balls.first["EXC"]].reshape(-1, 3)
+    motions = StatedRows.of(balls, places, whole=whole)
+    balls = replace(balls, sums=motions.sums.shape[1])
+    design = balls(np.append(start, np.zeros(balls.sums)))[1]
+    each, parts = motions.known(balls)
+    known = np.concatenate([parts, _stated_beside(balls)])
+    telling = FewEach(design / balls.sigma, np.zeros((0, design.shape[1])))
+    telling = telling.beside(each).beside(known)
+    known = np.concatenate([known, defined(balls, telling)])
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
@@ -580,7 +618,7 @@ def model_of(
         outputs=_outputs(balls),
         words=WORDS[count],
         unit=UM,
-        start=start,
+        start=np.append(start, np.zeros(balls.sums)),
         also=_also(balls, places),
         # arrivals of the table scatter in tangential lengths, and not in others
         components=[f"lengths of set-up {k}" for k in range(len(balls.bars))] or ["the centres"],
@@ -597,11 +635,13 @@ def model_of(
         ),
         row_names=list(_names(balls, read)),
     )
-    model = model.knowing("what is stated", known * balls.sigma, np.zeros(len(known)), balls.sigma)
-    if not len(motions):
+    for rows in (each, known):
+        zeros = np.zeros(rows.shape[0])
+        model = model.knowing("what is stated", rows * balls.sigma, zeros, balls.sigma)
+    if not each.shape[0]:
         return model
     together = StatedMotions.of(
-        motions[:, balls.motions], len(zero), _sums(balls), balls.stated, balls.angles,
+        motions.whole, len(zero), _sums(balls), balls.stated, balls.angles,
         balls.tilts, spectra(solver), balls.first["EXC"],
     )  # fmt: skip
     return replace(model, correlated=(together,))

@@ -502,7 +502,7 @@ def test_a_table_of_centres_with_angles_and_runs_is_read(tmp_path):
     assert result.deviations["ECC"] == pytest.approx(found.value[:12], abs=1e-12)
     assert result.n_observations == 25
     assert result.residuals.coordinates == 3
-    assert result.raw_data.influence.deviations["ECC"].shape == (12, 75 + 49)
+    assert result.raw_data.influence.deviations["ECC"].shape == (12, 75 + 56)
 
 
 def test_the_plan_says_what_a_wrong_centre_could_do():
