@@ -268,6 +268,8 @@ class Circular(Design):
         """Return the unknowns (p,) of least squares with any weights; None: nothing does."""
         if not self.large and self._eliminated is not None:
             return self._eliminated.solved(self, white)
+        if not (self.large or self.lengths.all()):
+            return None
         found = None if self._iterated is None else self._iterated.solved(self, white)
         if found is None and self._eliminated is not None:
             found = self._eliminated.solved(self, white)

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.engine import LIMITS
 from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.effects import Seen, unseen
+from rotcal_ros.adjust.engine import LIMITS
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Floats

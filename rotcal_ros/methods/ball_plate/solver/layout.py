@@ -52,8 +52,8 @@ FREE = 13
 class Parts:
     """Everything that moves centres: m, and rad times the radius of the ball circle.
 
-    ``table`` (M, 3) and ``turn`` (M, 3): d and c at the places of the table in use; ``cmm`` (S, 3):
-    b; ``ball`` (R, 3): a at table position 0; ``axis_turn``, ``axis_shift`` (g, 3): u and v.
+    ``table`` (M, 3) and ``turn`` (M, 3): d and c at the places of the table in use; ``cmm``
+    (S, 3): b; ``ball`` (R, 3): a at table position 0; ``axis_turn``, ``axis_shift`` (g, 3): u, v.
     """
 
     table: Floats
@@ -207,7 +207,8 @@ class PlateLayout:
         turn = 3 * (self.ball * self.sides + side)[:, None] + np.arange(3)
         shift = np.where(sign == 0.0, 0, shift % self.size)
         found = Turns(
-            self.size, sign.reshape(turns, -1), shift.reshape(turns, -1), tied.reshape(turns, -1), turn.ravel(),
+            self.size, sign.reshape(turns, -1), shift.reshape(turns, -1),
+            tied.reshape(turns, -1), turn.ravel(),
             np.repeat(self.places[self.cmm] % self.size, 3),
         )  # fmt: skip
         n = len(found.turn)

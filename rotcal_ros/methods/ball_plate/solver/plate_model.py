@@ -25,7 +25,8 @@ from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_ci
 
 UM: Final = Unit("um", MICROMETRE)
 WORDS: Final = Words("centres", "dirt, a touched plate or warm air", "there", "there")
-IN_PLANE, ALONG_AXIS = "the centres in the plane", "the centres along the axis"
+IN_PLANE: Final = ("the centres in the plane", "the centres along the axis")
+BY_AXIS: Final = ("the centres along x", "the centres along y", "the centres along z")
 LARGEST: Final = 1e-4
 """Drift or move, m, that nobody would overlook."""
 LARGEST_GROWTH: Final = 5e-4
@@ -44,13 +45,15 @@ JUDGED: Final = 1200
 class PlateRows:
     """The rows of a model: three of each centre of a ``layout``, in the order of measurement.
 
-    ``frame`` (n, 3, 3) takes machine coordinates to them.
+    ``frame`` (n, 3, 3) takes machine coordinates to them. ``by_axis``: x and y have noise of
+    their own.
     """
 
-    def __init__(self, layout: PlateLayout) -> None:
+    def __init__(self, layout: PlateLayout, *, by_axis: bool = False) -> None:
         self.layout, self.problem = layout, layout.problem
         std = self.problem.std
-        self.turned = std is None or bool((std[:, 0] == std[:, 1]).all())
+        alike = std is None or bool((std[:, 0] == std[:, 1]).all())
+        self.turned = alike and not by_axis
         self.frame = layout.radial if self.turned else np.eye(3)[None].repeat(len(layout.row), 0)
         self.time = self.problem.run_time[layout.row]
         self.drift = self.of(drift_columns(self.time, self.problem.drift))
@@ -93,7 +96,7 @@ class PlateRows:
         axial = np.tile([False, False, True], n)
         least, every = ROUNDING * problem.radius, left / np.sqrt(checked) / QUARTILE
         found = [max(float(np.median(every[part])), least) for part in (~axial, axial)]
-        return np.where(axial, found[1], found[0])
+        return np.asarray(np.where(axial, found[1], found[0]))
 
 
 def drift_columns(run_time: Floats, degree: int) -> Floats:
@@ -124,9 +127,12 @@ def plate_motion(problem: BallPlateProblem) -> Floats:
     return motion
 
 
-def plate_model(layout: PlateLayout) -> Model:
-    """Return unknowns, centres and what could spoil them; outputs are the six deviations."""
-    rows, problem = PlateRows(layout), layout.problem
+def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
+    """Return unknowns, centres and what could spoil them; outputs are the six deviations.
+
+    ``by_axis`` as of :class:`PlateRows`.
+    """
+    rows, problem = PlateRows(layout, by_axis=by_axis), layout.problem
     n, (table, cmm, ball) = len(layout.row), layout.counts
     design, drifts = rows.design(), rows.drift.shape[1]
     observed = rows.of(problem.centres[layout.row][:, :, None]).ravel()
@@ -144,8 +150,8 @@ def plate_model(layout: PlateLayout) -> Model:
         outputs=_wider(Outputs.alone(layout.curves()), drifts),
         words=WORDS,
         unit=UM,
-        components=(IN_PLANE, ALONG_AXIS),
-        component=np.tile([0, 0, 1], n),
+        components=IN_PLANE if rows.turned else BY_AXIS,
+        component=np.tile([0, 0, 1] if rows.turned else [0, 1, 2], n),
         groupings=_groupings(layout),
         effects=_effects(rows),
         row_names=[problem.row_name(k) for k in layout.row.tolist() for _ in range(3)],

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust import engine
+from rotcal_ros.adjust.distributions import f_sf
 from rotcal_ros.adjust.engine import Adjusted, FoundEffect, Trials
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -27,6 +28,7 @@ from rotcal_ros.methods.ball_plate.materials import kelvin
 from rotcal_ros.methods.ball_plate.solver.closed_form import curves_of_groups
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.plate_model import (
+    IN_PLANE,
     PlateRows,
     curve_model,
     drift_columns,
@@ -44,6 +46,8 @@ from rotcal_ros.methods.ball_plate.solver.separability import (
 )
 
 METHOD: Final = "ball_plate"
+AXIS_SIGNIFICANCE: Final = 0.001
+"""Level of the test whether the centres scatter alike along x and y."""
 MOST_OPEN: Final = 0.25
 """Part of the table positions that may be left out for lack of balls."""
 PLAUSIBLE_K: Final = 20.0
@@ -62,7 +66,7 @@ NOT_CLOSED: Final = (
 class PlateSolution:
     """A solved ``problem``: what was ``fitted`` of it, and what the engine ``found``.
 
-    ``unusable``: the rows that were not fitted at all.
+    ``unusable``: the rows that were not fitted at all; ``by_axis``: x and y scatter unequally.
     """
 
     problem: BallPlateProblem
@@ -70,6 +74,12 @@ class PlateSolution:
     layout: PlateLayout
     found: Adjusted
     unusable: tuple[Rejection, ...]
+    by_axis: bool = False
+
+    @cached_property
+    def rows(self) -> PlateRows:
+        """The rows of the model."""
+        return PlateRows(self.layout, by_axis=self.by_axis)
 
     @property
     def table_positions(self) -> Ints:
@@ -99,7 +109,7 @@ class PlateSolution:
         problem, found = self.problem, self.found
         columns = [np.zeros((len(found.value), 0))]
         if problem.drift_allowance and not problem.drift:
-            rows = PlateRows(self.layout)
+            rows = self.rows
             drift = rows.of(drift_columns(rows.time, 1)) / found.fit.std[:, None]
             moved = found.fit.moved(drift * found.fit.used[:, None])[: len(found.value)]
             columns.append(problem.drift_allowance / np.sqrt(3.0) * moved)
@@ -129,7 +139,7 @@ class PlateSolution:
         """The deviations (6 M,): by the closed form where that was asked for, and exists."""
         if not self.problem.closed_form or not self.closes:
             return self.found.value
-        fit, rows = self.found.fit, PlateRows(self.layout)
+        fit, rows = self.found.fit, self.rows
         first = self.layout.unknowns
         moved = fit.jacobian.times(np.where(np.arange(len(fit.x)) < first, 0.0, fit.x))
         off = np.swapaxes(rows.frame, 1, 2) @ moved.reshape(-1, 3, 1)
@@ -165,6 +175,8 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
     fitted, unusable, layout = _prepared(problem)
     try:
         found = engine.adjust(plate_model(layout))
+        if by_axis := _unequal(layout, found):
+            found = engine.adjust(plate_model(layout, by_axis=True))
     except ObservabilityError:
         require_separable(fitted)  # names the harmonics, where it is the harmonics
         raise
@@ -173,7 +185,21 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
             f"{len(fitted.centres)} centres leave no redundancy: nothing can be checked; "
             "measure more balls or CMM positions"
         )
-    return PlateSolution(problem, fitted, layout, found, unusable)
+    return PlateSolution(problem, fitted, layout, found, unusable, by_axis)
+
+
+def _unequal(layout: PlateLayout, found: Adjusted) -> bool:
+    """Whether x and y scatter unequally, where nothing else was found."""
+    rows, fit = PlateRows(layout), found.fit
+    if not rows.turned or found.found_effects or len(found.model.components) != len(IN_PLANE):
+        return False
+    used = fit.used.reshape(-1, 3)[:, 0]
+    left = (np.swapaxes(rows.frame, 1, 2) @ fit.white.reshape(-1, 3, 1))[used, :2, 0]
+    x, y = (left**2).sum(axis=0).tolist()
+    dof = 0.5 * float(fit.redundancy.reshape(-1, 3)[used, :2].sum())
+    if dof < 1.0 or not min(x, y):
+        return False
+    return 2.0 * f_sf(max(x, y) / min(x, y), dof, dof) < AXIS_SIGNIFICANCE
 
 
 def of_curves(problem: BallPlateProblem, angles: Floats) -> tuple[CurveModel, Ints]:
@@ -236,8 +262,7 @@ def result_of(solution: PlateSolution) -> Result:
         solution.parts,
         (problem.position[layout.row], problem.ball_step[layout.row]),
         coordinates=3,
-        doubts=[_of_growth(e, problem.material) for e in found.found_effects
-                if e.effect.effect == "growth"],
+        doubts=list(_doubts(solution)),
         protections=list(_protections(solution)),
         details=_details(solution),
     )  # fmt: skip
@@ -294,7 +319,7 @@ def _in_machine_axes(result: Result, solution: PlateSolution) -> Any:
     influence, layout = result.raw_data.influence, solution.layout
     if influence is None:
         return result.raw_data
-    back = PlateRows(layout).frame[influence.rows]
+    back = solution.rows.frame[influence.rows]
     turned = {
         name: np.einsum("mri,rij->mrj", felt.reshape(len(felt), -1, 3), back).reshape(felt.shape)
         for name, felt in influence.deviations.items()
@@ -324,6 +349,21 @@ def _groups_in_words(solution: PlateSolution) -> str:
     count = solution.layout.groups
     names = f"{count} groups of" if count > 2 else "odd and even"
     return f"the {names} table positions"
+
+
+def _doubts(solution: PlateSolution) -> Iterator[str]:
+    """Yield what a person should look into, beside what the engine says."""
+    found = solution.found
+    for effect in found.found_effects:
+        if effect.effect.effect == "growth":
+            yield _of_growth(effect, solution.fitted.material)
+    if solution.by_axis and found.model.unstated:
+        noise = found.model.std[:3] * found.diagnosis.noise.factors / MICROMETRE
+        shown = ", ".join(f"{size:.3g}" for size in noise.tolist())
+        yield (
+            f"the centres scatter unequally, by {shown} um along x, y and z: each axis counts by "
+            "its own noise; state solver.sigma_axes_m, or find out why"
+        )
 
 
 def _of_growth(found: FoundEffect, material: str) -> str:
@@ -383,7 +423,7 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
         "plate_errors": ball, "cmm_errors": cmm,
         "axis_rotation": np.arange(layout.groups), "axis_shift": np.arange(layout.groups),
     }  # fmt: skip
-    back = np.swapaxes(PlateRows(layout).frame, 1, 2)
+    back = np.swapaxes(solution.rows.frame, 1, 2)
     left = (back @ found.fit.residual.reshape(-1, 3, 1))[:, :, 0]
     return {
         "grid": problem.grid,

@@ -12,7 +12,7 @@ from math import gcd
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Complexes, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver.harmonics import normal_matrices, phases
