@@ -10,8 +10,8 @@ from plate_disturbed import EIGHT, NOISE
 from plate_disturbed import at_one_place as world
 
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.methods.ball_plate.solver import gathering, solve
-from rotcal_ros.methods.ball_plate.solver.estimate import solved
+from rotcal_ros.methods.ball_plate.solver import solve
+from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 
@@ -92,8 +92,8 @@ def test_sound_plates_stay_ok_and_mostly_keep_their_uncertainty():
         result = solve(problem)
         assert result.verdict == "ok", result.warnings
         assert not result.rejected
-        unit = solved(problem)[1].unit_std
-        grown += [np.mean(result.std[n] / (NOISE * unit.component(n))) for n in COMPONENTS]
+        unit = PlateLayout(problem).unit_std()
+        grown += [np.mean(result.std[n] / (NOISE * unit[n])) for n in COMPONENTS]
     assert np.median(grown) == pytest.approx(1.0, abs=1e-9)
     assert np.mean(grown) < 1.02
 
@@ -170,24 +170,3 @@ def test_of_a_plate_too_large_to_be_judged_the_rejected_centres_are_counted():
     assert groups["table position 70"]["rejected"] == 2
     assert groups["table position 70"]["rank"] == 0
     assert result.verdict == "suspect"
-
-
-def test_cofactors_and_responses_are_those_of_the_fit():
-    """Column by column through the fit, which knows nothing of groups."""
-    problem, _ = world(1)
-    linear, _ = solved(problem)
-    view = gathering.view_of(problem)
-    place = view.groups[40]
-    for element, axis in ((0, 0), (2, 1), (-1, 2)):
-        unit = np.zeros_like(problem.centres)
-        unit[place.members[element], axis] = 1.0
-        found, left = linear.fit(unit)
-        np.testing.assert_allclose(
-            place.cofactor[:, :, element, axis], left[place.members], atol=1e-9
-        )
-        curves = np.concatenate([found.component(n) for n in COMPONENTS])
-        np.testing.assert_allclose(
-            view.response[:, place.members[element], axis],
-            curves,
-            atol=1e-8 * np.abs(curves).max(),
-        )

@@ -20,7 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted, FoundEffect, Trials
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
-from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Result
 from rotcal_ros.foundation.units import MICROMETRE
@@ -231,6 +231,12 @@ def _prepared(
     fitted = whole.take(~away)
     groups = common_divisor(fitted.grid, fitted.balls) if fitted.separate_groups else 1
     layout = PlateLayout(fitted, groups)
+    needed = fitted.grid // groups
+    if fitted.closed_form and len(fitted.balls) < needed:
+        raise PlanError(
+            f"the closed form needs {needed} balls at as many table positions of a group; found "
+            f"{len(fitted.balls)}"
+        )
     missing = np.setdiff1d(np.arange(groups), layout.group[0])
     if len(missing):
         first = int(missing[0])

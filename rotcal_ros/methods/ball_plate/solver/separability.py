@@ -158,7 +158,7 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
     stacked = np.vstack([layout.rows.toarray(), layout.definitions])
     values, vectors = np.linalg.eigh(stacked.T @ stacked)
     null = vectors[:, values < TOLERANCE * values[-1]]
-    every = (layout.curves() @ null).reshape(len(COMPONENTS), -1, null.shape[1])
+    every = (layout.curves() @ null).reshape(6, layout.counts[0], null.shape[1])
     found: dict[str, tuple[int, ...]] = {}
     for name, sequences in zip(COMPONENTS, every, strict=True):
         # of both sides the first
