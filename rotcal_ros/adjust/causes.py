@@ -37,6 +37,10 @@ from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalEr
 
 TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
+SCATTER_ROUNDS: Final = 3
+"""Times that a scatter is estimated, and all is judged by it."""
+SAME_SIZE: Final = 0.05
+"""Relative change of the size of a scatter that is no matter to what is judged."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
 
@@ -49,6 +53,28 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
     """
     start, gross = robust_start(model, limits)
     whole = Diagnosis(model, limits, Noise(np.ones(len(model.components))), start)
+    found = _beside_gross(whole, gross)
+    return _with_scatter(found) if model.scatterings else found
+
+
+def _with_scatter(diagnosis: Diagnosis) -> Diagnosis:
+    """Return what is believed once what scatters is weighed by the size that is likely.
+
+    Before, it was weighed by a size that nobody would overlook, or as stated.
+    """
+    for _ in range(SCATTER_ROUNDS):
+        fit, model = diagnosis.fit, diagnosis.model
+        sizes = [fit.sizes[each].weighing for each in model.scatterings]
+        now = [float(model.std[each.rows[0]]) for each in model.scatterings]
+        if np.allclose(sizes, now, rtol=SAME_SIZE):
+            break
+        again = replace(diagnosis, model=model.scattered(sizes), start=fit.x)
+        diagnosis = _explained(again)
+    return diagnosis
+
+
+def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:
+    """Return what is believed where ``gross`` observations (k,) wait outside."""
     if not len(gross):
         return _explained(whole)
     apart = _come_back(_explained(_outside(whole, gross)), gross)
@@ -190,7 +216,8 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     stated = diagnosis.fitted(ones, diagnosis.start)
     if _as_stated(diagnosis, stated, bent):
         return Noise(ones), stated
-    checked = _evidence(stated, bent).redundancy > LEAST_REDUNDANCY
+    evidence = _evidence(stated, bent)
+    checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
     held = np.zeros(len(ones), dtype=np.bool_)
     while True:
         found, fit = _estimated_noise(diagnosis, stated, bent, held)
@@ -234,4 +261,5 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     part = (model.of_component == np.arange(count)[:, None]) & fit.used
     # R is a projection: the squared sums of its blocks follow from those of its complement
     information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
-    return NoiseEvidence(part.any(axis=1), part @ squares, part @ redundancy, information)
+    present = part.any(axis=1) & ~model.of_scatter
+    return NoiseEvidence(present, part @ squares, part @ redundancy, information)

@@ -144,25 +144,27 @@ class Adjusted:
 
     @cached_property
     def _student(self) -> Floats:
-        """Quantile of Student's t over that of the normal distribution, by output (o + a,).
+        """Quantile of what is predicted over that of the normal distribution, by output (o + a,).
 
+        That of Student's t, and for scatter of a size that is hardly known.
         Degrees of freedom after Satterthwaite, from how well the factors of the noise are known. A
         component that nothing checks was not estimated: its statement stands.
         """
         estimated, model = self.diagnosis.noise.estimated, self.model
         if estimated is None:
-            return np.ones(len(self.fit.value))
+            return self.fit.enlargement
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
         known = np.where(checked, estimated.log_std, 0.0)
         if known.max(initial=0.0) < SURE:
-            return np.ones(len(self.fit.value))
+            return self.fit.enlargement
         part = model.of_component == np.arange(len(model.components))[:, None]
         variance = self.fit.variance_from(part)  # (o, c)
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)
         tail = normal_sf(COVERED)
-        return np.array([t_isf(tail, d) / COVERED if np.isfinite(d) else 1.0 for d in dof])
+        few = np.array([t_isf(tail, d) / COVERED if np.isfinite(d) else 1.0 for d in dof])
+        return np.asarray(few * self.fit.enlargement)
 
     @cached_property
     def found_effects(self) -> tuple[FoundEffect, ...]:
@@ -357,7 +359,16 @@ class Adjusted:
 
     def details(self) -> dict[str, Any]:
         """Return what was found for the details of a result, SI."""
+        scattering = {
+            each.what: {
+                "size": sizes.weighing,
+                "contrasts": sizes.contrasts,
+                "none": float(sizes.weight[sizes.size == 0.0].sum()),
+            }
+            for each, sizes in self.fit.sizes.items()
+        }
         return {
+            **({"scattering": scattering} if scattering else {}),
             "chi_square": {
                 "value": self.fit.chi2,
                 "dof": self.fit.dof,
@@ -426,7 +437,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     require_determined(model)
     computed, _ = model.equations(model.first)
     # nothing is read yet that would tell ways to move apart
-    correlated = [each.below(0) for each in model.correlated]  # data would say which are likely
+    correlated = [each.planned() for each in model.correlated]  # data would say what is likely
     exact = replace(model, observed=computed, correlated=correlated)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
     every_std = fit.noise_std
@@ -458,6 +469,12 @@ def _doubts(found: Adjusted) -> Iterator[str]:
             f"the scatter of {model.components[k]} is {found.diagnosis.noise.factors[k]:.2g} "
             "times as stated: the estimate is used; state it, or look for drift"
         )
+    for each, sizes in found.fit.sizes.items():
+        if each.stated is not None and sizes.probability < each.significance:
+            yield (
+                f"the scatter of {each.what} is {sizes.weighing / each.stated:.2g} "
+                "times as stated: the estimate is used; state it, or look for drift"
+            )
     if found.scale > 1.0:
         yield (
             f"the residuals are {found.scale:.2g} times what their standard deviations allow "

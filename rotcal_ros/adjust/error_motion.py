@@ -118,6 +118,14 @@ class Correlated:
         """Return the same below ``count`` further rows, in a model where all ways are possible."""
         return Correlated(self.rows + count, self.parts)
 
+    def planned(self) -> Correlated:
+        """Return the same where no data say which ways are likely."""
+        return self.below(0)
+
+    def spread_of(self, fit: Any, felt: Floats) -> Floats:
+        """Return :meth:`spread` of the ways that a ``fit`` leaves possible."""
+        return self.spread(felt, self.possible(fit))
+
     def possible(self, _fit: Any) -> Bools:
         """Return which ways (w, v, ...) a fit of the model leaves possible together: all."""
         return np.ones([len(ways) for ways in self.parts], np.bool_)

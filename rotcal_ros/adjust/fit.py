@@ -13,6 +13,7 @@ from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
+from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -168,7 +169,27 @@ class Fit:
     def _spread(self) -> list[tuple[Floats, Floats]]:
         """What correlated errors do (o + a, k) each as it is, and what independent ones would."""
         every = [(each, self.alone(each.rows)) for each in self.model.correlated]
-        return [(alone, each.spread(alone, each.possible(self))) for each, alone in every]
+        return [(alone, each.spread_of(self, alone)) for each, alone in every]
+
+    @cached_property
+    def sizes(self) -> dict[Scattering, Sizes]:
+        """What is believed of each scatter of the model."""
+        return {each: each.sizes(self) for each in self.model.scatterings}
+
+    @cached_property
+    def enlargement(self) -> Floats:
+        """Factors (o + a,) on standard deviations for scatter whose size is hardly known."""
+        every, fixed = list[tuple[Floats, Floats]](), self.variance.copy()
+        for each, (alone, spread) in zip(self.model.correlated, self._spread, strict=True):
+            if isinstance(each, Scattering):
+                sizes = self.sizes[each]
+                fixed -= (spread**2).sum(axis=1)
+                std = float(self.std[each.rows[0]])
+                every.append((each.variances(sizes, alone, std), sizes.weight))
+        if all(len(weight) == 1 for _, weight in every):
+            return np.ones(len(fixed))
+        variances, weight = joined(every, np.random.default_rng(0))
+        return enlargement(np.maximum(fixed, 0.0), self.variance, variances, weight)
 
     def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import block_diag, csc_array, csr_array
+from scipy.sparse import block_diag, csc_array, csr_array, hstack
 
 from rotcal_ros.adjust.bordered import FewEach, Groups, within
 from rotcal_ros.adjust.designs import Derivatives, dense, design_of
@@ -23,6 +23,7 @@ from rotcal_ros.adjust.error_motion import Correlated
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import FIRM, Design
 from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.scattering import Scattering
 from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
@@ -575,13 +576,10 @@ class Model:
         their own: one for each ``what`` they are, for people. As ``csr_array`` they fall into
         blocks with those before.
         """
-        k = len(values)
-        every = tuple(dict.fromkeys([*self.components, what]))
-        before = (
-            0
-            if what not in self.components
-            else int((self.of_component == every.index(what)).sum())
-        )
+        k, every = len(values), tuple(dict.fromkeys([*self.components, what]))
+        before = 0
+        if what in self.components:
+            before = int((self.of_component == every.index(what)).sum())
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = self.equations(x)
@@ -602,6 +600,75 @@ class Model:
             mixed=self.mixed
             if self.mixed is None
             else csr_array(block_diag([self.mixed, np.eye(k)])),
+        )
+
+    def scattering(
+        self,
+        what: str,
+        rows: Floats | csr_array,
+        size: float | None,
+        largest: float,
+        ways: Sequence[tuple[float, Floats]] = (),
+    ) -> Model:
+        """Return the model with what scatters by a ``size``; None: that is estimated.
+
+        ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
+        and roots (k, r) of its covariance per unit of size; None: of each row by itself.
+        ``largest``: a size that nobody would overlook.
+        """
+        n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
+        k = rows.shape[0]
+        known = self.knowing(what, rows, np.zeros(k), size or largest)
+        scatter = Scattering(
+            np.arange(n, n + k),
+            (tuple(root for _, root in ways),),
+            what,
+            likely / likely.sum(),
+            size,
+        )
+        return replace(known, correlated=(*self.correlated, scatter))
+
+    @property
+    def scatterings(self) -> list[Scattering]:
+        """What scatters by a size that is estimated, or may have to be."""
+        return [each for each in self.correlated if isinstance(each, Scattering)]
+
+    @cached_property
+    def of_scatter(self) -> Bools:
+        """Which components (c,) are a scatter: how large it is is no matter of the noise."""
+        number = [self.of_component[each.rows[0]] for each in self.scatterings]
+        return np.isin(np.arange(len(self.components)), number)
+
+    def scattered(self, sizes: Sequence[float]) -> Model:
+        """Return the model in which what scatters is weighed by such ``sizes``."""
+        std = self.std.copy()
+        for each, size in zip(self.scatterings, sizes, strict=True):
+            std[each.rows] = size
+        return replace(self, std=std)
+
+    def with_unknowns(self, name: str, columns: Floats) -> Model:
+        """Return the model in which ``columns`` (n, r) of errors have unknown sizes."""
+        more, p = columns.shape[1], self.size[1]
+
+        def wider(rows: Floats | Outputs) -> Floats:
+            return np.pad(np.asarray(rows), ((0, 0), (0, more)))
+
+        def equations(x: Floats) -> tuple[Floats, Derivatives]:
+            computed, design = self.equations(x[:p])
+            if isinstance(design, csr_array):
+                design = csr_array(hstack([design, csr_array(columns)], format="csr"))
+            else:
+                design = np.hstack([dense(design), columns])
+            return computed + columns @ x[p:], design
+
+        return replace(
+            self,
+            blocks={**self.blocks, name: more},
+            equations=equations,
+            outputs=wider(self.outputs),
+            also={key: wider(rows) for key, rows in self.also.items()},
+            start=np.append(self.first, np.zeros(more)),
+            definitions=None if self.definitions is None else wider(self.definitions),
         )
 
     def sharing(self, errors: Floats) -> Model:
