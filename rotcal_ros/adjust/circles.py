@@ -264,6 +264,11 @@ class Circular(Design):
     def _eliminated(self) -> Eliminated | None:
         return Eliminated.of(self)
 
+    @property
+    def open_directions(self) -> Floats | None:
+        """What complete turns leave open (p, k); None where that is not known."""
+        return None if self._iterated is None else self._iterated.orders.directions
+
     def roughly(self, white: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares with any weights; None: nothing does."""
         if not self.large and self._eliminated is not None:

@@ -350,6 +350,9 @@ def fitted(
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
     steps = _Steps.of(model, jacobian.weighted(weight))
+    if steps.defines:  # what is defined is no step of the iteration
+        x = steps.defined(x)
+        computed, jacobian = _computed(model, x, extra)
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
@@ -418,9 +421,31 @@ class _Steps:
         if step is None:
             return self._by_normal_equations(white, x)
         felt = self.design.times(step)
-        if isinstance(self.by_form, Defined):
-            step = self.by_form.defined(x + step) - x
+        if self.defines:
+            step = self.defined(x + step) - x
         return step, float(felt @ felt)
+
+    @property
+    def defines(self) -> bool:
+        """Whether definitions fix what is open of this design, where that is known beforehand."""
+        return self._fixing is not None
+
+    @cached_property
+    def _fixing(self) -> tuple[Floats, Floats] | None:
+        """Definitions (g, p + q), and what takes what they are off to the unknowns, (p + q, g)."""
+        if isinstance(self.by_form, Defined):
+            return self.by_form.rows, self.by_form.fixing
+        if self.model.definitions is None or (open_ := self.design.open_directions) is None:
+            return None
+        rows = np.pad(self.model.definitions, ((0, 0), (0, len(open_) - self.model.size[1])))
+        return rows, fixed_by(rows, open_, _scale(self.design))[0]
+
+    def defined(self, x: Floats) -> Floats:
+        """Return unknowns ``x`` (p + q,) as they are defined."""
+        if self._fixing is None:
+            return x
+        rows, fixing = self._fixing
+        return np.asarray(x - fixing @ (rows @ x))
 
     def _by_normal_equations(self, white: Floats, x: Floats) -> tuple[Floats, float]:
         model, design = self.model, self.design

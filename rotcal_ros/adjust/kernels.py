@@ -94,6 +94,11 @@ class Design(ABC):
         """Return the kernel of its form; None where it has none, or that is not firm."""
         return None
 
+    @property
+    def open_directions(self) -> Floats | None:
+        """What its rows leave open (p, k) with any weights; None: that is not known beforehand."""
+        return None
+
     def roughly(self, white: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares where no kernel does; None: nothing does."""
         return None
@@ -492,6 +497,11 @@ class Defined(Kernel):
     def design(self) -> Design:  # type: ignore[override]
         """The whitened design of the base."""
         return self.base.design
+
+    @property
+    def rank(self) -> int:
+        """How many unknowns the observations determine."""
+        return self.base.rank
 
     def defined(self, x: Floats) -> Floats:
         """Return unknowns ``x`` (p,) or (p, k) that keep the definitions: P x."""
