@@ -1,14 +1,23 @@
-"""Closures: a table that comes to an angle again should deviate as it did the first time."""
+"""Closures: what outputs are known to keep, as a table that comes to an angle again.
+
+:func:`closures` compares positions at one angle. What a model declares (``KnownRelation``) is
+tested by :class:`Closed`: m = K y of the outputs with covariance V is beside all residuals, so
+that an effect A, which makes K B A of it, is told by both: S = A'RA + (KBA)'V^-1 KBA.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.distributions import chi2_sf, f_sf, normal_isf
+from rotcal_ros.adjust.effects import Seen, SeenFamily
+from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.model import Disturbing, KnownRelation, Steps
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.units import TURN
 
@@ -64,3 +73,87 @@ def closures(
                 )
             )
     return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """How a ``relation`` of outputs is kept in a ``fit``, whose uncertainties are times ``scale``.
+
+    ``dof``: degrees of freedom from which the noise was estimated.
+    """
+
+    fit: Fit
+    relation: KnownRelation
+    scale: float
+    dof: float
+
+    @cached_property
+    def error(self) -> Floats:
+        """By how much (k,) it is missed."""
+        rows = self.relation.rows
+        return np.asarray(rows @ self.fit.value[: rows.shape[1]])
+
+    @cached_property
+    def response(self) -> Floats:
+        """What whitened errors do to that, (k, n)."""
+        rows, fit = self.relation.rows, self.fit
+        at = np.flatnonzero(rows.any(axis=0))
+        outputs = np.asarray(fit.model.output_rows.few[at].toarray())
+        outputs += fit.model.output_rows.common[fit.model.output_rows.part[at]]
+        asked = np.zeros((len(rows), len(fit.x)))
+        asked[:, : outputs.shape[1]] = rows[:, at] @ outputs
+        felt = fit.kernel.adjusted(asked.T).T
+        for mine, spread in fit.in_common():
+            felt[:, mine] = rows @ spread[: rows.shape[1]]
+        return np.asarray(felt)
+
+    @cached_property
+    def _root(self) -> Floats:
+        """What makes it white: V^-1/2 (q, k), of what is known of it."""
+        own = self.relation.std**2 * np.eye(len(self.error))
+        values, axes = np.linalg.eigh(self.scale**2 * self.response @ self.response.T + own)
+        kept = values > MISSED**2 * max(values[-1], np.finfo(np.float64).tiny)
+        return np.asarray(axes[:, kept].T / np.sqrt(values[kept])[:, None])
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviations (k,) of the error."""
+        variance = (self.scale * self.response) ** 2
+        return np.asarray(np.sqrt(variance.sum(axis=1) + self.relation.std**2))
+
+    @property
+    def probability(self) -> float:
+        """How probably chance misses it by as much."""
+        white = self._root @ self.error
+        squares, rank = float(white @ white), len(white)
+        if not rank:
+            return 1.0
+        if np.isinf(self.dof):
+            return chi2_sf(squares, rank)
+        return f_sf(squares / rank, rank, self.dof)
+
+    def beside(self, effect: Disturbing, seen: Seen | SeenFamily) -> Seen | SeenFamily:
+        """Return what is ``seen`` of an ``effect`` with what this tells of it."""
+        columns, by = (
+            effect.at(self.fit.computed),
+            np.where(self.fit.used, 1.0 / self.fit.std, 0.0),
+        )
+        felt, white = self._root @ (self.response * by), self._root @ self.error
+        if isinstance(columns, Steps):
+            parts = [np.zeros((0, columns.width, len(white)))]
+            for rows, first in columns.runs:
+                mine = columns.felt[rows][:, :, None] * felt.T[rows][:, None]
+                parts.append(np.cumsum(mine[::-1], axis=0)[::-1][first])
+            moved = np.concatenate(parts)
+        else:
+            moved = (columns.T @ felt.T).reshape(-1, effect.width, len(white))
+        if isinstance(seen, Seen):
+            flat = moved.reshape(-1, len(white))
+            information, score = seen.information + flat @ flat.T, seen.score + flat @ white
+            return replace(seen, information=information, score=score)
+        return replace(
+            seen,
+            information=seen.information + moved @ moved.swapaxes(1, 2),
+            beside=seen.beside + moved[:-1] @ moved[1:].swapaxes(1, 2),
+            score=seen.score + moved @ white,
+        )

@@ -170,6 +170,19 @@ class EffectTest(NamedTuple):
     variance: float = 1.0
 
 
+def expected_weights(seen: SeenFamily, size: float, probability: float) -> Floats:
+    """Return what each column (k w,) adds to the covariance, times the square of its unit.
+
+    One of them may be off by ``size``, plus or minus, with ``probability`` beforehand: that times
+    its likelihood ratio is how probable it is afterwards, and its expected square what it adds.
+    """
+    information = seen.information.diagonal(axis1=1, axis2=2).ravel()
+    felt = np.abs(seen.score.ravel()) * size
+    logs = felt + np.log1p(np.exp(-2.0 * felt)) - np.log(2.0) - 0.5 * information * size**2
+    ratio = np.exp(np.minimum(logs, 600.0)) * probability / max(len(logs), 1)
+    return np.asarray(size**2 * ratio / (1.0 - probability + ratio.sum()))
+
+
 def effect_test(
     seen: Seen,
     rest: tuple[float, float] | None = None,

@@ -25,9 +25,19 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import found_causes
+from rotcal_ros.adjust.closures import Closed
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality, normal_sf, t_isf
-from rotcal_ros.adjust.effects import Seen, SeenFamily, Unseen, unseen, unseen_family
+from rotcal_ros.adjust.effects import (
+    Seen,
+    SeenFamily,
+    Unseen,
+    effect_test,
+    expected_weights,
+    family_test,
+    unseen,
+    unseen_family,
+)
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
@@ -127,10 +137,24 @@ class Adjusted:
         fit, count = self.fit, len(self.model.outputs)
         few = (self.scale * self._student)[:count]
         total = few[:, None] * fit.covariance(count) * few
-        for weight, change in self.diagnosis.contested():
-            total = total + weight * np.outer(change[:count], change[:count])
+        for changes in self._probable:
+            total = total + changes[:count] @ changes[:count].T
         gathers = self.diagnosis.gathering.covariance()
         return np.asarray(total if gathers is None else total + gathers[:count, :count])
+
+    @cached_property
+    def _probable(self) -> list[Floats]:
+        """What is probable but not proved does to the outputs, (o + a, k) per unit normal each."""
+        contested = list(self.diagnosis.contested())
+        found = [np.sqrt(weight) * change[:, None] for weight, change in contested]
+        for effect, size, probability in self.model.expected:
+            columns = effect.at(self.fit.computed)
+            seen = family_seen_by(self.fit, columns, effect.width)
+            weight = expected_weights(seen, size, probability)
+            stride = -(-len(weight) * len(self.fit.value) // MOST_INFLUENCES)
+            root = np.sqrt(stride * weight[::stride])
+            found.append((root[:, None] * seen.moved[::stride]).T)
+        return found
 
     @cached_property
     def also(self) -> Mapping[str, tuple[Floats, Floats]]:
@@ -189,8 +213,8 @@ class Adjusted:
     @cached_property
     def _every_std(self) -> Floats:
         variance = (self.scale * self._student) ** 2 * self.fit.variance
-        for weight, change in self.diagnosis.contested():
-            variance = variance + weight * change**2
+        for changes in self._probable:
+            variance = variance + (changes**2).sum(axis=1)
         gathers = self.diagnosis.gathering.covariance()
         return np.sqrt(variance if gathers is None else variance + gathers.diagonal())
 
@@ -221,8 +245,20 @@ class Adjusted:
 
     @cached_property
     def seen(self) -> list[tuple[Disturbing, Seen | SeenFamily]]:
-        """What the solution makes of each declared effect."""
-        return [(effect, _seen(self.fit, effect)) for effect in self.model.effects]
+        """What the solution makes of each declared effect, and closures beside it."""
+        found = []
+        for effect in self.model.effects:
+            seen = _seen(self.fit, effect)
+            for closed in self.closed:
+                seen = closed.beside(effect, seen)
+            found.append((effect, seen))
+        return found
+
+    @cached_property
+    def closed(self) -> tuple[Closed, ...]:
+        """How the outputs keep what they are known to keep."""
+        each = self.model.closures
+        return tuple(Closed(self.fit, known, self.scale, self.freedom) for known in each)
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
@@ -244,9 +280,7 @@ class Adjusted:
         few, size = self.scale * self._student, len(self.value)
         many = size * len(self.fit.std) > MOST_INFLUENCES and not self.model.correlated
         causes = [np.zeros((len(few), 0)) if many else few[:, None] * self.fit.response]
-        causes += [
-            np.sqrt(weight) * change[:, None] for weight, change in self.diagnosis.contested()
-        ]
+        causes += self._probable
         gathers = self.diagnosis.gathering.covariance()
         if gathers is not None:
             values, vectors = np.linalg.eigh(gathers)
@@ -367,8 +401,13 @@ class Adjusted:
             }
             for each, sizes in self.fit.sizes.items()
         }
+        closed = [
+            {"what": c.relation.what, "error": c.error, "std": c.std, "p_value": c.probability}
+            for c in self.closed
+        ]
         return {
             **({"scattering": scattering} if scattering else {}),
+            **({"closed": closed} if closed else {}),
             "chi_square": {
                 "value": self.fit.chi2,
                 "dof": self.fit.dof,
@@ -498,6 +537,7 @@ def _doubts(found: Adjusted) -> Iterator[str]:
         GatheringLimits(limits.rejected_share, limits.significance),
         model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
     )
+    yield from _open(found)
     if not found.fit.dof:
         yield f"no {model.words.elements} are left to check the others: nothing could contradict"
     lost, all_of_them = found.diagnosis.lost, model.rejectable
@@ -506,6 +546,28 @@ def _doubts(found: Adjusted) -> Iterator[str]:
             f"{lost} of {all_of_them} {model.words.elements} were left out, "
             f"more than {100 * limits.rejected_share:g} % is suspicious"
         )
+
+
+def _open(found: Adjusted) -> Iterator[str]:
+    """Yield what outputs do not keep, and effects that it shows where residuals alone do not."""
+    limits, unit = found.diagnosis.limits, found.model.unit
+    for closed in found.closed:
+        if closed.probability < limits.significance / len(found.closed):
+            pairs = zip(closed.error.tolist(), closed.std.tolist(), strict=True)
+            each = ", ".join(f"{e / unit.si:.3g} ± {2.0 * u / unit.si:.2g}" for e, u in pairs)
+            yield (
+                f"{closed.relation.what}, by {each} {unit.name} (k = 2, p = "
+                f"{closed.probability:.2g}): something moved or drifted in between"
+            )
+    rest = (found.fit.chi2, float(found.fit.dof)) if np.isfinite(found.freedom) else None
+    named = {e.effect.effect for e in found.found_effects}
+    for effect, seen in found.seen if found.closed else ():
+        test = family_test(seen, rest) if isinstance(seen, SeenFamily) else effect_test(seen, rest)
+        if test.probability < limits.of_each_effect(found.model) and effect.effect not in named:
+            yield (
+                f"it looks as if {effect.what} (p = {test.probability:.2g}), by residuals and "
+                "by what does not close: it was not taken off; find out why, and measure again"
+            )
 
 
 def _larger(found: Adjusted) -> Bools:

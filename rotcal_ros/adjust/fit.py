@@ -171,6 +171,11 @@ class Fit:
         every = [(each, self.alone(each.rows)) for each in self.model.correlated]
         return [(alone, each.spread_of(self, alone)) for each, alone in every]
 
+    def in_common(self) -> list[tuple[Ints, Floats]]:
+        """Return rows (k,) with errors in common, and what independent ones do (o + a, k)."""
+        every = zip(self.model.correlated, self._spread, strict=True)
+        return [(each.rows, spread) for each, (_, spread) in every]
+
     @cached_property
     def sizes(self) -> dict[Scattering, Sizes]:
         """What is believed of each scatter of the model."""

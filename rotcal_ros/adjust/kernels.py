@@ -500,7 +500,7 @@ class Defined(Kernel):
 
     @property
     def rank(self) -> int:
-        """How many unknowns the observations determine."""
+        """How many unknowns are determined, not only defined."""
         return self.base.rank
 
     def defined(self, x: Floats) -> Floats:

@@ -238,6 +238,30 @@ class Disturbing:
         return self.mapped(spread, own, apart=False)
 
 
+class Expected(NamedTuple):
+    """What may have happened unseen, once, by ``size``, plus or minus: a member of a family.
+
+    With this ``probability`` beforehand, as of a fringe that a counter slips.
+    """
+
+    effect: Disturbing
+    size: float
+    probability: float
+
+
+class KnownRelation(NamedTuple):
+    """What outputs are known to keep, though each is free: ``rows`` (k, o) of them are zero.
+
+    But for a scatter of ``std``: as steps round a circle add up to nothing, or a table comes to
+    an angle again. ``what`` people are told, as in "*the deviation at 0 deg differs when it is
+    measured again*, by 5 ± 1 arcsec".
+    """
+
+    what: str
+    rows: Floats
+    std: float = 0.0
+
+
 def linear(design: Derivatives) -> Equations:
     """Return the equations of observations that are ``design`` (n, p) times the unknowns."""
     form = design_of(design)
@@ -372,6 +396,7 @@ class Model:
     ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
+    ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
     ``unstated``: the noise is not known, ``std`` is a first guess of it.
     """
 
@@ -394,6 +419,8 @@ class Model:
     element: Ints | None = None
     mixed: csr_array | None = None
     definitions: Floats | None = None
+    expected: Sequence[Expected] = ()
+    closures: Sequence[KnownRelation] = ()
     unstated: bool = False
 
     def __post_init__(self) -> None:
@@ -568,7 +595,9 @@ class Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
         return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
 
-    def knowing(self, what: str, rows: Floats | csr_array, values: Floats, std: float) -> Model:
+    def knowing(
+        self, what: str, rows: Floats | csr_array, values: Floats, std: Floats | float
+    ) -> Model:
         """Return the model with what is known beforehand, as from a certificate.
 
         ``rows`` (k, p) times the unknowns are ``values`` (k,), each with ``std``: observations
@@ -588,13 +617,14 @@ class Model:
         return replace(
             self,
             observed=np.append(self.observed, values),
-            std=np.append(self.std, np.full(k, std)),
+            std=np.append(self.std, np.broadcast_to(std, k)),
             equations=equations,
             components=every,
             component=np.append(self.of_component, np.full(k, every.index(what))),
             judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
+            expected=[e._replace(effect=e.effect.beside(k)) for e in self.expected],
             row_names=[*self.names, *(f"value {before + i} of {what}" for i in range(k))],
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
@@ -730,7 +760,16 @@ class Model:
     ) -> Model:
         """Return the model of combinations of its observations, which ``back`` takes back."""
         effects = [e.mapped(to, back, apart=apart) for e in self.effects]
-        return replace(self, observed=to(self.observed), equations=equations, effects=effects)
+        expected = [
+            e._replace(effect=e.effect.mapped(to, back, apart=apart)) for e in self.expected
+        ]
+        return replace(
+            self,
+            observed=to(self.observed),
+            equations=equations,
+            effects=effects,
+            expected=expected,
+        )
 
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""

@@ -127,6 +127,7 @@ class Scattering(Correlated):
         else:
             each = [_along(root @ way, value) for way in self.parts[0]]
         noticed = [_noticed(values) for values, _ in each]
+        count = max(int((values > RULED * values.max(initial=0.0)).sum()) for values, _ in each)
         if not np.isfinite(min(noticed)):  # nothing shows it: as stated, or none
             way = np.arange(self.ways)
             size = np.full(len(way), self.stated or 0.0)
@@ -135,9 +136,10 @@ class Scattering(Correlated):
         if self.stated is not None:
             found = self._of_stated(value, each, least)
             if found.probability >= self.significance:
-                return found
-            return replace(self._estimated(value, each, noticed), probability=found.probability)
-        return self._estimated(value, each, noticed)
+                return replace(found, contrasts=count)
+            estimated = self._estimated(value, each, noticed)
+            return replace(estimated, contrasts=count, probability=found.probability)
+        return replace(self._estimated(value, each, noticed), contrasts=count)
 
     def _of_stated(
         self, value: Floats, each: list[tuple[Floats, Floats]], noticed: float

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from rotcal_ros.adjust import designs
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.gathering import Words
@@ -55,8 +56,9 @@ def network(rng, sparse=False, definitions=True):
 
 
 @pytest.mark.parametrize("sparse", [False, True])
-def test_a_free_network_lies_where_it_is_defined_to(sparse):
+def test_a_free_network_lies_where_it_is_defined_to(sparse, monkeypatch):
     """Its covariance is that of outputs less what the frame does: P N^+ P', whatever the start."""
+    monkeypatch.setattr(designs, "FEW", 0)
     truth, frame, model = network(np.random.default_rng(4), sparse)
     found = adjust(model)
     np.testing.assert_allclose(frame @ found.value, 0.0, atol=1e-15)
@@ -90,8 +92,9 @@ def test_a_wrong_distance_is_found_whatever_the_frame():
 
 
 @pytest.mark.parametrize("sparse", [False, True])
-def test_parts_that_nothing_joins_are_defined_each(sparse):
+def test_parts_that_nothing_joins_are_defined_each(sparse, monkeypatch):
     """Levels of two groups, the mean of each zero: as outputs that are deviations from it."""
+    monkeypatch.setattr(designs, "FEW", 0)
     rng, pairs = np.random.default_rng(6), [(k, j) for k in range(6) for j in range(k)]
     design = np.zeros((30, 12))
     for row, (k, j) in enumerate(pairs):
@@ -109,6 +112,7 @@ def test_parts_that_nothing_joins_are_defined_each(sparse):
     )
     one, other = adjust(model), adjust(by_outputs)
     assert isinstance(one.fit.kernel, Defined)
+    assert one.fit.dof == other.fit.dof == 20
     assert one.value == pytest.approx(other.value, abs=1e-15)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9, atol=1e-24)
     with pytest.raises(ObservabilityError, match="level"):
