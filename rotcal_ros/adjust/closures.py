@@ -98,8 +98,7 @@ class Closed:
         """What whitened errors do to that, (k, n)."""
         rows, fit = self.relation.rows, self.fit
         at = np.flatnonzero(rows.any(axis=0))
-        outputs = np.asarray(fit.model.output_rows.few[at].toarray())
-        outputs += fit.model.output_rows.common[fit.model.output_rows.part[at]]
+        outputs = fit.model.output_rows.some(at)
         asked = np.zeros((len(rows), len(fit.x)))
         asked[:, : outputs.shape[1]] = rows[:, at] @ outputs
         felt = fit.kernel.adjusted(asked.T).T

@@ -78,6 +78,10 @@ class Outputs:
         """Return some of them, written out."""
         return np.asarray(self.few[which].toarray() + self.share[which] @ self.common)
 
+    def some(self, which: Ints) -> Floats:
+        """Return some of them (k,), written out."""
+        return np.asarray(self.few[which].toarray() + self.share[which] @ self.common)
+
     def __matmul__(self, x: Floats) -> Floats:
         """Return C times ``x`` (p,) or (p, k)."""
         return self.times(x)

@@ -44,6 +44,8 @@ from rotcal_ros.methods.ball_plate.solver.problem import (
 
 ACROSS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """What a rotation w does to a ball on the x axis, w x (1, 0, 0) = ACROSS w."""
+ROUNDING = 1e5 * np.finfo(np.float64).eps
+"""Standard deviation below which a coordinate has no noise, as part of the radius."""
 FREE = 13
 """Directions that leave all centres where they are, of each group of table positions."""
 
@@ -308,6 +310,20 @@ class PlateLayout:
         tilt = rotation_from_vector(axis * [1.0, 1.0, 0.0])[group]
         there = (tilt @ there[:, :, None])[:, :, 0] + found.axis_shift[group]
         return np.asarray((self.radial @ there[:, :, None])[:, :, 0])
+
+    def neglected(self, x: Floats) -> float:
+        """Return what centres without noise leave of any coordinate, m: no less is noise.
+
+        Their last bits, and the products of the errors of plate and CMM over the radius: the model
+        takes the CMM's error to be the same wherever around its position a ball stands.
+        """
+        found, radius = self.parts(x), self.problem.radius
+        back = np.swapaxes(self.turned[2], 1, 2)
+        mounting = np.concatenate([back, ACROSS @ back], axis=2).reshape(-1, 6)
+        plate = (back @ found.ball[:, :, None]).ravel()
+        plate = plate - mounting @ np.linalg.lstsq(mounting, plate, rcond=None)[0]
+        products = 10.0 * float(np.sqrt(np.mean(plate**2) * np.mean(found.cmm**2))) / radius
+        return float(max(ROUNDING * radius, products))
 
     def curves(self) -> csr_array:
         """Return what takes unknowns to the six deviations (6 M, p), m and rad.

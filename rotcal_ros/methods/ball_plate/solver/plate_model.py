@@ -14,13 +14,13 @@ from scipy.sparse import block_diag, csr_array
 from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.kernels import Design, Whole
+from rotcal_ros.adjust.kernels import Defined, Design, Whole
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
+from rotcal_ros.methods.ball_plate.solver.layout import ROUNDING, PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 
 UM: Final = Unit("um", MICROMETRE)
@@ -33,8 +33,6 @@ LARGEST_GROWTH: Final = 5e-4
 """The same of a growth over a run: 20 K of aluminium."""
 QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
-ROUNDING: Final = 1e3 * np.finfo(np.float64).eps
-"""Standard deviation below which a coordinate has no noise, as part of the radius."""
 MOMENTS: Final = 40
 """Moments at which a knock is looked for, evenly over the run; a quarter where each costs more."""
 MANY_CENTRES: Final = 3000
@@ -83,20 +81,23 @@ class PlateRows:
             centres = (np.swapaxes(layout.radial, 1, 2) @ centres[:, :, None])[:, :, 0]
         return np.asarray(centres.ravel() + self.drift @ x[layout.unknowns :])
 
-    def noise(self, design: Design, misclosure: Floats) -> Floats:
-        """Return standard deviations (3 n,), m: as stated, else as a first fit shows them."""
+    def noise(self, design: Design, misclosure: Floats) -> tuple[Floats, bool]:
+        """Return standard deviations (3 n,), m: as stated, else as a first fit shows them.
+
+        And whether they have to be estimated: of centres without noise there is nothing to.
+        """
         problem, n = self.problem, len(self.frame)
         if problem.std is not None:
-            return np.asarray(problem.std[self.layout.row].ravel())
+            return problem.std[self.layout.row].ravel(), False
         if problem.sigma is not None:
-            return np.full(3 * n, problem.sigma)
+            return np.full(3 * n, problem.sigma), False
         kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
-        left = np.abs(misclosure - kernel.taken(misclosure[:, None])[:, 0])
-        checked = np.maximum(1.0 - kernel.leverage, ROUNDING)
-        axial = np.tile([False, False, True], n)
-        least, every = ROUNDING * problem.radius, left / np.sqrt(checked) / QUARTILE
+        x = Defined.of(kernel, self.layout.definitions).solve(misclosure)
+        left, checked = np.abs(misclosure - design.times(x)), 1.0 - kernel.leverage
+        every = left / np.sqrt(np.maximum(checked, ROUNDING)) / QUARTILE
+        axial, least = np.tile([False, False, True], n), self.layout.neglected(x)
         found = [max(float(np.median(every[part])), least) for part in (~axial, axial)]
-        return np.asarray(np.where(axial, found[1], found[0]))
+        return np.where(axial, found[1], found[0]), max(found) > least
 
 
 def drift_columns(run_time: Floats, degree: int) -> Floats:
@@ -141,11 +142,12 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         return rows.computed(x), design
 
     start = np.zeros(layout.unknowns + drifts)
+    std, unstated = rows.noise(design, observed - rows.computed(start))
     blocks = {"table shift": 3 * table, "table turn": 3 * table, "CMM": 3 * cmm, "ball": 3 * ball}
     return Model(
         blocks=blocks | ({"drift": drifts} if drifts else {}),
         observed=observed,
-        std=rows.noise(design, observed - rows.computed(start)),
+        std=std,
         equations=equations,
         outputs=_wider(Outputs.alone(layout.curves()), drifts),
         words=WORDS,
@@ -157,7 +159,7 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         row_names=[problem.row_name(k) for k in layout.row.tolist() for _ in range(3)],
         element=np.repeat(np.arange(n), 3),
         definitions=np.pad(layout.definitions, ((0, 0), (0, drifts))),
-        unstated=problem.std is None and problem.sigma is None,
+        unstated=unstated,
     )
 
 

@@ -48,6 +48,13 @@ from rotcal_ros.methods.ball_plate.solver.separability import (
 METHOD: Final = "ball_plate"
 AXIS_SIGNIFICANCE: Final = 0.001
 """Level of the test whether the centres scatter alike along x and y."""
+VISIBLE: Final = 0.01
+"""Part of a drift's sum of squares that must be left in the residuals to estimate it."""
+HIDDEN_DRIFT: Final = (
+    "a drift cannot be separated from errors of the table and the CMM in this order of "
+    "measurement: the residuals keep {:.2g} of it, {:g} are needed; measure in the order "
+    "interleaved, or leave solver.drift at none"
+)
 MOST_OPEN: Final = 0.25
 """Part of the table positions that may be left out for lack of balls."""
 PLAUSIBLE_K: Final = 20.0
@@ -177,15 +184,34 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
         found = engine.adjust(plate_model(layout))
         if by_axis := _unequal(layout, found):
             found = engine.adjust(plate_model(layout, by_axis=True))
-    except ObservabilityError:
+    except ObservabilityError as error:
         require_separable(fitted)  # names the harmonics, where it is the harmonics
+        if fitted.drift:
+            raise ObservabilityError(HIDDEN_DRIFT.format(0.0, VISIBLE)) from error
         raise
+    if fitted.drift:
+        _require_visible(found, layout)
     if not found.fit.dof:
         raise DataError(
             f"{len(fitted.centres)} centres leave no redundancy: nothing can be checked; "
             "measure more balls or CMM positions"
         )
     return PlateSolution(problem, fitted, layout, found, unusable, by_axis)
+
+
+def _require_visible(found: Adjusted, layout: PlateLayout) -> None:
+    """Raise ObservabilityError where the residuals keep too little of a drift to estimate it.
+
+    A constant part counts for nothing: the pose of the axis takes it.
+    """
+    fit, rows = found.fit, PlateRows(layout)
+    own = slice(layout.unknowns, layout.unknowns + rows.drift.shape[1])
+    each = rows.drift.reshape(-1, 3, rows.drift.shape[1])
+    whole = (((each - each.mean(axis=0)) ** 2).sum(axis=(0, 1))) / np.mean(fit.std) ** 2
+    gain = fit.gain(own) * np.sqrt(whole)[:, None]
+    seen = 1.0 / float(np.linalg.eigvalsh(gain @ gain.T)[-1])
+    if seen < VISIBLE:
+        raise ObservabilityError(HIDDEN_DRIFT.format(seen, VISIBLE))
 
 
 def _unequal(layout: PlateLayout, found: Adjusted) -> bool:
@@ -441,7 +467,7 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
                 "cmm_positions": layout.cmm_steps[cmm == group],
             }
             | {
-                f"{name}{of}": value[of_group[name] == group]
+                f"{name}{of}": _squeezed(name, value[of_group[name] == group])
                 for name, pair in each.items()
                 for of, value in zip(("", "_std"), pair, strict=True)
             }
@@ -453,6 +479,11 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
             "vector": left,
         },
     }
+
+
+def _squeezed(name: str, values: Floats) -> Floats:
+    """Return the one vector (3,) of an axis, all (k, 3) of others."""
+    return values[0] if name.startswith("axis") else values
 
 
 def _protections(solution: PlateSolution) -> Iterator[Protection]:
