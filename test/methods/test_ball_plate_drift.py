@@ -109,7 +109,7 @@ def test_estimated_drift_keeps_its_intervals():
 
 @pytest.mark.parametrize("order", ["table_once", "probe_rests"])
 def test_a_drift_that_the_order_hides_is_not_estimated(order):
-    problem, _ = measured(36, DEMO_PLATE, 0, ORDERS[order], drift=1)
+    problem, _ = measured(36, DEMO_PLATE, 0, ORDERS[order] | {"closing": False}, drift=1)
     with pytest.raises(ObservabilityError, match="interleaved"):
         solve(problem)
 

@@ -44,7 +44,7 @@ from rotcal_ros.methods.ball_plate.solver.problem import (
 
 ACROSS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """What a rotation w does to a ball on the x axis, w x (1, 0, 0) = ACROSS w."""
-ROUNDING = 1e5 * np.finfo(np.float64).eps
+ROUNDING = 1e6 * np.finfo(np.float64).eps
 """Standard deviation below which a coordinate has no noise, as part of the radius."""
 FREE = 13
 """Directions that leave all centres where they are, of each group of table positions."""

@@ -15,13 +15,14 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust import engine
+from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.adjust.distributions import f_sf
 from rotcal_ros.adjust.engine import Adjusted, FoundEffect, Trials
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
-from rotcal_ros.foundation.protection import Protection
+from rotcal_ros.foundation.protection import TOLERABLE, Protection
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Result
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.materials import kelvin
@@ -46,6 +47,8 @@ from rotcal_ros.methods.ball_plate.solver.separability import (
 )
 
 METHOD: Final = "ball_plate"
+LIMITS: Final = Limits(rejected_share=0.02)
+"""Dirt on one ball of fifty is nothing unusual; two of twelve at one position are."""
 AXIS_SIGNIFICANCE: Final = 0.001
 """Level of the test whether the centres scatter alike along x and y."""
 VISIBLE: Final = 0.01
@@ -181,9 +184,9 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
     """Return the solution of ``problem``; raises what :func:`solve` raises."""
     fitted, unusable, layout = _prepared(problem)
     try:
-        found = engine.adjust(plate_model(layout))
+        found = engine.adjust(plate_model(layout), LIMITS)
         if by_axis := _unequal(layout, found):
-            found = engine.adjust(plate_model(layout, by_axis=True))
+            found = engine.adjust(plate_model(layout, by_axis=True), LIMITS)
     except ObservabilityError as error:
         require_separable(fitted)  # names the harmonics, where it is the harmonics
         if fitted.drift:
@@ -494,7 +497,8 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
         shape = ("linear", "quadratic")[problem.drift - 1]
         yield Protection("drift", "estimated", f"a {shape} drift of each axis is an unknown")
     elif drift and any(
-        p.effect == "drift" and p.treatment == "not protected" for p in found.protections()
+        p.effect == "drift" and (p.error is None or p.error > TOLERABLE)
+        for p in found.protections()
     ):
         yield Protection("drift", "bounded", f"the budget holds {drift:g} um over the run")
     yield Protection(
