@@ -91,7 +91,7 @@ def test_a_knock_between_cmm_positions_is_found_as_before(exact):
 
 
 def test_a_knock_within_a_table_position_is_noticed(exact):
-    """Six balls before and six after it: that some of them are off together is as good a reason."""
+    """Six balls before and six after it: that some are off together is as good a reason."""
     problem, rng = numbered(exact, "table_once"), np.random.default_rng(5)
     for moment in range(30, 260, 12 if LONG else 36):
         shift, turn = rng.normal(size=(2, 3))

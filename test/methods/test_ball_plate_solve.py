@@ -13,6 +13,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, select, solve
+from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 
 
 def at(place_of, grid=72, balls=PAPER_PLATE, direction=1.0, noise=1e-7):

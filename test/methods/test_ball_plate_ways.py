@@ -33,7 +33,7 @@ def random_balls(grid, count, seed):
 
 
 def linear(problem):
-    """The kernel of a problem, its deviations by the linear model, their unit std and residuals."""
+    """Return the kernel of a problem, the deviations of the linear model, unit std, residuals."""
     layout = PlateLayout(problem)
     rows, model = PlateRows(layout), plate_model(layout)
     own = np.ones(len(model.std)) if problem.std is None else model.std
