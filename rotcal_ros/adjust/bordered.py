@@ -24,8 +24,12 @@ from scipy.sparse.csgraph import connected_components
 from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
+LARGEST_SHARE: Final = 1.0 / 3.0
+"""Share of all unknowns that are in groups which the largest of them should not exceed."""
+NEARLY_AS_MANY: Final = 0.9
+"""Share of the most rows that feel an unknown from which another is felt by as many."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
 
@@ -164,18 +168,10 @@ class Groups:
         """
         n, p = few.shape
         row, column = np.repeat(np.arange(n), np.diff(few.indptr)), few.indices
-        count = np.bincount(column, minlength=p)
-        # what many feel joins everything: many is between one group's rows and all of them
-        alone = (count > 0) & (count <= np.sqrt(n * np.median(count[count > 0])))
-        if joined is not None:
-            alone[joined] = False
-        inside = alone[column]
-        ones = np.ones(int(inside.sum()))
-        graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
-        label = connected_components(graph, directed=False)[1]
-        groups, group = np.unique(label[n:][alone], return_inverse=True)
-        if len(groups) < 2:
+        found = _apart(few, row, joined)
+        if found is None:
             return None
+        alone, label, groups, group = found
         number = np.full(label.max() + 1, -1)
         number[groups] = np.arange(len(groups))
         of_row = number[label[:n]]
@@ -416,6 +412,36 @@ class Bordered(Kernel):
         shape = (*self.groups.own.shape, len(self.root))
         _to_own(self.groups, known, -(self.inverse @ self.tied.reshape(shape)))
         return np.hstack([known, self.columns])
+
+
+def _apart(
+    few: csr_array, row: Ints, joined: Ints | None
+) -> tuple[Bools, Ints, Ints, Ints] | None:
+    """Return which unknowns (p,) are own to groups, and which of these each is in; None: no such.
+
+    With the labels (n + p,) of rows and unknowns, and those of the groups. ``row``: of each entry.
+    """
+    n, p = few.shape
+    column = few.indices
+    count = np.bincount(column, minlength=p)
+    # what many feel joins everything: many is between one group's rows and all of them
+    alone = (count > 0) & (count <= np.sqrt(n * np.median(count[count > 0])))
+    if joined is not None:
+        alone[joined] = False
+    first = None
+    while alone.any():
+        inside = alone[column]
+        ones = np.ones(int(inside.sum()))
+        graph = coo_array((ones, (row[inside], n + column[inside])), shape=(n + p, n + p))
+        label = connected_components(graph, directed=False)[1]
+        groups, group = np.unique(label[n:][alone], return_inverse=True)
+        if len(groups) > 1:
+            first = first or (alone, label, groups, group)
+            if np.bincount(group).max() <= LARGEST_SHARE * alone.sum():
+                return alone, label, groups, group
+        # else two sides that feel each other: those are groups which fewer feel
+        alone = alone & (count < NEARLY_AS_MANY * count[alone].max())
+    return first
 
 
 def _own_of(groups: Groups, columns: Floats) -> Floats:

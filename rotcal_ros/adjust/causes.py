@@ -53,23 +53,27 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
     """
     start, gross = robust_start(model, limits)
     whole = Diagnosis(model, limits, Noise(np.ones(len(model.components))), start)
-    found = _beside_gross(whole, gross)
-    return _with_scatter(found) if model.scatterings else found
+    if not model.scatterings:
+        return _beside_gross(whole, gross)
+    explained = _beside_gross(whole, gross) if len(gross) else None
+    return _with_scatter(whole, explained)
 
 
-def _with_scatter(diagnosis: Diagnosis) -> Diagnosis:
+def _with_scatter(whole: Diagnosis, explained: Diagnosis | None) -> Diagnosis:
     """Return what is believed once what scatters is weighed by the size that is likely.
 
-    Before, it was weighed by a size that nobody would overlook, or as stated.
+    Before, it was weighed by a size that nobody would overlook, or as stated; what was
+    ``explained`` so stays.
     """
+    diagnosis = explained or whole
     for _ in range(SCATTER_ROUNDS):
         fit, model = diagnosis.fit, diagnosis.model
         sizes = [fit.sizes[each].weighing for each in model.scatterings]
         now = [float(model.std[each.rows[0]]) for each in model.scatterings]
-        if np.allclose(sizes, now, rtol=SAME_SIZE):
+        if explained and np.allclose(sizes, now, rtol=SAME_SIZE):
             break
         again = replace(diagnosis, model=model.scattered(sizes), start=fit.x)
-        diagnosis = _explained(again)
+        diagnosis = explained = _explained(again)
     return diagnosis
 
 
@@ -189,9 +193,9 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
         elif not bent:
-            return diagnosis
+            return diagnosis.solved(fit)
         elif noise.estimated is None and _as_stated(diagnosis, fit, bent=False):
-            return replace(diagnosis, start=diagnosis.fit.x)  # whole squares show the same
+            return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
 

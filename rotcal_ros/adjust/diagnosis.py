@@ -125,6 +125,12 @@ class Diagnosis:
         """The solution with the noise that is believed."""
         return self.fitted(self.noise.factors, self.start)
 
+    def solved(self, fit: Fit) -> Diagnosis:
+        """Return the same, which ``fit`` is the solution of."""
+        found = replace(self, start=fit.x)
+        found.__dict__["fit"] = fit  # it is known already
+        return found
+
     def in_words(self) -> str:
         """Return what is wrong with the observations."""
         name = self.model.names

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.linalg import lapack
 
+from rotcal_ros.adjust.effects import SeenFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
-from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.model import Model, Steps
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -27,6 +28,9 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
+FROZEN, SHRINKS = 0.01, 0.01
+"""Squared step, in standard deviations, from which on derivatives stay as they were, as long as
+the next one is so much smaller."""
 HALVINGS: Final = 20
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
@@ -82,6 +86,11 @@ class Fit:
     def white(self) -> Floats:
         """Whitened residuals (n,), zero where not used."""
         return np.where(self.used, self.residual / self.std, 0.0)
+
+    @cached_property
+    def families(self) -> dict[Steps, SeenFamily]:
+        """What was worked out of moves that may have begun at any moment."""
+        return {}
 
     @property
     def chi2(self) -> float:
@@ -339,13 +348,19 @@ def _defined(model: Model, kernel: Kernel) -> Kernel:
 
 
 def fitted(
-    model: Model, used: Bools, std: Floats, start: Floats, extra: Floats | None = None
+    model: Model,
+    used: Bools,
+    std: Floats,
+    start: Floats,
+    extra: Floats | None = None,
+    settled: float = CONVERGED,
 ) -> Fit:
     """Return the least-squares solution with the observations ``used`` (n,), weighed by ``std``.
 
     ``start`` (p,) or longer; ``extra`` (n, q): columns that are unknowns, too. Gauss-Newton with
     halved steps where the sum of squares would grow; the steps may be rough, what they end at is
-    where the gradient vanishes. Raises ObservabilityError where an output feels what nothing
+    where the gradient vanishes, to a step whose square, in standard deviations and per
+    chi-squared, is ``settled``. Raises ObservabilityError where an output feels what nothing
     tells, DataError where the iteration does not settle.
     """
     n, p = model.size
@@ -364,11 +379,11 @@ def fitted(
         step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
-        if left <= CONVERGED * max(square, 1.0) or 0.25 * before < left < NEARLY:
+        if left <= settled * max(square, 1.0) or 0.25 * before < left < NEARLY:
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
-        before, solved = left, jacobian
+        slow, before, solved = left > SHRINKS * before, left, jacobian
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -379,7 +394,7 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved:
+        if jacobian is not solved and (slow or left > FROZEN):
             steps = _Steps.of(model, jacobian.weighted(weight))
     raise _unsettled()
 

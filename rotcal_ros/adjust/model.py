@@ -143,19 +143,25 @@ class Steps:
         ways = None if self.ways is None else np.pad(self.ways, (rows, (0, 0)))
         return Steps(np.pad(self.run, rows, constant_values=-1), np.pad(self.when, rows), ways)
 
-    def few(self, which: slice = slice(None)) -> csr_array:
-        """Return some columns (n, m) by those entries that are not zero."""
-        every, ways = range(self.width), self.felt
-        touched = [
+    @cached_property
+    def _touched(self) -> list[tuple[int, Ints]]:
+        """Of each column its way, and the rows that it touches."""
+        every = range(self.width)
+        return [
             (way, rows[k:]) for rows, first in self.runs for k in first.tolist() for way in every
-        ][which]
+        ]
+
+    def few(self, which: slice | Ints = slice(None)) -> csr_array:
+        """Return some columns (n, m) by those entries that are not zero."""
+        ways, every = self.felt, self._touched
+        touched = every[which] if isinstance(which, slice) else [every[k] for k in which.tolist()]
         begin = np.append(0, np.cumsum([len(rows) for _, rows in touched], dtype=np.int64))
         rows = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in touched)])
         values = np.concatenate([np.zeros(0), *(ways[rows, way] for way, rows in touched)])
         shape = (len(self.run), len(touched))
         return csr_array(csc_array((values, rows, begin), shape=shape))
 
-    def whole(self, which: slice = slice(None)) -> Floats:
+    def whole(self, which: slice | Ints = slice(None)) -> Floats:
         """Return some columns (n, m), zeros included."""
         return np.asarray(self.few(which).toarray())
 
@@ -397,7 +403,8 @@ class Model:
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
-    ``unstated``: the noise is not known, ``std`` is a first guess of it.
+    ``shared``: blocks that rows of many groups feel, where derivatives come as ``csr_array``.
+    ``unstated``: the noise is not known; ``std`` is a guess, no more than tenfold too large.
     """
 
     blocks: Mapping[str, int]
@@ -421,6 +428,7 @@ class Model:
     definitions: Floats | None = None
     expected: Sequence[Expected] = ()
     closures: Sequence[KnownRelation] = ()
+    shared: Sequence[str] = ()
     unstated: bool = False
 
     def __post_init__(self) -> None:
@@ -589,7 +597,10 @@ class Model:
     def _groups(self) -> Groups | None:
         """Into which groups the unknowns fall, which is asked once."""
         design = design_of(self.equations(self.first)[1])
-        return design.structure if isinstance(design, FewEach) else None
+        if not isinstance(design, FewEach):
+            return None
+        block = np.repeat(list(self.blocks), list(self.blocks.values()))
+        return Groups.of(design.few, np.flatnonzero(np.isin(block, self.shared)))
 
     def at(self, unknowns: Floats) -> Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
@@ -643,19 +654,19 @@ class Model:
         """Return the model with what scatters by a ``size``; None: that is estimated.
 
         ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
-        and roots (k, r) of its covariance per unit of size; None: of each row by itself.
-        ``largest``: a size that nobody would overlook.
+        and roots (k, r) of its covariance per unit of size; none: of each row by itself. Sizes
+        are told as what a row scatters by the first of them, in the mean of squares.
+        ``largest``: one that nobody would overlook.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
-        k = rows.shape[0]
-        known = self.knowing(what, rows, np.zeros(k), size or largest)
-        scatter = Scattering(
-            np.arange(n, n + k),
-            (tuple(root for _, root in ways),),
-            what,
-            likely / likely.sum(),
-            size,
-        )
+        k, unit = rows.shape[0], 1.0
+        if ways:
+            unit = float(np.sqrt((ways[0][1] ** 2).sum() / k))
+        stated = None if size is None else size * unit
+        known = self.knowing(what, rows, np.zeros(k), stated or largest)
+        parts = (tuple(root / unit for _, root in ways),)
+        each = np.arange(n, n + k)
+        scatter = Scattering(each, parts, what, likely / likely.sum(), stated)
         return replace(known, correlated=(*self.correlated, scatter))
 
     @property

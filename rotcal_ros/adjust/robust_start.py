@@ -7,8 +7,10 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.distributions import chi2_sf, sidak
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
 
@@ -20,6 +22,10 @@ FAR_WORSE: Final = 5.0
 """Times the standard uncertainty that all give an output: a part that does worse misses some."""
 GROSS: Final = 5.0
 """Times the limit of an outlier, in the scatter of the others, that bends a start."""
+SURELY: Final = 0.1
+"""Chance of a kind of groups to scatter as much, from which on something may bend the start."""
+ROUGHLY: Final = 1e-8
+"""Squared step per chi-squared that is no matter to where the adjustment starts."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 
@@ -27,13 +33,39 @@ NORMAL_QUARTILE: Final = 0.6745
 def robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     """Return unknowns (p,) that gross errors do not bend, and the observations that are gross.
 
-    From start values that are too poor for that, plain least squares may settle all the same.
+    Observations that fit as they are need nothing robust. From start values that are too poor for
+    that, plain least squares may settle all the same.
     """
+    every = np.ones(len(model.observed), dtype=np.bool_)
+    try:
+        fit = fitted(model, every, model.std, model.first)
+        if _sound(fit, limits):
+            return fit.x, np.zeros(0, dtype=np.int64)
+    except DataError:
+        pass
     try:
         return _unbent(model, limits)
     except DataError:
-        every = np.ones(len(model.observed), dtype=np.bool_)
         return fitted(model, every, model.std, model.first).x, np.zeros(0, dtype=np.int64)
+
+
+def _sound(fit: Fit, limits: Limits) -> bool:
+    """Whether no element stands out, and no component of the noise or group scatters too much."""
+    model = fit.model
+    squares, rank = fit.element_test
+    if (squares > limits.of_squares(model, rank)).any():
+        return False
+    parts = [(model.of_component, len(model.components))]
+    parts += [(g.number, int(g.number.max(initial=-1)) + 1) for g in model.groupings]
+    for number, count in parts:
+        mine = number >= 0
+        scatter = np.bincount(number[mine], fit.white[mine] ** 2, count)
+        checked = np.bincount(number[mine], fit.redundancy[mine], count)
+        least = sidak(SURELY, int((checked > LEAST_REDUNDANCY).sum()))
+        for q, r in zip(scatter.tolist(), checked.tolist(), strict=True):
+            if r > LEAST_REDUNDANCY and chi2_sf(q, r) < least:
+                return False
+    return True
 
 
 def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
@@ -46,11 +78,11 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     miss = np.maximum(np.abs(model.observed - model.equations(model.first)[0]) / model.std, 1.0)
     if model.linearised(model.first)[1].large:
         miss = np.sqrt(miss)  # no more, for what is iterated
-    fit = fitted(model, every, model.std * miss, model.first)
+    fit = fitted(model, every, model.std * miss, model.first, settled=ROUGHLY)
     for _ in range(ROUNDS):
         # weights of least absolute deviations, which are those of least squares for small ones
         miss = np.maximum(np.abs(fit.residual) / model.std, 1.0)
-        after = fitted(model, every, model.std * np.sqrt(miss), fit.x)
+        after = fitted(model, every, model.std * np.sqrt(miss), fit.x, settled=ROUGHLY)
         moved = np.abs((after.residual - fit.residual) / model.std).max()
         fit = after
         if moved < 0.01:
@@ -61,7 +93,7 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     gross = (miss > GROSS * limits.outlier(model) * scatter) & model.may_go
     gross = np.isin(model.of_element, model.of_element[gross])
     try:
-        fitted(model, ~gross, model.std, fit.x)
+        fitted(model, ~gross, model.std, fit.x, settled=ROUGHLY)
     except RotcalError:
         return fit.x[:p], np.zeros(0, dtype=np.int64)  # too many: they are judged with the rest
     return fit.x[:p], np.flatnonzero(gross)
@@ -92,7 +124,7 @@ def _concentrated(model: Model, fit: Fit) -> Fit:
         if (better == used).all():
             break
         try:
-            after = fitted(model, better, model.std, fit.x)
+            after = fitted(model, better, model.std, fit.x, settled=ROUGHLY)
             if after.far_worse_than(usual, FAR_WORSE):
                 break
         except RotcalError:

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 
 AT_A_TIME, FEW = 128, 64
 """Steps that are summed up at once, of themselves and of what they do to all outputs."""
-WEAK, ROUNDED = 1e-4, 1e-12
+WEAK, ROUNDED = 1e-6, 1e-12
 """Information of a size, per that of its errors without the unknowns, below which digits go, and
 all of them are gone."""
 
@@ -34,8 +34,10 @@ def seen_by(fit: Fit, columns: Floats) -> Seen:
 
 def family_seen_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> SeenFamily:
     """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
-    if isinstance(columns, Steps):
-        return _steps_seen_by(fit, columns)
+    if isinstance(columns, Steps):  # which are asked for again and again
+        if columns not in fit.families:
+            fit.families[columns] = _steps_seen_by(fit, columns)
+        return fit.families[columns]
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     gain, felt = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
     mine, solved, adjoint = (
@@ -49,14 +51,16 @@ def family_seen_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> SeenFam
     return SeenFamily(moved, own, beside, score, whole)
 
 
-def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[slice], Floats]) -> None:
+def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[Ints], Floats]) -> None:
     """Work out anew what is a small difference of large numbers: ``own`` (k, w, w)."""
     w, scale = own.shape[1], np.sqrt(np.maximum(whole, np.finfo(np.float64).tiny))
     values = np.linalg.eigvalsh(own / scale[:, :, None] / scale[:, None])
     weak = ((values < WEAK) & (values > ROUNDED)).any(axis=1)
-    for k in np.flatnonzero(weak).tolist():
-        left = fit.left_of(white(slice(k * w, (k + 1) * w)))
-        own[k] = left.T @ left
+    every = np.flatnonzero(weak)
+    for some in np.array_split(every, -(-len(every) // FEW)) if len(every) else ():
+        columns = (some[:, None] * w + np.arange(w)).ravel()
+        left = fit.left_of(white(columns)).reshape(len(fit.std), len(some), w).swapaxes(0, 1)
+        own[some] = left.swapaxes(1, 2) @ left
 
 
 def _steps_seen_by(fit: Fit, steps: Steps) -> SeenFamily:
@@ -128,7 +132,7 @@ class StepMoves:
             self.steps.felt * np.where(self.fit.used, 1.0 / self.fit.std, 0.0)[:, None]
         )
 
-    def white(self, which: slice) -> Floats:
+    def white(self, which: slice | Ints) -> Floats:
         """Return some columns (n, m), whitened."""
         by = np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
         return np.asarray(self.steps.whole(which) * by[:, None])

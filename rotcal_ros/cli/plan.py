@@ -19,7 +19,7 @@ from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rotcal_ros.evaluation.joint import Expected, JointInput
+    from rotcal_ros.evaluation.joint import JointInput, JointPlan
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.methods import Calibration
     from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
@@ -300,7 +300,7 @@ def _present(path: Path, seed: int) -> JointInput:
     return read_instrument(Input(path))
 
 
-def _print_additions(rows: Sequence[tuple[str, float, Expected]]) -> None:
+def _print_additions(rows: Sequence[tuple[str, float, JointPlan]]) -> None:
     components = [c for c in COMPONENTS if any(c in found.std for _, _, found in rows)]
     columns = [Column("plan", [name for name, _, _ in rows])]
     columns.append(Column("time/min", [seconds / 60.0 for _, seconds, _ in rows], ".0f"))

@@ -508,7 +508,7 @@ def _result(
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
+class JointPlan:
     """What a solution together would state: the largest std of each component, m or rad.
 
     Of the components ``open`` the zeros differ between parts, in which the std holds.
@@ -518,7 +518,7 @@ class Expected:
     open: tuple[str, ...]
 
 
-def predicted_together(instruments: Sequence[JointInput]) -> Expected:
+def predicted_together(instruments: Sequence[JointInput]) -> JointPlan:
     """Return what ``instruments`` would give together; what they observed does not matter.
 
     Raises as :func:`solve_together`.
@@ -533,4 +533,4 @@ def predicted_together(instruments: Sequence[JointInput]) -> Expected:
         if np.abs(left[own]).max(initial=0.0) > NONE
     ]
     largest = {c: float(std[own].max()) for c, own in shared.columns.items()}
-    return Expected(largest, tuple(open_))
+    return JointPlan(largest, tuple(open_))

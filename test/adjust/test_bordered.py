@@ -54,6 +54,25 @@ def test_blocks_give_what_the_whole_matrix_gives(known, shared):
     assert design.times(found) == pytest.approx(whole @ found, abs=1e-12)
 
 
+@pytest.mark.parametrize(("stations", "targets"), [(12, 60), (60, 12), (20, 30)])
+def test_of_two_sides_that_feel_each_other_one_falls_into_groups(stations, targets):
+    """All but a few of the pairs were read; a station has two unknowns, a target one."""
+    random = np.random.default_rng(5)
+    station, target = np.nonzero(random.random((stations, targets)) < 0.97)
+    cells = np.stack([2 * station, 2 * station + 1, 2 * stations + target], axis=1)
+    value = random.uniform(0.5, 1.5, cells.shape).ravel()
+    begin = np.arange(0, 3 * len(cells) + 1, 3)
+    shape = (len(cells), 2 * stations + targets)
+    design = FewEach(
+        csr_array((value, cells.ravel(), begin), shape=shape), np.zeros((0, shape[1]))
+    )
+    kernel = design.kernel()
+    assert len(kernel.groups.own) >= max(stations, targets) - 2
+    whole, read = dense(design), random.standard_normal(len(cells))
+    std = np.sqrt(np.linalg.inv(whole.T @ whole).diagonal())
+    assert np.abs((kernel.solve(read) - by_whole(whole, read)) / std).max() < 1e-9
+
+
 def test_groups_may_differ_in_size_and_rows_be_left_out():
     random, few = np.random.default_rng(3), levels(uneven=True)
     few = csr_array(few[:, few.toarray().any(axis=0)])  # some stations have no slope

@@ -110,6 +110,20 @@ def test_what_is_stated_stands_until_it_is_contradicted():
     assert wrong.details()["scattering"]["the error motion"]["contrasts"] == 36
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_the_unit_of_the_ways_is_no_matter(unit):
+    """Stated by a size, or by the root of the covariance itself; so is what is unknown."""
+    rng, plain = np.random.default_rng(5), np.eye(39)
+    _, model = stations(39, rng, 3e-6, stated=3e-6, ways=[(1.0, plain)])
+    rng = np.random.default_rng(5)
+    _, other = stations(39, rng, 3e-6, stated=3e-6 / unit, ways=[(1.0, unit * plain)])
+    assert adjust(other).std == pytest.approx(adjust(model).std)
+    rng = np.random.default_rng(5)
+    _, unknown = stations(39, rng, 3e-6, ways=[(1.0, unit * plain)])
+    (found,) = adjust(unknown).details()["scattering"].values()
+    assert found["size"] == pytest.approx(3e-6, rel=0.4)
+
+
 def test_a_wrong_reading_is_left_out_however_much_stations_scatter():
     for size in (0.0, 30.0):
         _, model = stations(12, np.random.default_rng(6), size * SIGMA, off=[9])
