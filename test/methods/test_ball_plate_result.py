@@ -133,7 +133,7 @@ def test_a_knock_is_found_whatever_states_the_noise(std, turned):
     late = (problem.rows >= 80)[:, None]
     given = {} if std is None else {"std": np.full((N, 3), std)}
     result = solve(replace(problem, centres=problem.centres + late * moved, **given))
-    assert result.verdict == "suspect"
+    assert result.verdict != "ok"
     (text,) = [t for t in result.warnings if t.startswith("it looks as if the plate moved")]
     assert abs(int(re.search(r"from row (\d+)", text)[1]) - 80) <= 4
     (knock,) = [e for e in result.details["effects_found"] if e["effect"] == "knock"]

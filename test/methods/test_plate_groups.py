@@ -106,13 +106,13 @@ def test_rejected_centres_stay_rejected_in_trials():
     centres[17] += 1e-5
     trials = plate_trials(replace(problem, centres=centres))
     kept = solve(problem.take(np.arange(144) != 17))
-    assert trials.causes.shape == (6 * 24, 3 * 143)
+    assert not trials.causes[:, 3 * 17 : 3 * 18].any()
     for found, expected in (
         (trials.value, kept.deviations),
         (np.linalg.norm(trials.causes, axis=1), kept.std),
     ):
         np.testing.assert_allclose(
-            found, np.concatenate([expected[name] for name in COMPONENTS]), atol=1e-15
+            found, np.concatenate([expected[name] for name in COMPONENTS]), atol=1e-13
         )
 
 

@@ -15,8 +15,8 @@ of the b_k (Eq. 15). Rotations are multiplied by the radius of the ball circle.
 
 Thirteen directions leave all centres where they are: a plate shifted (3) or turned (3) on a table
 that makes up for it; a table with a constant shift (3) or rotation (3), taken back by the CMM; a
-CMM circle and a plate that are larger and smaller (1). Eq. 16 to 19 define what is meant. Groups of
-table positions that no ball connects have each a plate, a CMM and such directions of their own.
+CMM circle and a plate that are larger and smaller (1). Eq. 16 to 19 define what is meant. Groups
+of table positions that no ball connects have each a plate, a CMM and such directions of their own.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from rotcal_ros.methods.ball_plate.solver.plate_model import (
     drift_columns,
     plate_model,
 )
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_step
 from rotcal_ros.methods.ball_plate.solver.screening import RADIUS_TOLERANCE, screen
 from rotcal_ros.methods.ball_plate.solver.separability import (
     MIN_BALLS,
@@ -246,6 +246,15 @@ def _prepared(
 ) -> tuple[BallPlateProblem, tuple[Rejection, ...], PlateLayout]:
     """Return the rows worth fitting, why others are not, and their layout."""
     whole, rejected = screen(_once(problem) if problem.closed_form else problem)
+    groups = common_divisor(whole.grid, whole.balls) if whole.separate_groups else 1
+    measured = grid_step(whole.position, whole.grid) % groups
+    missing = np.setdiff1d(np.arange(groups), measured)
+    if len(missing):
+        first = int(missing[0])
+        raise ObservabilityError(
+            f"no centre was measured at the table positions {first}, {first + groups}, ...: "
+            "one group is missing altogether; measure it"
+        )
     count = balls_at_positions(whole)
     poor = np.flatnonzero(count < MIN_BALLS)
     if len(poor) > MOST_OPEN * whole.n_positions:
@@ -258,20 +267,12 @@ def _prepared(
         )
         rejected.append(Rejection(int(whole.rows[r]), why))
     fitted = whole.take(~away)
-    groups = common_divisor(fitted.grid, fitted.balls) if fitted.separate_groups else 1
     layout = PlateLayout(fitted, groups)
     needed = fitted.grid // groups
     if fitted.closed_form and len(fitted.balls) < needed:
         raise PlanError(
             f"the closed form needs {needed} balls at as many table positions of a group; found "
             f"{len(fitted.balls)}"
-        )
-    missing = np.setdiff1d(np.arange(groups), layout.group[0])
-    if len(missing):
-        first = int(missing[0])
-        raise ObservabilityError(
-            f"no centre was measured at the table positions {first}, {first + groups}, ...: "
-            "one group is missing altogether; measure it"
         )
     if connected and fitted.complete and groups == 1:
         require_separable(fitted)
