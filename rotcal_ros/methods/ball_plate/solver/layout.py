@@ -375,16 +375,27 @@ class PlateLayout:
 
         Raises ObservabilityError where these centres leave one open.
         """
+        std = np.sqrt(self._kernel.variances_of(Outputs.alone(self.curves())))
+        return dict(zip(COMPONENTS, std.reshape(len(COMPONENTS), -1), strict=True))
+
+    def linear(self, deviations: Floats) -> Floats:
+        """Return the six deviations (6 M,) by linear least squares of what centres are off.
+
+        ``deviations`` (n, 3), m, in the order of the problem; all weigh the same.
+        """
+        read = (self.radial @ deviations[self.row][:, :, None]).ravel()
+        return np.asarray(self.curves() @ self._kernel.solve(read))
+
+    @cached_property
+    def _kernel(self) -> Defined:
         joined = np.arange(6 * self.counts[0], self.unknowns)
         rows, nothing = self.rows, np.zeros((0, self.unknowns))
-        by_groups = FewEach(rows, nothing, groups=Groups.of(rows, joined))
         found = None if self.circular is None else self.circular.kernel()
+        by_groups = FewEach(rows, nothing, groups=Groups.of(rows, joined))
         kernel = by_groups.kernel() if found is None else found
         if kernel is None or kernel.directions.shape[1] != FREE * self.groups:
             raise ObservabilityError("these balls and CMM positions do not separate the errors")
-        outputs = Outputs.alone(self.curves())
-        std = np.sqrt(Defined.of(kernel, self.definitions).variances_of(outputs))
-        return dict(zip(COMPONENTS, std.reshape(len(COMPONENTS), -1), strict=True))
+        return Defined.of(kernel, self.definitions)
 
 
 def _blocks(values: Floats, columns: Ints, unknowns: int) -> csr_array:
