@@ -1,7 +1,6 @@
 """Monte Carlo: seconds per trial, vectorised, against a plain loop over ``solve``.
 
-The trials of the plane mirror are measured in bench_plane_mirror.py. Both sides solve the same
-numbers; the best time of each counts.
+Both sides solve the same numbers; the best time of each counts.
 """
 
 import sys

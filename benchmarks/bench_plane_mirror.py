@@ -1,8 +1,4 @@
-"""Plane mirror: the joint solution against scipy, vectorised trials against a plain loop.
-
-``rows()`` yields one measurement each; both sides run alternately and the best time
-of each counts.
-"""
+"""Plane mirror: the joint solution against scipy; both sides run alternately, the best counts."""
 
 import os
 
@@ -10,9 +6,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -21,23 +16,21 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 from scipy_plane_mirror import deviations_of, joint_residual
 
-from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem, mirror_trials, solve
+from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem, solve
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from mirror_cell import measure, ring_cell
 
-TRIALS, LOOPS = 1000, 20
 
-
-def problem(way: str = "joint", seed: int | None = 1) -> PlaneMirrorProblem:
+def problem() -> PlaneMirrorProblem:
     """6 stations, 72 positions, 3 reflectors at each, 6 fixed nests; neighbours share one."""
     angles = np.arange(73) * 2.0 * np.pi / 72
     visits = tuple(tuple(range(12 * s, 12 * s + 13)) for s in range(6))
     cell = ring_cell(angles, visits, n_nests=6, reflectors=3)
     deviations = np.zeros((73, 6))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     deviations[:, 3:] = rng.normal(0.0, 5e-6, (73, 3))
-    return measure(cell, deviations, rng=rng if seed else None, way=way)
+    return measure(cell, deviations, rng=rng)
 
 
 def joint() -> Row:
@@ -71,35 +64,9 @@ def sparsity(residual: Callable[[np.ndarray], np.ndarray], start: np.ndarray) ->
     return csr_array(np.array(columns).T)
 
 
-def trials(way: str) -> Row:
-    """Seconds per Monte Carlo trial: vectorised, against solve() trial by trial."""
-    task = problem(way, seed=None)  # a trial then carries the noise of one measurement
-    model = mirror_trials(task)
-    points = model.draw(np.random.default_rng(1), LOOPS)
-
-    def plain() -> np.ndarray:
-        return np.array([solve(replace(task, xyz=p)).deviations["ECC"] for p in points])
-
-    def ours() -> np.ndarray:
-        return model(np.random.default_rng(1), LOOPS)
-
-    difference = float(np.abs(ours() - plain()).max())
-    a, b = np.inf, np.inf
-    for _ in range(3):
-        start = time.process_time()
-        model(np.random.default_rng(1), TRIALS)
-        middle = time.process_time()
-        plain()
-        a = min(a, (middle - start) / TRIALS)
-        b = min(b, (time.process_time() - middle) / LOOPS)
-    return Row(f"Monte Carlo trial, {way}", a, b, b / a, difference)
-
-
 def rows() -> Iterator[Row]:
     """Run everything, one row after the other."""
     yield joint()
-    for way in ("stitching", "registration", "joint"):
-        yield trials(way)
 
 
 if __name__ == "__main__":

@@ -220,6 +220,10 @@ class Fit:
         """Return what whitened errors (n, k) of what is not correlated do to the outputs."""
         return self.model.output_rows.times(self.kernel.solve(white))
 
+    def moved_by(self, gain: Floats, _white: Floats) -> Floats:
+        """Return the same where the kernel's solution ``gain`` (p + q, k) is known already."""
+        return self.model.output_rows.times(gain)
+
     def covariance(self, count: int) -> Floats:
         """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
         first, whole = self.model.output_rows.first(count), np.zeros((count, count))

@@ -487,7 +487,8 @@ class Model:
             if (each != each[first]).any():
                 raise DataError(f"{what} of the model: expected the same for all of an element")
         for g in self.groupings:
-            mixed = [k for k, rows in members_of(g, self.may_go).items() if np.ptp(sizes[rows])]
+            every = members_of(g, self.may_go).items()
+            mixed = [number for number, rows in every if len(np.unique(sizes[rows])) > 1]
             if mixed:
                 raise DataError(f"elements of {g.kind} {mixed[0]}: expected as many rows in each")
 

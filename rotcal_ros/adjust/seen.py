@@ -47,7 +47,7 @@ def family_seen_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> SeenFam
     own = own - adjoint @ solved.swapaxes(1, 2)
     beside = mine[:-1] @ mine[1:].swapaxes(1, 2) - adjoint[:-1] @ solved[1:].swapaxes(1, 2)
     _firm_up(fit, own, whole, lambda which: white[:, which])
-    moved, score = fit.model.output_rows.times(gain).T, (white.T @ fit.white).reshape(-1, width)
+    moved, score = fit.moved_by(gain, white).T, (white.T @ fit.white).reshape(-1, width)
     return SeenFamily(moved, own, beside, score, whole)
 
 

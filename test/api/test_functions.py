@@ -172,8 +172,8 @@ def test_uncertainty_of_a_plain_table(table, setup):
     assert spread.warnings == ()
 
 
-def test_uncertainty_of_a_table_follows_the_stated_noise():
-    """Twice the noise of the points: twice the spread, whatever the residuals say."""
+def test_uncertainty_of_a_table_is_that_of_its_residuals_where_they_contradict_the_statement():
+    """Twice the noise is stated that the points have: a component of noise is estimated then."""
     other = ("mirror_slope_std_arcsec=0", "uneven_drift_std_arcsec=0", "tilt_std_arcsec=0.001")
     base = [f"solver.{setting}" for setting in other]
     spreads = []
@@ -184,7 +184,7 @@ def test_uncertainty_of_a_table_follows_the_stated_noise():
         configuration = rc.read_configuration(DATA / "plane_mirror.yaml", *base, *zero, *changes)
         measured = rc.read_table(DATA / "tracker.csv", configuration)
         spreads.append(rc.uncertainty(measured, trials=1000).components["ECC"].std[1:])
-    np.testing.assert_allclose(spreads[1] / spreads[0], 2.0, rtol=0.02)
+    np.testing.assert_allclose(spreads[1] / spreads[0], 1.1, rtol=0.2)
 
 
 def test_the_correction_has_a_sign_and_a_side(plate):

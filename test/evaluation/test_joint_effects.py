@@ -16,7 +16,6 @@ from rotcal_ros.evaluation.joint import JointInput, solve_together
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
-from rotcal_ros.methods.plane_mirror.solver import curve_model as mirror_model
 
 PLACE = np.array([0.2, -0.05, 0.12])
 AROUND = np.array([0.05, 0.2, 0.0]) / np.hypot(0.05, 0.2)
@@ -143,9 +142,7 @@ def mirror_with(seed, *, turn=0.0, tracker=0.0):
     xyz = problem.xyz.copy()
     xyz[later] = turned(np.full(len(later), tracker), xyz[later])
     problem = replace(problem, xyz=xyz)
-    mirror = JointInput(
-        "mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem)[0]
-    )
+    mirror = JointInput("mirror", plane_mirror.solve(problem), plane_mirror.curves(problem)[0])
     return [mirror, tracer_of(tracer_problem(seed, ecc, SIXTEEN))], ecc
 
 
@@ -221,7 +218,7 @@ def four(seed, *, lengths=0.0, scale=0.0, mirror=0.0):
     return [
         instrument("balls", balls(world, rng)),
         plate_of(plate),
-        JointInput("mirror", plane_mirror.solve(seen), mirror_model.curve_model(seen)[0]),
+        JointInput("mirror", plane_mirror.solve(seen), plane_mirror.curves(seen)[0]),
         tracer_of(replace(problem, length=read)),
     ], ecc - ecc.mean()
 

@@ -25,7 +25,6 @@ from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.ball_plate.solver import curve_model as plate_model
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
-from rotcal_ros.methods.plane_mirror.solver import curve_model as mirror_model
 from rotcal_ros.methods.tracer import solver as tracer
 from rotcal_ros.methods.tracer.solver import carried_lengths
 from rotcal_ros.methods.tracer.solver.solution import adjust as adjust_tracer
@@ -245,9 +244,7 @@ def mirror_of(seed, way):
     deviations[:16, 3:] = ARCSEC * rng.standard_normal((16, 3)) * [1.0, 1.0, 2.0]
     deviations[16] = deviations[0]
     problem = measure(paper_cell(reflectors=2), deviations, rng=rng, way=way)
-    mirror = JointInput(
-        "mirror", plane_mirror.solve(problem), mirror_model.curve_model(problem)[0]
-    )
+    mirror = JointInput("mirror", plane_mirror.solve(problem), plane_mirror.curves(problem)[0])
     return mirror, deviations[:16, 5] - deviations[:16, 5].mean()
 
 

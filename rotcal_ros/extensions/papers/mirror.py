@@ -2,7 +2,8 @@
 
 Only Sec. 2.2 of the paper is at hand, with its equations. So its plan of 17 positions from six
 stations is measured on a simulated table, and its two recipes, stitching and
-registration, are carried out beside this software's ways on the same points.
+registration, are carried out beside this software's ways on the same points. Those are as printed,
+too, but that a station of two normals has an axis.
 The words stand in ``templates/mirror.yaml``.
 """
 
@@ -37,6 +38,7 @@ from rotcal_ros.methods.plane_mirror.solver import (
     problem_from_observations,
     solve,
 )
+from rotcal_ros.methods.plane_mirror.solver.printed import axis_of_two, azimuths, fit_cone
 
 SETTINGS: Final = MirrorPlanSettings(
     table_step_deg=22.5,
@@ -128,13 +130,15 @@ def recipes(normals: Floats, frames: Floats) -> Recipes:
     """
     first = np.cumsum([0, *(len(stand.visit) for stand in STANDS)])
     parts = [normals[:, a:b] for a, b in pairwise(first.tolist())]
-    axes = [plane_axes(part) for part in parts[:-1]]
-    heights = [np.einsum("ti,tki->tk", *pair) for pair in zip(axes, parts, strict=False)]
-    last, cone = parts[-1], np.concatenate(heights, axis=1).mean(axis=1)
-    turns = [about(axis, part) for axis, part in zip(axes, parts, strict=False)]
+    sent = [angles()[list(stand.visit)] for stand in STANDS]
+    cones = [fit_cone(*pair) for pair in zip(parts[:-1], sent[:-1], strict=True)]
+    seen = [azimuths(part, axis) for part, (axis, _) in zip(parts, cones, strict=False)]
+    counts = [len(visit) for visit in sent[:-1]]
+    cone = np.average([height for _, height in cones], axis=0, weights=counts)
+    last, axis = parts[-1], axis_of_two(parts[-1], cone, sent[-1])
     stitched, bare = (np.zeros((len(normals), len(angles()))) for _ in range(2))
-    for curve, of_last in ((stitched, about(cone_axis(last, cone), last)), (bare, between(last))):
-        for turned, stand in zip((*turns, of_last), STANDS, strict=True):
+    for curve, of_last in ((stitched, azimuths(last, axis)), (bare, between(last))):
+        for turned, stand in zip((*seen, of_last), STANDS, strict=True):
             curve[:, list(stand.visit)] = turned + curve[:, [stand.visit[0]]]
     together = np.concatenate(
         [
@@ -143,37 +147,8 @@ def recipes(normals: Floats, frames: Floats) -> Recipes:
         ],
         axis=1,
     )
-    registered = about(plane_axes(together), together)
+    registered = azimuths(together, fit_cone(together, angles())[0])
     return Recipes(*(wrap_angle(found - angles()) for found in (registered, stitched, bare)))
-
-
-def plane_axes(normals: Floats) -> Floats:
-    """Return the upward axes (t, 3) of the planes through the ends of ``normals`` (t, k, 3)."""
-    centred = normals - normals.mean(axis=1, keepdims=True)
-    axes = np.linalg.svd(centred, full_matrices=False)[2][:, -1]
-    return np.asarray(axes * np.sign(axes[:, 2:]))
-
-
-def cone_axis(normals: Floats, height: Floats) -> Floats:
-    """Return the upward axes (t, 3) that two ``normals`` (t, 2, 3) have ``height`` (t,) along.
-
-    The cure for a station of two normals: the mirror makes the same angle with the axis at every
-    station, so that the others determine it.
-    """
-    first, second = normals[:, 0], normals[:, 1]
-    alike = 1.0 + np.einsum("ti,ti->t", first, second)
-    across = np.cross(first, second)
-    along = (height / alike)[:, None] * (first + second)
-    left = np.sqrt(np.maximum(1.0 - (along**2).sum(axis=1), 0.0)) / np.linalg.norm(across, axis=1)
-    return np.asarray(along + (left * np.sign(across[:, 2]))[:, None] * across)
-
-
-def about(axes: Floats, normals: Floats) -> Floats:
-    """Return the angles (t, k) of ``normals`` (t, k, 3) about ``axes`` (t, 3) from the first."""
-    flat = normals - np.einsum("tki,ti->tk", normals, axes)[..., None] * axes[:, None]
-    first = flat[:, :1]
-    sine = np.einsum("ti,tki->tk", axes, np.cross(first, flat))
-    return np.asarray(np.arctan2(sine, (first * flat).sum(axis=2)))
 
 
 def between(normals: Floats) -> Floats:

@@ -22,7 +22,7 @@ from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.raw_data import RawData, hash_of
@@ -33,6 +33,7 @@ from rotcal_ros.methods.arrivals import (
     Arrivals,
     RepeatedTrials,
     arrivals_of,
+    mean_curve,
     mean_of_arrivals,
     mean_of_runs,
 )
@@ -50,18 +51,17 @@ from rotcal_ros.methods.plane_mirror.plan import (
 )
 from rotcal_ros.methods.plane_mirror.settings import (
     DIRECT,
-    WAYS,
+    MIRROR,
     MirrorPlanSettings,
     MirrorSimulationSettings,
     MirrorSolverSettings,
-    Way,
 )
 from rotcal_ros.methods.plane_mirror.simulation import DISTURBANCES, SimulatedTracker
 from rotcal_ros.methods.plane_mirror.solver import mirror_trials
-from rotcal_ros.methods.plane_mirror.solver.prepare import not_an_image
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
-from rotcal_ros.methods.plane_mirror.solver.registration import MIN_APART
+from rotcal_ros.methods.plane_mirror.solver.set_up import MIN_APART, not_an_image
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
+from rotcal_ros.methods.plane_mirror.solver.solve import MirrorSolution
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -94,9 +94,7 @@ def of_curves(
 
 
 def _of_curves(configuration: Configuration, problem: PlaneMirrorProblem) -> CurveModel:
-    from rotcal_ros.methods.plane_mirror.solver.curve_model import curve_model
-
-    found, positions = curve_model(problem)
+    found, positions = plane_mirror.curves(problem)
     arrivals = _arrivals(configuration)
     return found if arrivals is None else mean_of_arrivals(found, arrivals.take(positions))
 
@@ -131,12 +129,24 @@ def _problem(
             "no reflector was measured both directly and through the mirror; measure both"
         )
     problem = plane_mirror.problem_from_observations(paired, np.array(plan.table_angles))
-    return configured(problem, configuration), left_out
+    return _to_solve(problem, configuration), left_out
+
+
+def _to_solve(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
+    """Return the problem as configured; refuses points of a mirror without any image."""
+    carries = configuration.plan.carries
+    alone = not (problem.kind == PointKind.MIRRORED).any()
+    if alone and carries == MIRROR and configuration.solver.way != DIRECT:
+        raise DataError(
+            f"{problem.source}: no reflector was measured through the mirror; measure it, or set "
+            "plan.carries to reflectors"
+        )
+    return configured(problem, configuration)
 
 
 def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> Result:
     """Solve points that come without a plan, as the configuration says."""
-    return _solve_ways(configured(problem, configuration), {}, _arrivals(configuration))
+    return _solve_ways(_to_solve(problem, configuration), {}, _arrivals(configuration))
 
 
 def check(
@@ -176,34 +186,28 @@ def _solve_ways(
     problem: PlaneMirrorProblem, details: dict[str, Any], arrivals: Arrivals | None
 ) -> Result:
     """Solve the chosen way; the other ways of the same points go into the details."""
-    result = _mean(problem, arrivals)
-    others = [way for way in WAYS if DIRECT not in (way, problem.way) and way != problem.way]
-    if others:
-        details = {**details, "ways": [_other_way(problem, way, arrivals) for way in others]}
-    return replace(result, details={**result.details, **details})
+    solution = MirrorSolution.of(problem)
+    result, measured = solution.result(), None
+    if arrivals is not None:
+        measured = arrivals.take(solution.layout.positions)
+        result = mean_of_runs(result, measured)
+    ways = [_other_way(solution, way, measured) for way in solution.others]
+    return replace(result, details={**result.details, **details, "ways": ways})
 
 
-def _mean(problem: PlaneMirrorProblem, arrivals: Arrivals | None) -> Result:
-    """Return the result over the distinct angles, where both directions were measured."""
-    result, positions = plane_mirror.solved(problem)
-    return result if arrivals is None else mean_of_runs(result, arrivals.take(positions))
-
-
-def _other_way(problem: PlaneMirrorProblem, way: Way, arrivals: Arrivals | None) -> dict[str, Any]:
+def _other_way(solution: MirrorSolution, way: str, arrivals: Arrivals | None) -> dict[str, Any]:
     """Return the curve of another way, or why there is none."""
     try:
-        result = _mean(replace(problem, way=way), arrivals)
-    except DataError as error:
+        found = solution.by_way(way).found
+    except (DataError, GeometryError) as error:
         return {"way": way, "why_not": str(error)}
-    return {
-        "way": way,
-        "angles_rad": result.angles,
-        "ecc_rad": result.deviations["ECC"],
-        "ecc_std_rad": result.std["ECC"],
-        "sigma0": result.sigma0,
-        "verdict": result.verdict,
-        "verdict_line": result.verdict_line,
-    }
+    angles, ecc, covariance = solution.layout.angles, found.value, found.covariance
+    if arrivals is not None:
+        tied = mean_curve(arrivals)
+        angles = arrivals.targets[arrivals.measured]
+        ecc, covariance = tied @ ecc, tied @ covariance @ tied.T
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return {"way": way, "angles_rad": angles, "ecc_rad": ecc, "ecc_std_rad": std}
 
 
 def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], list[str]]:
@@ -289,11 +293,11 @@ class TrackerPoints:
 
     def of_curves(self) -> CurveModel:
         """Return what the points determine of ECC, to be solved with other instruments."""
-        return _of_curves(self.configuration, configured(self._points(), self.configuration))
+        return _of_curves(self.configuration, _to_solve(self._points(), self.configuration))
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the points."""
-        return mirror_trials(configured(self._points(), self.configuration))
+        return mirror_trials(_to_solve(self._points(), self.configuration))
 
     def _points(self) -> PlaneMirrorProblem:
         return read_points(self.table, np.array(position_angles(self.configuration.plan)))

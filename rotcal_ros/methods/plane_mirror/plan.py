@@ -26,7 +26,13 @@ from rotcal_ros.methods.plane_mirror.mirror_physics import (
     on_circle,
     reflector_places,
 )
-from rotcal_ros.methods.plane_mirror.settings import DIRECT, MIRROR, STITCHING, MirrorPlanSettings
+from rotcal_ros.methods.plane_mirror.settings import (
+    DIRECT,
+    JOINT,
+    MIRROR,
+    STITCHING,
+    MirrorPlanSettings,
+)
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD
 from rotcal_ros.planning.plan import Move, Pause, Plan, Point, Step
 from rotcal_ros.planning.points import triples
@@ -47,11 +53,11 @@ def plan(configuration: Configuration) -> Plan:
     """
     settings: MirrorPlanSettings = configuration.plan
     way = configuration.solver.way
-    if (way == DIRECT) == (settings.carries == MIRROR):
+    if way != JOINT and (way == DIRECT) == (settings.carries == MIRROR):
         raise ConfigurationError(
             f"{configuration.source}: solver.way = {way} does not fit plan.carries = "
-            f"{settings.carries}: the direct way needs reflectors on the table, all others a "
-            "mirror"
+            f"{settings.carries}: the direct way needs reflectors on the table, stitching and "
+            "registration a mirror"
         )
     result = mirror_plan(settings)
     n_stations = len(tracker_stands(settings))

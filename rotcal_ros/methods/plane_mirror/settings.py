@@ -29,7 +29,8 @@ class MirrorSolverSettings:
 
     way: Way = setting(
         "joint",
-        doc="reflectors on the table (direct), or how the stations with a mirror are joined",
+        doc="all points in one least squares (joint), or as the paper has it: reflectors on the "
+        "table (direct), how stations with a mirror are joined (stitching, registration)",
     )
     range_std_m: float = setting(
         2.5e-6,
@@ -78,7 +79,10 @@ class MirrorSolverSettings:
         "between two rounds of nests that are a station apart; it is part of the uncertainty",
     )
     significance: float = expert(
-        1e-3, doc="probability of a false alarm of each test", minimum=1e-9, maximum=0.5
+        0.005,
+        doc="probability of a false alarm, of the noise, of all groups, of all effects each",
+        minimum=1e-9,
+        maximum=0.5,
     )
 
     def __post_init__(self) -> None:

@@ -117,9 +117,9 @@ def test_two_normals_have_no_plane_and_the_cone_is_the_cure(made):
     inside = np.arccos(np.cos(lean) ** 2 * np.cos(step) + np.sin(lean) ** 2)
     assert found["bare_closure_arcsec"] == pytest.approx((inside - step) / ARCSEC, rel=1e-9)
     one = mirror.cone(np.array([0.2, 0.2 + step]), lean)[None]
-    axis = mirror.cone_axis(one, np.array([np.sin(lean)]))
+    axis = mirror.axis_of_two(one, np.array([np.sin(lean)]), np.array([0.2, 0.2 + step]))
     np.testing.assert_allclose(axis, [[0.0, 0.0, 1.0]], atol=1e-12)
-    np.testing.assert_allclose(mirror.about(axis, one), [[0.0, step]], atol=1e-12)
+    np.testing.assert_allclose(mirror.azimuths(one, axis), [[0.0, step]], atol=1e-12)
 
 
 def test_exact_points_give_the_errors_by_both_recipes():

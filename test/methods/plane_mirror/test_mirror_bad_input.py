@@ -80,12 +80,13 @@ def test_reflector_on_the_wrong_mirror_nest():
         solve(bad)
 
 
-def test_pairs_that_disagree_a_little_are_left_to_the_noise():
+def test_of_pairs_that_disagree_a_little_the_cone_tells_which_is_wrong():
+    """The table tilts by arcseconds, not by the ten that the wrong one would be."""
     problem = simulated(reflectors=2)
     m = rows_of(problem, position=5, station=1, kind=MIRRORED)[0]
     result = solve(with_points(problem, {m: problem.xyz[m] + np.array([0.0, 0.0, 1.5e-4])}))
-    assert result.sigma0 > 1.2
-    assert not result.rejected
+    assert m in {r.index for r in result.rejected}
+    assert np.all(np.abs(result.deviations["ECC"] - truth())[1:] < 4.0 * result.std["ECC"][1:])
 
 
 def test_third_reflector_outvotes_the_wrong_one():
@@ -97,7 +98,7 @@ def test_third_reflector_outvotes_the_wrong_one():
     bad = with_points(problem, {m: problem.xyz[m] + np.array([0.0, 0.0, 4e-4])})
     result = solve(bad)
     assert {r.index for r in result.rejected} == {d, m}
-    assert "reflector 2 shows another mirror plane" in result.rejected[0].why
+    assert "nest 2): its test value" in result.rejected[0].why
     assert not result.residuals.used[[d, m]].any()
     assert np.abs(result.deviations["ECC"] - truth()).max() < 5 * ARCSEC
 
@@ -155,9 +156,11 @@ def test_moved_nest_is_found_and_named(way, nest, size):
     }
     result = solve(with_points(problem, moved))
     assert len(result.warnings) == 1
-    assert f"nest {nest} moved between tracker stations 2 and 3 (by" in result.warnings[0]
-    stated = float(result.warnings[0].split("(by ")[1].split(" mm")[0])
-    assert stated == pytest.approx(size * 1e3, abs=0.03)
+    assert "a nest moved from " in result.warnings[0]
+    assert f"(nest, tracker station 3, nest {nest}) on" in result.warnings[0]
+    if way == "joint":
+        (found,) = result.details["effects_found"]
+        assert np.linalg.norm(found["size"]) == pytest.approx(size, abs=3e-5)
     assert result.verdict == "suspect"
     assert np.abs(result.deviations["ECC"] - truth()).max() < 5 * ARCSEC
 
@@ -177,7 +180,7 @@ def test_nests_alone_are_checked_while_measuring():
     assert check_nests(problem) == []
     row = rows_of(problem, nest=6, station=2)[0]
     moved = with_points(problem, {row: problem.xyz[row] + np.array([0.0, 0.0, 1.5e-4])})
-    assert "nest 6 moved between tracker stations 1 and 2 (by 0.1" in check_nests(moved)[0]
+    assert "a nest moved from row 17 (nest, tracker station 2, nest 6) on" in check_nests(moved)[0]
     assert check_nests(without(problem, np.flatnonzero(problem.station > 0))) == []
 
 
@@ -193,8 +196,8 @@ def test_three_nests_tell_that_one_moved_but_not_which():
     problem = simulated("registration", cell=cell)
     row = rows_of(problem, kind=NEST, nest=2, station=3)[0]
     result = solve(with_points(problem, {row: problem.xyz[row] + np.array([4e-4, 4e-4, 0.0])}))
-    assert result.verdict == "suspect"
-    assert "times what the stated noise explains" in result.warnings[-1]
+    assert result.verdict != "ok"
+    assert any("times as stated" in text for text in result.warnings)
     off = np.abs(result.deviations["ECC"] - truth())[1:]
     assert np.all(off < 4.0 * result.std["ECC"][1:])
 
@@ -228,7 +231,7 @@ def test_half_a_pair(way):
 
 
 def test_repeated_measurements_are_used():
-    problem = simulated("joint")
+    problem = simulated("joint", seed=4)
     again = simulated("joint", seed=2)
     columns = {
         k: np.concatenate([getattr(problem, k), getattr(again, k)])
@@ -245,7 +248,7 @@ def test_noise_stated_too_small_is_noticed_and_paid_for():
     small = replace(problem, noise=TrackerNoise(5e-7, 5e-8, 7.5e-7, 3e-7))
     result = solve(small)
     assert result.sigma0 > 3.0
-    assert "scaled" in result.warnings[-1]
+    assert "times as stated" in result.warnings[-1]
     assert result.std["ECC"][5] > 0.7 * solve(problem).std["ECC"][5]
 
 
@@ -275,7 +278,7 @@ def test_points_without_coordinates():
 
 
 def test_direct_way_refuses_a_mirror_and_a_short_circle():
-    with pytest.raises(DataError, match=r"row .* in the direct way.*choose stitching"):
+    with pytest.raises(DataError, match=r"row .* in the direct way.*choose joint"):
         solve(simulated("direct"))
     cell = paper_cell()
     one = replace(cell, stations=cell.stations[:1], visits=((0, 1),))

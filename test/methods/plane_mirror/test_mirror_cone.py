@@ -1,18 +1,14 @@
+"""The paper's geometry: planes, cones, circles and sums, each against its definition."""
+
 import numpy as np
 import pytest
 
-from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.solver.normals import (
-    angle_deviation,
+from rotcal_ros.geometry.rotations import rotation_from_vector, wrap_angle
+from rotcal_ros.methods.plane_mirror.solver.printed import (
     axis_of_two,
     azimuths,
+    fit_circle,
     fit_cone,
-    tangent_frame,
-)
-from rotcal_ros.methods.plane_mirror.solver.problem import Sets
-from rotcal_ros.methods.plane_mirror.solver.readings import (
-    cone_readings,
-    cone_response,
     islands,
     joining_map,
 )
@@ -36,7 +32,7 @@ def test_axis_and_angles_of_a_cone(lean, sense):
     axis, height = fit_cone(normals, commanded)
     np.testing.assert_allclose(axis, AXIS, atol=1e-14)
     assert height == pytest.approx(np.sin(lean), abs=1e-15)
-    found = angle_deviation(azimuths(normals, axis), commanded)
+    found = wrap_angle(azimuths(normals, axis) - (commanded - commanded[0]))
     np.testing.assert_allclose(found, true - commanded, atol=1e-14)
 
 
@@ -48,44 +44,11 @@ def test_two_normals_and_the_cone_give_the_axis(step):
     np.testing.assert_allclose(axis, AXIS, atol=2e-14)
 
 
-def moved(normals, axes, step):
-    """Normals with each tau, then each eta, moved by ``step``: (2 G, G, 3)."""
-    t, b = tangent_frame(normals, axes)
-    n = len(normals)
-    stack = np.tile(normals, (2 * n, 1, 1))
-    for g in range(n):
-        stack[g, g] += step * t[g]
-        stack[n + g, g] += step * b[g]
-    return stack / np.linalg.norm(stack, axis=-1, keepdims=True)
-
-
-STITCHED = [0, 1, 2, 3, 3, 4, 5, 4, 5], [0, 0, 0, 0, 1, 1, 1, 2, 2]
-"""Positions of normals and their stations, 22.5 degrees apart; the last has two of them only."""
-REGISTERED = [0, 2, 4, 6, 8, 10, 12, 14, 0], [0] * 9
-
-
-@pytest.mark.parametrize("lean", np.radians([0.0, 5.0]))
-@pytest.mark.parametrize("positions_and_sets", [STITCHED, REGISTERED])
-def test_the_response_of_cones_is_their_derivative(positions_and_sets, lean):
-    position, number = map(np.array, positions_and_sets)
-    sets = Sets(number, np.radians(22.5) * position)
-    normals = on_cone(sets.commanded, lean)
-    h = 1e-6
-    difference = cone_readings(moved(normals, AXIS, h), sets)
-    difference = (difference - cone_readings(moved(normals, AXIS, -h), sets)).T / (2.0 * h)
-    response = cone_response(sets, np.sin(lean))
-    # Readings count from the first of their set; the response leaves that zero open.
-    first = np.searchsorted(number, number)
-    np.testing.assert_allclose(response - response[first], difference, atol=2e-8)
-    if lean and number.max():  # station 2 has two normals: it feels the tilts of all others
-        assert np.abs(difference[8, 9:13]).max() > 1e-3
-
-
 def test_chain_of_sets_is_the_papers_running_sum():
     """Equations 7 to 16: the error of a station's last position is added to the next one's."""
     position, zero = np.array([0, 1, 2, 2, 3, 4, 4, 5]), np.array([0, 0, 0, 1, 1, 1, 2, 2])
     readings = np.array([0.0, 3.0, 5.0, 0.0, -1.0, 2.0, 0.0, 7.0])
-    found = joining_map(position, zero, np.ones(8), 6) @ readings
+    found = joining_map(position, zero, 6) @ readings
     np.testing.assert_allclose(found, [0.0, 3.0, 5.0, 4.0, 7.0, 14.0], atol=1e-12)
 
 
@@ -93,3 +56,32 @@ def test_islands_name_what_nothing_ties():
     positions, sets = islands(np.array([0, 1, 2, 3]), np.array([0, 0, 1, 1]), 4)
     assert sets[0] != sets[1]
     assert positions[0] == positions[1] == sets[0]
+
+
+def test_a_circle_in_space_is_found_with_axis_centre_and_radius():
+    turn = rotation_from_vector([0.3, -1.1, 0.6])
+    angle = np.radians([0.0, 50.0, 130.0, 200.0, 280.0])
+    flat = 0.37 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    sets = np.stack([flat @ turn.T + [5.0, -3.0, 2.0], 2.0 * flat @ turn.T - [7.0, 1.0, 0.0]])
+    for commanded, sign in ((angle, 1.0), (-angle, -1.0)):
+        axis, centre, radius = fit_circle(sets, commanded)
+        np.testing.assert_allclose(axis, sign * np.tile(turn[:, 2], (2, 1)), atol=1e-12)
+        np.testing.assert_allclose(centre, [[5.0, -3.0, 2.0], [-7.0, -1.0, 0.0]], atol=1e-12)
+        np.testing.assert_allclose(radius, [0.37, 0.74], atol=1e-12)
+
+
+def test_a_circle_is_the_algebraic_fit_in_the_plane():
+    """Kasa: the linear equation of the circle, in the plane of smallest distances."""
+    rng = np.random.default_rng(8)
+    angle = np.radians([0.0, 40.0, 90.0, 170.0, 230.0, 300.0])
+    points = np.column_stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), 0.1 + 0 * angle])
+    points += rng.normal(0.0, 1e-3, points.shape)
+    middle = points.mean(axis=0)
+    axes = np.linalg.svd(points - middle)[2]
+    flat = (points - middle) @ axes[:2].T
+    a = np.column_stack([2 * flat, np.ones(6)])
+    x, y, c = np.linalg.lstsq(a, (flat**2).sum(axis=1), rcond=None)[0]
+    axis, centre, radius = fit_circle(points, angle)
+    np.testing.assert_allclose(centre, middle + np.array([x, y]) @ axes[:2], atol=1e-12)
+    assert radius == pytest.approx(np.sqrt(c + x**2 + y**2), rel=1e-12)
+    np.testing.assert_allclose(axis, axes[2] * np.sign(axes[2, 2]), atol=1e-12)

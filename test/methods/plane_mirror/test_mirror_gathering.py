@@ -9,17 +9,15 @@ import pytest
 from chances import LONG
 from drifting_tracker import KINDS, campaign
 from gathered_worlds import ARCSEC, carried_world, mirror_world
+from mirror_scene import estimates
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods.plane_mirror.solver import (
     PlaneMirrorProblem,
-    TrackerNoise,
     mirror_trials,
     solve,
 )
-from rotcal_ros.methods.plane_mirror.solver.gathering import settled
-from rotcal_ros.methods.plane_mirror.solver.linear import linear
-from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
+from rotcal_ros.methods.plane_mirror.solver.solve import MirrorSolution
 
 WAYS = ("stitching", "registration", "joint")
 
@@ -37,24 +35,6 @@ def worst(result, truth):
 
 def wrong_rows(world):
     return set(np.flatnonzero(np.abs(world.error).any(axis=1)).tolist())
-
-
-def test_the_linear_view_is_that_of_the_solution():
-    """Without drift: degrees of freedom, and what a wrong reading does to the angles."""
-    found = campaign(closing=False)
-    problem = found.problem(found.noisy(np.random.default_rng(3), 1)[0])
-    prepared = prepare(problem).prepared
-    here = prepared.deviations(problem.xyz)
-    view, result = linear(prepared, here), solve(problem)
-    assert view.dof == result.dof
-    assert view.chi_square == pytest.approx(result.sigma0**2 * result.dof, rel=1e-3)
-    for element in (0, 31, 60):
-        error = np.linalg.inv(view.root[element])[:, 1]
-        points = problem.xyz.copy()
-        points[view.elements.row[element]] += 0.1 * error
-        caused = (prepared.deviations(points) - here) / 0.1
-        response = view.outputs @ view.view.covariance @ view.design[element].T[:, 1]
-        assert np.abs(caused - response).max() < 1e-3 * np.abs(response).max()
 
 
 @pytest.mark.slow
@@ -86,7 +66,7 @@ def test_half_of_a_position_against_the_other_half_is_named(pattern, way):
     result = solve(problem_of(world, world.disturbed, way=way))
     position = int(world.rows[min(wrong_rows(world)), 0])
     assert result.verdict == "suspect"
-    assert any(f"position {position} (" in text for text in result.warnings)
+    assert any(f"position {position}" in text for text in result.warnings)
 
 
 @pytest.mark.slow
@@ -106,7 +86,7 @@ def test_reflectors_on_the_table_that_are_off_together_are_named(pattern):
     result = solve(problem_of(world, world.disturbed, way="direct"))
     position = int(world.rows[min(wrong_rows(world)), 0])
     assert result.verdict == "suspect"
-    assert any(f"position {position} (" in text for text in result.warnings)
+    assert any(f"position {position}" in text for text in result.warnings)
 
 
 @pytest.mark.slow
@@ -126,19 +106,6 @@ def test_one_reflector_on_the_table_cannot_tell_and_says_so():
     assert "one place" in result.verdict_line
 
 
-def test_the_linear_view_of_reflectors_is_that_of_the_way():
-    """Noise alike in all directions: least squares of everything is the mean of all readings."""
-    world = carried_world(3, reflectors=3)
-    alike = TrackerNoise(5e-6, 0.0, 5e-6, 0.0)
-    prepared = prepare(problem_of(world, world.sound, way="direct", noise=alike)).prepared
-    view = linear(prepared, prepared.deviations(prepared.problem.xyz))
-    for element in (0, 31, 60):
-        response = view.outputs @ view.view.covariance @ view.design[element].T
-        error = np.abs(view.sensitivity[:, element] - response).max()
-        assert error < 0.1 * np.abs(response).max()
-
-
-@pytest.mark.slow
 @pytest.mark.slow
 def test_small_ones_are_seldom_ok_and_wrong():
     """The figures for 100 worlds of each size are in docs/evidence_methods.md."""
@@ -157,7 +124,8 @@ def test_sound_points_stay_ok_and_keep_their_uncertainty():
         world = mirror_world(seed)
         problem = problem_of(world, world.sound)
         assert solve(problem).verdict == "ok"
-        added += settled(problem).gathering.covariance() is not None
+        gathering = MirrorSolution.of(problem).joint.diagnosis.gathering
+        added += gathering.covariance() is not None
     assert added <= (3 if LONG else 1)
 
 
@@ -165,7 +133,7 @@ def test_what_gathers_is_said_with_its_figures():
     world = mirror_world(3, "half", 10.0)
     result = solve(problem_of(world, world.disturbed))
     (blamed,) = result.details["gathering"]["blamed"]
-    assert blamed["readings"] in (3, 6)  # six at a position that two stations see
+    assert blamed["observations"] in (3, 6)  # six at a position that two stations see
     away = np.linalg.norm(world.error, axis=1).max()
     assert blamed["size"] == pytest.approx(away, rel=0.4)
     statement = {p.effect: p for p in result.protections}["one place"]
@@ -185,15 +153,16 @@ def test_u_holds_a_swing_of_an_arcsecond_between_two_looks_at_the_nests(cycles):
         world = mirror_world(seed, reflectors=3, swing=ARCSEC, cycles=cycles)
         result = solve(problem_of(world, world.sound, uneven_drift_std=0.5 * ARCSEC))
         still = mirror_world(seed, reflectors=3)
-        caused = prepare(problem_of(world, world.sound)).prepared.estimate(world.sound)
-        caused = caused - prepare(problem_of(still, still.sound)).prepared.estimate(still.sound)
+        swung, without = (
+            estimates(problem_of(w, w.sound), w.sound[None])[0] for w in (world, still)
+        )
+        caused = swung - without
         assert (np.abs(caused)[1:] / result.std["ECC"][1:]).max() < 2.5
         told = {p.effect: p for p in result.protections}["uneven drift"]
         assert told.treatment == "bounded"
         assert "0.5 arcsec" in told.why
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_the_statement_changes_u_alone_and_more_looks_at_the_nests_make_it_small():
     grown = []

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from chances import LONG
 from mirror_cell import add_noise, measure, measure_direct, paper_cell, ring_cell
+from mirror_scene import estimates
 from scipy.stats import chi2
 
 from rotcal_ros.foundation.observations import PointKind
@@ -14,11 +15,12 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
-from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
 
 MIRROR_WAYS = ("stitching", "registration", "joint")
 REFLECTOR = np.array([[0.3, 0.1, 0.1]])
 RUNS = 1000
+FEW = 200
+"""Runs whose least squares are solved one by one."""
 
 
 def table(n, seed=1, scale=5.0 * ARCSEC):
@@ -83,9 +85,8 @@ def test_covariance_is_the_noise_sent_through_the_numerical_derivative(way):
     problem = measured(way, paper_cell(lean=0.15), table(17)[0], tilt_std=1e-8)
     n, step = problem.xyz.size, 1e-6
     moved = problem.xyz + step * np.eye(n).reshape(n, *problem.xyz.shape)
-    prepared = prepare(problem).prepared
-    ahead = prepared.estimate(moved)
-    behind = prepared.estimate(2.0 * problem.xyz - moved)
+    ahead = estimates(problem, moved)
+    behind = estimates(problem, 2.0 * problem.xyz - moved)
     derivative = ((ahead - behind) / (2.0 * step)).reshape(-1, 3, 17)
     noise = problem.noise.covariance(problem.xyz)
     expected = np.einsum("rik,rij,rjl->kl", derivative, noise, derivative)
@@ -102,9 +103,9 @@ def test_result_survives_json_and_accounts_for_every_row(way):
     assert again.details["way"] == way
     assert len(result.residuals.used) == result.n_observations == len(problem.xyz)
     nests = problem.kind == PointKind.NEST
-    np.testing.assert_array_equal(result.residuals.used, ~nests | (way != "stitching"))
-    if way != "stitching":  # nests: 3 (36 - 6) - 30 of 108 are redundant
-        assert 3.0 * result.residuals.redundancy[nests].sum() == pytest.approx(60.0)
+    assert result.residuals.used.all()
+    # nests: 3 (36 - 6) - 30 of 108 are redundant, and what the mirror shows of the stations
+    assert 3.0 * result.residuals.redundancy[nests].sum() > 60.0
 
 
 def test_wobbling_table_reaches_the_angle_only_through_the_lean():
@@ -114,8 +115,9 @@ def test_wobbling_table_reaches_the_angle_only_through_the_lean():
     deviations[:, 3:5] = tilts
     deviations[:, :3] = np.random.default_rng(4).normal(0.0, 3e-6, (17, 3))
     for way in ("registration", "joint"):
-        result = solve(measure(paper_cell(), deviations, way=way))
-        assert np.abs(result.deviations["ECC"] - truth).max() < 0.1 * ARCSEC
+        problem = measure(paper_cell(), deviations, way=way)
+        (found,) = estimates(problem, problem.xyz[None])
+        assert np.abs(found - truth).max() < 0.1 * ARCSEC
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +151,7 @@ def errors(runs):
     found = {}
     for way in MIRROR_WAYS:
         one = replace(problem, way=way)
-        found[way] = prepare(one).prepared.estimate(points) - truth, solve(one)
+        found[way] = estimates(one, points[: FEW if way == "joint" else RUNS]) - truth, solve(one)
     return found
 
 
@@ -167,14 +169,16 @@ def test_95_percent_intervals_hold_the_truth(way, errors):
     intervals, ellipsoid = covered(*errors[way])
     assert 0.93 <= intervals.mean() <= 0.97
     # No position is far off: a binomial of 1000 has a standard deviation of 0.007.
-    assert intervals.min() > 0.92
-    assert intervals.max() < 0.98
-    assert 0.93 <= ellipsoid <= 0.97  # the whole covariance, not only its diagonal
+    apart = 0.03 * np.sqrt(1000 / len(errors[way][0]))
+    assert intervals.min() > 0.95 - apart
+    assert intervals.max() < 0.95 + apart
+    # the whole covariance, not only its diagonal
+    assert 0.95 - 0.02 * apart / 0.03 <= ellipsoid <= 0.95 + 0.02 * apart / 0.03
 
 
 def test_95_percent_intervals_hold_the_truth_direct(direct_runs):
     problem, points, truth = direct_runs
-    error = prepare(problem).prepared.estimate(points) - truth
+    error = estimates(problem, points) - truth
     intervals, ellipsoid = covered(error, solve(problem))
     assert 0.93 <= intervals.mean() <= 0.97
     assert intervals.min() > 0.92
@@ -183,12 +187,11 @@ def test_95_percent_intervals_hold_the_truth_direct(direct_runs):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_joint_is_at_least_as_good_as_registration(errors):
     joint, registration = (
-        np.sqrt((errors[way][0][:, 1:] ** 2).mean()) for way in ("joint", "registration")
+        np.sqrt((errors[way][0][:FEW, 1:] ** 2).mean()) for way in ("joint", "registration")
     )
-    assert joint <= 1.002 * registration
+    assert joint <= 1.005 * registration
     stated = [errors[way][1].std["ECC"][1:] for way in ("joint", "registration")]
     assert np.all(stated[0] <= 1.0001 * stated[1])
 

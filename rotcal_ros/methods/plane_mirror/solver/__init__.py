@@ -1,4 +1,4 @@
-"""Laser tracker and plane mirror: direct, by stitching, by registration, or all in one."""
+"""Laser tracker and plane mirror: all points in one least squares, and the paper's own ways."""
 
 from rotcal_ros.methods.plane_mirror.settings import WAYS
 from rotcal_ros.methods.plane_mirror.solver.problem import (
@@ -6,8 +6,14 @@ from rotcal_ros.methods.plane_mirror.solver.problem import (
     TrackerNoise,
     problem_from_observations,
 )
-from rotcal_ros.methods.plane_mirror.solver.registration import check_nests
-from rotcal_ros.methods.plane_mirror.solver.solve import METHOD, mirror_trials, solve, solved
+from rotcal_ros.methods.plane_mirror.solver.solve import (
+    METHOD,
+    check_nests,
+    curves,
+    mirror_trials,
+    solve,
+    solved,
+)
 
 __all__ = [
     "METHOD",
@@ -15,6 +21,7 @@ __all__ = [
     "PlaneMirrorProblem",
     "TrackerNoise",
     "check_nests",
+    "curves",
     "mirror_trials",
     "problem_from_observations",
     "solve",

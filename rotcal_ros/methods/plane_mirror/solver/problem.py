@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -302,11 +302,6 @@ class MirrorPairs:
         """Number of groups, that is, of normals."""
         return len(self.position)
 
-    def sets(self, angles: Floats, *, by_station: bool) -> Sets:
-        """Return the sets of normals: those of each tracker station, or all of them."""
-        number = np.unique(self.station, return_inverse=True)[1] * by_station
-        return Sets(number.astype(np.int64), angles[self.position])
-
     def keep(self, wanted: Bools) -> MirrorPairs:
         """Return the pairs (P,) that are wanted, without the groups that become empty."""
         groups, group = np.unique(self.group[wanted], return_inverse=True)
@@ -324,16 +319,14 @@ class MirrorPairs:
 class Nests:
     """Nest rows (Q,) sorted by ``point`` (Q,), the index of the fixed nest; see ``name`` (K,).
 
-    A nest that was moved in between counts as two points of the same name. ``round`` (Q,) counts
-    the rounds of nests of all stations in the order in which they were measured. ``start`` (K,)
-    is the first entry of each point.
+    ``round`` (Q,) counts the rounds of nests of all stations, in the order in which they were
+    measured.
     """
 
     row: Ints
     station: Ints
     round: Ints
     point: Ints
-    start: Ints
     name: Ints
 
     @classmethod
@@ -347,25 +340,36 @@ class Nests:
             station=station[order],
             round=rounds[order],
             point=point,
-            start=_starts(point, len(used)),
             name=name[used],
         )
-
-    @classmethod
-    def none(cls) -> Nests:
-        """Return no nests at all."""
-        return cls.of(*[np.zeros(0, dtype=np.int64)] * 5)
 
     @property
     def n_points(self) -> int:
         """Number of fixed points."""
         return len(self.name)
 
-    def split(self, moved: Bools) -> Nests:
-        """Return nests in which the rows (Q,) marked as moved belong to a new point."""
-        point = np.where(moved, self.n_points, self.point)
-        name = np.append(self.name, self.name[self.point[moved][0]])
-        return Nests.of(self.row, self.station, self.round, point, name)
+    def keep(self, wanted: Bools) -> Nests:
+        """Return the readings (Q,) that are wanted."""
+        row, station, rounds = self.row[wanted], self.station[wanted], self.round[wanted]
+        return Nests.of(row, station, rounds, self.point[wanted], self.name)
+
+    def order_of_placing(self, count: int) -> Iterator[tuple[int, Ints, list[Ints]]]:
+        """Yield ``count`` stations from the first on, next the one that shares most nests.
+
+        Each with the points (k,) that it sees, and the rows of each of these.
+        """
+        seen = [np.unique(self.point[self.station == station]) for station in range(count)]
+        known, waiting = np.zeros(self.n_points, dtype=np.bool_), list(range(count))
+        while waiting:
+            shared = [known[seen[station]].sum() for station in waiting]
+            station = waiting.pop(int(np.argmax(shared)))
+            own = self.station == station
+            yield (
+                station,
+                seen[station],
+                [self.row[own & (self.point == k)] for k in seen[station]],
+            )
+            known[seen[station]] = True
 
 
 @dataclass(frozen=True)
@@ -378,9 +382,79 @@ class Reflectors:
     reflector: Ints
     name: Ints
 
-    def sets(self, angles: Floats) -> Sets:
-        """Return the circles: each reflector goes round one, from a zero of its own."""
-        return Sets(self.reflector, angles[self.position])
+    def keep(self, wanted: Bools) -> Reflectors:
+        """Return the rows (M,) that are wanted."""
+        row, position, station = self.row[wanted], self.position[wanted], self.station[wanted]
+        return Reflectors(row, position, station, self.reflector[wanted], self.name)
+
+    @classmethod
+    def none(cls) -> Reflectors:
+        """Return no reflectors at all."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(nothing, nothing, nothing, nothing, nothing)
+
+
+@dataclass(frozen=True, eq=False)
+class PointLayout:
+    """Which rows of a ``problem`` are used, and for what.
+
+    ``angles`` (N,), rad: those of the ``positions`` (N,) that were measured; pairs and reflectors
+    count in these. ``pairs`` is None where the table carries ``reflectors`` and no mirror.
+    ``tied``: whether nests join the stations; else a nest stands where each station saw it.
+    """
+
+    problem: PlaneMirrorProblem
+    positions: Ints
+    angles: Floats
+    pairs: MirrorPairs | None
+    reflectors: Reflectors
+    nests: Nests
+    tied: bool
+
+    @classmethod
+    def of_nests(cls, problem: PlaneMirrorProblem, nests: Nests) -> PointLayout:
+        """Return the nests alone."""
+        none = np.zeros(0, dtype=np.int64)
+        return cls(problem, none, np.zeros(0), None, Reflectors.none(), nests, tied=True)
+
+    @property
+    def stations(self) -> range:
+        """The numbers of the tracker stations."""
+        return range(int(self.problem.station.max()) + 1)
+
+    @property
+    def rows(self) -> Ints:
+        """The rows (m,) of images or reflectors on the table, then of nests: the elements."""
+        carried = self.pairs.mirrored if self.pairs else self.reflectors.row
+        return np.concatenate([carried, self.nests.row])
+
+    @property
+    def group(self) -> Ints:
+        """What each pair or reflector shows: a normal or, by position, a place."""
+        return self.pairs.group if self.pairs else self.reflectors.position
+
+    @property
+    def position(self) -> Ints:
+        """Position (P,) of each pair or reflector."""
+        return self.pairs.position[self.pairs.group] if self.pairs else self.reflectors.position
+
+    def sets(self, *, by_station: bool = False) -> Sets:
+        """Return what shares a zero: normals of each station or of all, places of a reflector."""
+        if self.pairs is None:
+            return Sets(self.reflectors.reflector, self.angles[self.reflectors.position])
+        number = np.unique(self.pairs.station, return_inverse=True)[1] * by_station
+        return Sets(number.astype(np.int64), self.angles[self.pairs.position])
+
+    def without(self, elements: Ints) -> PointLayout:
+        """Return the same without some ``elements``, numbers of :attr:`rows`."""
+        kept = ~np.isin(np.arange(len(self.rows)), elements)
+        pairs, reflectors, count = self.pairs, self.reflectors, len(self.group)
+        if pairs:
+            pairs = pairs.keep(kept[:count])
+        else:
+            reflectors = reflectors.keep(kept[:count])
+        nests = self.nests.keep(kept[count:])
+        return replace(self, pairs=pairs, reflectors=reflectors, nests=nests)
 
 
 def find_pairs(problem: PlaneMirrorProblem) -> MirrorPairs:
@@ -446,17 +520,7 @@ def nest_rounds(problem: PlaneMirrorProblem) -> Ints:
 
 
 def find_reflectors(problem: PlaneMirrorProblem) -> Reflectors:
-    """Collect the reflectors on the table for the direct way.
-
-    Raises DataError when there are mirrored rows, which this way has no use for.
-    """
-    mirrored = np.flatnonzero(problem.kind == PointKind.MIRRORED)
-    if len(mirrored):
-        raise DataError(
-            f"{problem.source}: {problem.row_name(int(mirrored[0]))} in the direct way; here the "
-            "table carries the reflectors and there is no mirror: choose stitching, registration "
-            "or joint"
-        )
+    """Collect the reflectors on the table; raises DataError where there are none."""
     rows = np.flatnonzero(problem.kind == PointKind.DIRECT)
     if not len(rows):
         raise DataError(f"{problem.source}: no direct points, nothing to compute")

@@ -1,46 +1,58 @@
 """The plane-mirror calibration: a frozen problem in, the angular deviations out.
 
-:func:`solve` makes the result of one measurement, :func:`mirror_trials` prepares simulated ones
-about it, of which a thousand are solved in one go.
+:func:`solve` adjusts the model of the points by the engine. Where a way of the paper is chosen
+the deviations are those of its equations (:mod:`.printed`), and what is said of them follows from
+the same model (:mod:`rotcal_ros.adjust.mapped`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.closures import Closure, closures
-from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.distributions import chi2_sf, normal_isf
+from rotcal_ros.adjust.engine import Adjusted, Trials, adjust
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.noise import GlobalTest
-from rotcal_ros.adjust.reliability import hidden_noise
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.adjust.mapped import MappedFit, mapped
+from rotcal_ros.adjust.model import CurveModel
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.protection import POWER, Protection, ordered
-from rotcal_ros.foundation.results import FreeDirection, Residuals, Result
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods.plane_mirror.solver import gathering
-from rotcal_ros.methods.plane_mirror.solver.drift import DriftCorrection, swings
-from rotcal_ros.methods.plane_mirror.solver.normals import image_response, incidence, tangent_frame
-from rotcal_ros.methods.plane_mirror.solver.problem import WORDS, PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.solver.readings import cones, islands
-from rotcal_ros.methods.plane_mirror.solver.ways import (
-    AdjustedCurve,
-    PreparedNormals,
-    PreparedPoints,
-    PreparedWay,
-    WayFit,
+from rotcal_ros.foundation.protection import POWER, Protection
+from rotcal_ros.foundation.results import FreeDirection, Rejection, Residuals, Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
+from rotcal_ros.methods.plane_mirror.settings import DIRECT, JOINT, WAYS
+from rotcal_ros.methods.plane_mirror.solver import printed
+from rotcal_ros.methods.plane_mirror.solver.model import (
+    NEST_MOVED,
+    PARTS,
+    TrackerModel,
+    curve_model,
+    spans_of,
+    ties,
+)
+from rotcal_ros.methods.plane_mirror.solver.problem import Nests, PlaneMirrorProblem, PointLayout
+from rotcal_ros.methods.plane_mirror.solver.set_up import (
+    incidence,
+    joining_nests,
+    laid_out,
+    require_angles,
 )
 
 METHOD: Final = "plane_mirror"
 UNTIED: Final = "table positions that share no reflector"
 MAX_DEVIATION: Final = 1.0 * DEGREE
 """No rotary table is this wrong; a commanded angle or a nest is."""
-_CHUNK: Final = 250  # trials at a time keep the arrays small enough for the cache
+LARGE: Final = 1.0
+"""A drift from round to round may move a deviation by so many of its standard uncertainties."""
+SEATED: Final = 8.0
+"""Standard deviations that a badly seated reflector is off at least."""
+KNOCK: Final = 4.0
+"""A knock leaves up to this many times what the drift moved, found by simulation."""
 
 
 def solve(problem: PlaneMirrorProblem) -> Result:
@@ -50,192 +62,585 @@ def solve(problem: PlaneMirrorProblem) -> Result:
     angles give, and zero at the first position (no method knows that offset). The paper,
     Muralikrishnan et al., "A Method to Calibrate Angular Positioning Errors Using a Laser Tracker
     and a Plane Mirror", prints commanded - measured (equations 6 to 19): the opposite sign.
-    Standard deviations follow from the stated noise; when the residuals contradict it they are
-    scaled up by ``sigma0``, with a warning.
 
-    Raises DataError, GeometryError (see :mod:`~rotcal_ros.methods.plane_mirror.solver.prepare`).
+    Raises DataError, GeometryError (see :mod:`.set_up`), ObservabilityError.
     """
     return solved(problem)[0]
 
 
 def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
     """Return :func:`solve` with the positions (n,) of the problem that the result has."""
-    (screened, gathered, points), residuals = gathering.settled(problem), no_residuals(problem)
-    prepared = screened.prepared
-    curve, correction = _with_drift(prepared, prepared.curve(residuals))
-    angles, deviations = prepared.angles, curve.deviations
-    check_size(problem, angles, deviations)
-    fit = curve.fit
-    test = GlobalTest.of(fit.chi_square, fit.dof)
-    covariance, warnings = _judge(test, curve, problem.significance)
-    # To the noise come errors that may gather in one place, and drift that the nests cannot show.
-    if (added := gathered.covariance()) is not None:
-        covariance = covariance + added
-    if points is not None:
-        swung = points.response(swings(prepared.problem, prepared.drift))
-        covariance = covariance + swung @ swung.T
-    side = None if problem.upward is None else problem.upward[prepared.positions]
-    repeats = closures(angles, deviations, LowRank.whole(covariance), np.arange(len(angles)), side)
-    std, closure = _std(covariance), _whole_turn(repeats, angles)
-    limits = engine.GatheringLimits(gathering.USUAL_SHARE, problem.significance)
-    gathers = engine.doubts(gathered, limits, WORDS)
-    warnings = [
-        *screened.warnings,
-        *gathers,
-        *warnings,
-        *correction.doubts(std),
-        *differing(repeats, angles, problem.significance),
-    ]
-    closes = closure.get("closure_std_rad")
-    facts = _Evidence(prepared, correction, std, fit.dof, closes, points is not None)
-    again = [
-        {"first": c.first, "second": c.last, "difference_rad": c.error, "std_rad": c.std}
-        for c in repeats
-    ]
-    details = {**_details(prepared, curve), "repeats": again, **closure}
-    if gathered.judgement is not None:
-        details["gathering"] = engine.details(gathered, WORDS.elements)
-    steps = np.diff(np.eye(len(angles)), axis=0)
-    result = Result(
-        method=METHOD,
-        angles=angles,
-        deviations={"ECC": deviations},
-        std={"ECC": std},
-        covariance={"ECC": covariance},
-        sigma0=test.sigma0,
-        dof=fit.dof,
-        n_observations=len(problem.xyz),
-        rejected=screened.rejected,
-        verdict="suspect" if warnings else "ok",
-        warnings=tuple(warnings),
-        adjacent_deviations=np.diff(deviations),
-        adjacent_std=_std(steps @ covariance @ steps.T),
-        residuals=residuals,
-        details={**details, **correction.details(std)},
-        protections=ordered(
-            (*_protections(facts), *gathering.protection(gathered, prepared, std))
-        ),
-    )
-    return result.counted_from(*_zeros(prepared)), prepared.positions
+    solution = MirrorSolution.of(problem)
+    return solution.result(), solution.layout.positions
 
 
-def no_residuals(problem: PlaneMirrorProblem) -> Residuals:
-    """Return residuals in which no row is used yet (all zero)."""
-    n = len(problem.xyz)
-    return Residuals(
-        table_position=problem.position.copy(),
-        target=problem.nest.copy(),
-        residual=np.zeros(n),
-        redundancy=np.zeros(n),
-        test_value=np.zeros(n),
-        used=np.zeros(n, dtype=np.bool_),
-        std=np.sqrt(np.trace(problem.noise.covariance(problem.xyz), axis1=1, axis2=2) / 3.0),
-        coordinates=3,
-    )
+def mirror_trials(problem: PlaneMirrorProblem) -> Trials:
+    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses."""
+    return MirrorSolution.of(problem).found.trials
 
 
-def _with_drift(
-    prepared: PreparedWay, curve: AdjustedCurve
-) -> tuple[AdjustedCurve, DriftCorrection]:
-    """Return the curve with the uncertainty of the drift in it, and what the drift did."""
-    drift = prepared.drift
-    correction = DriftCorrection.of(prepared.problem, drift, prepared.drift_response())
-    if not drift.size:
-        return curve, correction
-    fit = curve.fit
-    if not len(prepared.nests.row):  # else the nests are in the fit, with what the drift took
-        fit = fit + sum((WayFit(s.chi_square, s.dof) for s in drift.stations), WayFit())
-    return replace(curve, covariance=curve.covariance + correction.covariance, fit=fit), correction
+def curves(problem: PlaneMirrorProblem) -> tuple[CurveModel, Ints]:
+    """Return the points over ECC, to be solved with others, and the positions (n,) they have."""
+    layout = laid_out(problem)[0]
+    return curve_model(layout), layout.positions
 
 
-def _zeros(prepared: PreparedWay) -> tuple[str, tuple[FreeDirection, ...]]:
-    """Return what ECC counts from, and the offsets of positions that no reflector ties together.
+def check_nests(
+    problem: PlaneMirrorProblem, *, newest: bool = False, drift_limit: float = np.inf
+) -> list[str]:
+    """Return what moved among the nests measured so far, in words; empty when all is well.
 
-    With a mirror all positions are tied: see :func:`~.readings.require_overlap`.
+    For use while measuring: ``problem`` needs NEST rows only, and the others where nests were
+    measured again to show the drift. ``newest``: only what the newest rounds of nests show.
+    ``drift_limit`` (rad) is how far the tracker may turn there between two rounds. Raises
+    DataError and GeometryError as :func:`solve`.
     """
-    if not isinstance(prepared, PreparedPoints):
-        return "first angle", ()
-    seen = prepared.reflectors
-    label, _ = islands(seen.position, seen.reflector, len(prepared.angles))
-    free = tuple(
-        FreeDirection(UNTIED, {"ECC": (label == own).astype(np.float64)})
-        for own in range(1, int(label.max()) + 1)
-    )
-    return "first angle of each group" if free else "first angle", free
+    nests, _ = joining_nests(replace(problem, way=JOINT))
+    if not len(nests.row):
+        return []
+    layout = PointLayout.of_nests(problem, nests)
+    tracker, last = TrackerModel.of(layout), int(problem.station.max())
+    found = adjust(tracker.model(), tracker.limits)
+    solution = MirrorSolution(layout, tracker, found, found, JOINT, (), ())
+    asked = np.unique(nests.round)
+    if newest:
+        own = np.unique(nests.round[nests.station == last])
+        asked = own[-max(len(own) - 1, 1) :]
+    drift, own = solution.drift, solution.drift.stations == last
+    turned = np.linalg.norm(drift.change[own, :3], axis=1).max(initial=0.0)
+    moved = [(text, nests.round[later].min()) for text, later in solution.moved_nests]
+    every = (*moved, *solution.badly_seated)
+    texts = [text for text, begins in every if begins in asked]
+    if turned > drift_limit and drift.probability(last) < problem.significance:
+        texts.append(
+            f"the tracker turned by {turned / ARCSEC:.1f} arcsec between two rounds of nests at "
+            f"station {problem.station_name(last)}, allowed {drift_limit / ARCSEC:g}: let it "
+            "settle"
+        )
+    return texts
 
 
-def _std(covariance: Floats) -> Floats:
-    """Return standard deviations (n,); rounding may leave a variance of zero below it."""
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+@dataclass(frozen=True, eq=False)
+class MirrorSolution:
+    """The adjusted model of a layout, what its ``way`` has ``found``, and what is said of it."""
 
+    layout: PointLayout
+    tracker: TrackerModel
+    joint: Adjusted
+    found: Adjusted
+    way: str
+    rejected: tuple[Rejection, ...]
+    doubts: tuple[str, ...]
 
-def _details(prepared: PreparedWay, curve: AdjustedCurve) -> dict[str, Any]:
-    """Return the method's own part of the result; SI, plain arrays and numbers."""
-    return {
-        "way": prepared.problem.way,
-        **curve.fit.details,
-        **_stations(prepared),
-        **_normals(prepared),
-        **({} if prepared.problem.upward is None else {"table_positions": prepared.positions}),
-    }
+    @classmethod
+    def of(cls, problem: PlaneMirrorProblem) -> MirrorSolution:
+        """Solve a problem in its way."""
+        layout, rejected, doubts = laid_out(problem)
+        tracker = TrackerModel.of(layout)
+        found = adjust(tracker.model(), tracker.limits)
+        solution = cls(layout, tracker, found, found, JOINT, rejected, doubts)
+        return solution.by_way(problem.way)
 
+    def by_way(self, way: str) -> MirrorSolution:
+        """Return the same by another way, without the elements that were left out.
 
-def _judge(
-    test: GlobalTest, curve: AdjustedCurve, significance: float
-) -> tuple[Floats, list[str]]:
-    """Return the covariance, and a warning where it could not be trusted as it is.
+        Raises DataError or GeometryError where the points do not serve it.
+        """
+        if way == JOINT:
+            return replace(self, found=self.joint, way=way)
+        tracker, found = self.tracker, self.joint
+        layout = replace(self.layout, nests=self.split_nests).without(self.lost)
+        require_angles(layout, way)
+        value = printed.curve(layout, way, layout.problem.xyz)
+        order = np.argsort(self.layout.rows)
+        kept = order[np.searchsorted(self.layout.rows, layout.rows, sorter=order)]
+        by = np.zeros((len(value), *tracker.root.shape[:2]))
+        felt, back = printed.felt(layout, way, layout.rows), np.linalg.inv(tracker.root[kept])
+        by[:, kept] = np.einsum("omj,mjk->omk", felt, back)
+        n, count = len(found.model.observed), by[0].size
+        whole = np.zeros((len(value), n))
+        whole[:, :count] = by.reshape(len(value), -1)
+        return replace(self, found=mapped(found, value, whole), way=way)
 
-    It is scaled when the residuals are larger than the stated noise allows.
-    """
-    if curve.fit.dof == 0:
-        return curve.covariance, ["nothing is measured twice: the noise could not be checked"]
-    scale = test.enlargement(significance)
-    if scale == 1.0:
-        return curve.covariance, []
-    text = (
-        f"the residuals are {scale:.2f} times what the stated noise explains; the standard "
-        "deviations are scaled by that: check tracker noise, nests and mirror"
-    )
-    return curve.covariance * scale**2, [text]
+    @cached_property
+    def lost(self) -> Ints:
+        """The elements of which the engine left out any row."""
+        count = 3 * len(self.tracker.root)
+        return np.unique([row // 3 for row in self.found.why if row < count]).astype(np.int64)
 
+    @cached_property
+    def std(self) -> Floats:
+        """Standard uncertainties (N,) of the deviations, rad."""
+        return self.found.std
 
-def _stations(prepared: PreparedWay) -> dict[str, Any]:
-    """Return where the tracker stood, if the way brings its stations together."""
-    poses = prepared.poses
-    if not len(prepared.nests.row):
+    @cached_property
+    def repeats(self) -> tuple[Closure, ...]:
+        """What should agree: positions at one angle, from the same side."""
+        layout, upward = self.layout, self.layout.problem.upward
+        covariance = LowRank.whole(self.found.covariance)
+        side = None if upward is None else upward[layout.positions]
+        each = np.arange(len(layout.angles))
+        return closures(layout.angles, self.found.value, covariance, each, side)
+
+    @cached_property
+    def whole_turn(self) -> dict[str, float]:
+        """How far the table is from its first place after a whole turn, if it was measured."""
+        for c in self.repeats:
+            if abs(turned := self.layout.angles[c.last] - self.layout.angles[c.first]) > np.pi:
+                sense = float(np.sign(turned))
+                return {"closure_rad": sense * c.error, "closure_std_rad": c.std}
         return {}
-    return {
-        "stations": [
-            {
-                "station": prepared.problem.station_name(s),
-                "position_m": poses.translation[s],
-                "rotation": poses.rotation[s],
-            }
-            for s in range(len(poses.rotation))
+
+    @property
+    def others(self) -> list[str]:
+        """The other ways that the paper or the engine has for these points."""
+        mirror = self.layout.pairs is not None
+        return [
+            way for way in WAYS if way != self.way and (way == JOINT or (way == DIRECT) != mirror)
         ]
-    }
 
+    def result(self) -> Result:
+        """Return the result."""
+        layout, problem, found = self.layout, self.layout.problem, self.found
+        check_size(problem, layout.angles, found.value)
+        rows, n = layout.rows, len(layout.angles)
+        seated = [text for text, _ in self.badly_seated]
+        doubts = [*self.doubts, *seated, *self.drift.doubts, *self.left_out,
+                  *differing(self.repeats, layout.angles, problem.significance)]  # fmt: skip
+        every = found.result(
+            METHOD,
+            layout.angles,
+            {"ECC": slice(0, n)},
+            (problem.position[rows], problem.nest[rows]),
+            coordinates=3,
+            doubts=doubts,
+            protections=tuple(self._protections()),
+            details=self._details(),
+            joint=True,
+        )
+        partner = dict(
+            zip(rows.tolist(), layout.pairs.direct.tolist() if layout.pairs else [], strict=False)
+        )
+        left = [
+            Rejection(row, r.why)
+            for r in every.rejected
+            for row in (int(rows[r.index]), partner.get(int(rows[r.index])))
+            if row is not None
+        ]
+        residuals = every.residuals
+        assert residuals is not None
+        zeros = "first angle of each group" if self._free else "first angle"
+        steps = np.diff(np.eye(n), axis=0)
+        covariance = steps @ every.covariance["ECC"] @ steps.T
+        details = {name: value for name, value in every.details.items() if name != "also"}
+        result = replace(
+            every,
+            details=details,
+            n_observations=len(problem.xyz),
+            rejected=(*self.rejected, *sorted(left, key=lambda r: r.index)),
+            adjacent_deviations=np.diff(found.value),
+            adjacent_std=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+            residuals=self._residuals(residuals),
+        )
+        return result.counted_from(zeros, self._free)
 
-def _normals(prepared: PreparedWay) -> dict[str, Any]:
-    """Return the mirror's normals and how steeply they were seen, if there is a mirror."""
-    if not isinstance(prepared, PreparedNormals):
-        return {}
-    problem, pairs = prepared.problem, prepared.pairs
-    normals = prepared.normals(problem.xyz)
-    angle = incidence(problem.xyz, pairs, normals.normal)
-    steepest = np.maximum.reduceat(angle, pairs.start)
-    return {
-        "incidence_limit_rad": problem.incidence_limit,
-        "normals": [
+    @property
+    def _free(self) -> tuple[FreeDirection, ...]:
+        """The offsets of positions that no reflector ties together; a mirror ties all."""
+        label = printed.islands(*ties(self.layout), len(self.layout.angles))[0]
+        return tuple(
+            FreeDirection(UNTIED, {"ECC": (label == own).astype(np.float64)})
+            for own in range(1, int(label.max()) + 1)
+        )
+
+    def _residuals(self, of_elements: Residuals) -> Residuals:
+        """Return the residuals of all points; a pair's by what each point took of it."""
+        layout, problem, tracker = self.layout, self.layout.problem, self.tracker
+        n, rows = len(problem.xyz), layout.rows
+        found = Residuals(
+            table_position=problem.position.copy(),
+            target=problem.nest.copy(),
+            residual=np.zeros(n),
+            redundancy=np.zeros(n),
+            test_value=np.zeros(n),
+            used=np.zeros(n, dtype=np.bool_),
+            std=np.sqrt(np.trace(problem.noise.covariance(problem.xyz), axis1=1, axis2=2) / 3.0),
+            coordinates=3,
+        )
+        points = [(rows, np.arange(len(rows)), np.tile(np.eye(3), (len(rows), 1, 1)))]
+        if layout.pairs is not None:
+            points.append((layout.pairs.direct, np.arange(tracker.pairs), tracker.reflection))
+        e = np.linalg.solve(
+            tracker.root, self.found.fit.residual[: rows.size * 3].reshape(-1, 3, 1)
+        )
+        for here, elements, reflected in points:
+            own = problem.noise.covariance(problem.xyz[here]) @ reflected
+            pull = own @ np.linalg.inv(tracker.covariance[elements])
+            found.residual[here] = np.linalg.norm((pull @ e[elements])[:, :, 0], axis=1)
+            share = np.trace(pull @ reflected, axis1=1, axis2=2) / 3.0
+            found.redundancy[here] = np.clip(share * of_elements.redundancy[elements], 0.0, 1.0)
+            found.test_value[here] = np.abs(of_elements.test_value[elements])
+            found.used[here] = of_elements.used[elements]
+        return found
+
+    def _details(self) -> dict[str, Any]:
+        """Return the method's own part of the result; SI, plain arrays and numbers."""
+        layout, problem, tracker, x = (
+            self.layout,
+            self.layout.problem,
+            self.tracker,
+            self.found.fit.x,
+        )
+        again = [
+            {"first": c.first, "second": c.last, "difference_rad": c.error, "std_rad": c.std}
+            for c in self.repeats
+        ]
+        found: dict[str, Any] = {
+            "way": self.way, "axis": tracker.frame(x)[:, 2], "repeats": again,
+            **self.whole_turn, **self.drift.details,
+        }  # fmt: skip
+        if problem.upward is not None:
+            found["table_positions"] = layout.positions
+        poses, names = tracker.poses(x), problem.station_name
+        if layout.tied and len(layout.nests.row):
+            found["stations"] = [
+                {"station": names(s), "position_m": poses.place[s], "rotation": poses.rotation[s]}
+                for s in layout.stations
+            ]
+            found["nests"] = self._nests()
+        if layout.pairs is None:
+            q = tracker.start.reflectors + x[tracker.part["reflector"]].reshape(-1, 3)
+            found["radii_m"] = [float(r) for r in np.hypot(*q[:, :2].T)]
+            return found
+        pairs = layout.pairs
+        angle = incidence(problem, pairs)
+        steepest = np.maximum.reduceat(angle, pairs.start)
+        normals = printed.mean_normals(problem.xyz, pairs)
+        return found | {
+            "lean_rad": tracker.start.lean + float(x[tracker.part["lean"]][0]),
+            "tilts_rad": x[tracker.part["tilt across"]],
+            "incidence_limit_rad": problem.incidence_limit,
+            "normals": [
+                {
+                    "angle_rad": layout.angles[pairs.position[g]],
+                    "station": names(int(pairs.station[g])),
+                    "incidence_rad": steepest[g],
+                    "normal": normals[g],
+                }
+                for g in range(pairs.n_groups)
+            ],
+        }
+
+    def _nests(self) -> list[dict[str, Any]]:
+        """Return each reading of a nest for the details."""
+        layout, problem, fit = self.layout, self.layout.problem, self.found.fit
+        nests, poses = layout.nests, self.tracker.poses(fit.x)
+        placed = poses.placed(problem.xyz[nests.row], nests.station)
+        part = slice(3 * self.tracker.pairs, 3 * len(layout.rows))
+        residual = self._off(np.arange(len(nests.row)))
+        test = np.sqrt((fit.test_value[part].reshape(-1, 3) ** 2).mean(axis=1))
+        return [
             {
-                "angle_rad": prepared.angles[pairs.position[g]],
-                "station": problem.station_name(int(pairs.station[g])),
-                "incidence_rad": steepest[g],
-                "normal": normals.normal[g],
+                "nest": nests.name[nests.point[q]],
+                "station": problem.station_name(int(nests.station[q])),
+                "position_m": placed[q],
+                "residual_m": residual[q],
+                "test_value": test[q],
             }
-            for g in range(pairs.n_groups)
-        ],
-    }
+            for q in range(len(nests.row))
+        ]
+
+    @cached_property
+    def moved_nests(self) -> list[tuple[str, Bools]]:
+        """In words, which nests moved for good, each with the readings (Q,) that show it."""
+        taken = [e for e in self.joint.diagnosis.taken if e.effect is not None]
+        part = slice(3 * self.tracker.pairs, 3 * len(self.layout.rows))
+        found = list[tuple[str, Bools]]()
+        for effect, seen in zip(taken, self.joint.found_effects, strict=True):
+            if seen.effect.what == NEST_MOVED:
+                touched = effect.columns[part].reshape(len(self.layout.nests.row), -1) != 0.0
+                found.append((f"it looks as if {seen.in_words()}", np.any(touched, axis=1)))
+        return found
+
+    @property
+    def split_nests(self) -> Nests:
+        """The nests, of which one that moved is another one afterwards."""
+        nests = self.layout.nests
+        for _, later in self.moved_nests:
+            own = later & (nests.point == nests.point[np.flatnonzero(later)[0]])
+            point, name = nests.point.copy(), nests.name[nests.point[own][0]]
+            point[own] = len(nests.name)
+            nests = replace(nests, point=point, name=np.append(nests.name, name))
+        return nests
+
+    @cached_property
+    def badly_seated(self) -> list[tuple[str, int]]:
+        """In words, which readings of nests were left out, each with its round."""
+        nests, problem = self.layout.nests, self.layout.problem
+        found = list[tuple[str, int]]()
+        for element in self.lost[self.lost >= self.tracker.pairs].tolist():
+            k = element - self.tracker.pairs
+            station = problem.station_name(int(nests.station[k]))
+            size = float(np.linalg.norm(self._off(np.array([k])))) / MILLIMETRE
+            if size * MILLIMETRE < SEATED * float(self.tracker.std[element].max()):
+                continue  # no more than one reading of many that chance takes far off
+            text = f"nest {nests.name[nests.point[k]]} stood elsewhere at station {station}"
+            mine = nests.point == nests.point[k]
+            if (nests.station[mine] == nests.station[k]).sum() > 1:
+                text = f"{text} in one of its rounds"
+            what = f"{text} (by {size:.3f} mm); it is left out there"
+            # of two readings either may be wrong: the later one shows it
+            rounds = nests.round[mine]
+            found.append((what, int(rounds.max() if mine.sum() == 2 else nests.round[k])))
+        return found
+
+    def _off(self, which: Ints) -> Floats:
+        """Return how far readings (k,) of nests are from these (k, 3), m, along common axes."""
+        at, nests = self.tracker.pairs + which, self.layout.nests
+        fit = self.found.fit
+        rows = fit.residual[: 3 * len(self.layout.rows)].reshape(-1, 3, 1)
+        own = np.asarray(np.linalg.solve(self.tracker.root[at], rows[at])[:, :, 0])
+        return self.tracker.poses(fit.x).turned(own, nests.station[which])
+
+    @cached_property
+    def left_out(self) -> list[str]:
+        """In words, what a printed way leaves out that matters."""
+        fit, std = self.found.fit, self.std
+        if not isinstance(fit, MappedFit):
+            return []
+        off = np.abs(fit.left_out) / np.where(std > 0.0, std, np.inf)
+        if off.max(initial=0.0) <= 0.5:
+            return []
+        return [
+            f"the way {self.way}, as printed, takes no drift of the tracker into "
+            f"account, which moves deviations by up to {np.abs(fit.left_out).max() / ARCSEC:.2f} "
+            "arcsec: the uncertainty holds it; choose joint"
+        ]
+
+    @cached_property
+    def drift(self) -> Drift:
+        """What the drift of the tracker did."""
+        return Drift.of(self)
+
+    def _protections(self) -> Iterator[Protection]:
+        """Yield a statement about every effect that the engine cannot know."""
+        layout, problem = self.layout, self.layout.problem
+        direct = layout.pairs is None
+        open_ = spans_of(layout)[1]
+        yield _drift(problem, open_)
+        yield self._knock(open_)
+        yield Protection(
+            "repeatability",
+            "not protected",
+            "the table arrives once at each position: its scatter from arrival to arrival is in "
+            "the curve and not in the uncertainty",
+        )
+        yield Protection(
+            "refraction",
+            "not protected",
+            "a gradient of 1 K/m across the beam bends it by about 0.1 arcsec for each metre, and "
+            "no residual need show it",
+        )
+        zero = "no method knows the zero: deviations count from the first position"
+        yield Protection("gauge", "harmless", zero)
+        what = "circles" if direct else "lengths"
+        scale = f"a scale of the range changes all {what} alike and no angle"
+        yield Protection("scale", "harmless", scale)
+        if not open_:  # else everything is said of the drift
+            yield self._uneven_drift()
+        if direct:
+            yield Protection(
+                "error motion",
+                "not protected",
+                "a reflector on the table takes radial error motion for an angle, 0.7 arcsec per "
+                "micrometre at 300 mm; the residuals show only what is along the radius",
+            )
+            lean = "a tilt of the table moves reflectors above its centre like radial error motion"
+            yield Protection("tilt", "not protected", lean)
+            return
+        motion = "a mirror that is moved without turning keeps its normal"
+        yield Protection("error motion", "harmless", motion)
+        limit = problem.tilt_std / ARCSEC
+        stated = f"by the stated tilts of the table of {limit:g} arcsec (tilt_std_arcsec)"
+        yield Protection("tilt", "bounded", stated)
+
+    def _uneven_drift(self) -> Protection:
+        """Return the statement about a drift that is no straight line between rounds of nests."""
+        stated = self.layout.problem.uneven_drift_std
+        if stated > 0.0:
+            return Protection(
+                "uneven drift",
+                "bounded",
+                f"by the stated swing of the tracker's azimuth of {stated / ARCSEC:g} arcsec "
+                "(uneven_drift_std_arcsec) about the straight line between rounds of nests",
+            )
+        error = float(ARCSEC / self.std[1:].min())
+        return Protection(
+            "uneven drift",
+            "not protected",
+            "what the tracker turns by between two rounds of nests and back again leaves no "
+            f"trace; 1 arcsec of it moves a deviation by up to {error:.2g} standard "
+            "uncertainties: let it settle, and measure the nests more often (plan.nests_every)",
+        )
+
+    def _knock(self, open_: Sequence[int]) -> Protection:
+        carried = "a reflector" if self.layout.pairs is None else "a mirror"
+        closes = self.whole_turn.get("closure_std_rad")
+        if closes is None:
+            return Protection(
+                "knock",
+                "not protected",
+                f"no position was measured again after a whole turn: {carried} that moved on the "
+                "table turns all positions after it without a trace",
+            )
+        if open_:
+            return Protection(
+                "knock",
+                "not protected",
+                f"the closure shows {carried} that moved, but only nests that are measured again "
+                "show a tracker knocked at its station",
+            )
+        found = normal_isf(self.layout.problem.significance / 2.0) + normal_isf(1.0 - POWER)
+        on_table = found * closes / float(self.std[1:].min())
+        return Protection(
+            "knock",
+            "tested",
+            f"the closure shows {carried} that moved, nests measured again show the tracker",
+            max(on_table, self.drift.unseen_knock),
+        )
+
+
+def _drift(problem: PlaneMirrorProblem, open_: Sequence[int]) -> Protection:
+    if open_:
+        names = ", ".join(problem.station_name(s) for s in open_)
+        return Protection(
+            "drift",
+            "not protected",
+            f"the nests were not measured again before the tracker left station {names}, so what "
+            "it turned by while it stood there is in the deviations",
+        )
+    return Protection(
+        "drift",
+        "estimated",
+        "nests measured again show turns, shifts and range of the tracker at each station, linear "
+        "in time between rounds of nests; a part that moves a deviation by more than one standard "
+        "uncertainty makes the result suspect",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """What taking the drift off did to the deviations, span by span (K).
+
+    ``change`` (K, 7) is what the frame moved by in each, with ``covariance`` (K, 7, 7). ``share``
+    (2, K, N): what that did to the deviations, and what the swings did, in standard uncertainties.
+    ``noise`` (2, K, N): what noise, and swings as they are stated, do to these.
+    """
+
+    solution: MirrorSolution
+    change: Floats
+    covariance: Floats
+    share: Floats
+    noise: Floats
+
+    @classmethod
+    def of(cls, solution: MirrorSolution) -> Drift:
+        """Return what the drift did in a solution."""
+        found, tracker, fit = solution.found, solution.tracker, solution.found.fit
+        part, end = tracker.part["drift"], tracker.part["swing"].stop
+        change = fit.x[part].reshape(-1, PARTS)
+        n, k, d = len(found.value), len(change), change.size
+        if not k:
+            none = np.zeros((2, 0, n))
+            return cls(solution, change, np.zeros((0, PARTS, PARTS)), none, none)
+        # what each did while the others are as they were found, which would take up some of it
+        gain = found.scale * fit.gain(slice(part.start, end))
+        whole, rows = gain @ gain.T, np.arange(len(fit.std))
+        outputs = found.scale * fit.kernel.response(fit.model.output_rows, rows)[:n]
+        by = np.linalg.solve(whole, gain @ outputs.T).T
+        own = np.einsum("kpkq->kpq", whole[:d, :d].reshape(k, PARTS, k, PARTS))
+        size = (end - part.start - d) // k
+        swung = np.einsum("kpkq->kpq", whole[d:, d:].reshape(k, size, k, size))
+        stated = np.eye(size) * np.square([span.std for span in tracker.spans])[:, None, None]
+        scale = np.where(solution.std > 0.0, solution.std, np.inf)  # the first position has none
+        share, noise = np.zeros((2, 2, k, n))
+        for which, columns, spread in ((0, slice(d), own), (1, slice(d, None), stated - swung)):
+            felt = by[:, columns].reshape(n, k, -1)
+            x = fit.x[part.start : end][columns].reshape(k, -1)
+            share[which] = np.abs(np.einsum("nkp,kp->kn", felt, x)) / scale
+            square = np.einsum("nkp,kpq,nkq->kn", felt, spread, felt)
+            noise[which] = np.sqrt(np.maximum(square, 0.0)) / scale
+        return cls(solution, change, own, share, noise)
+
+    @property
+    def limits(self) -> Floats:
+        """From where on (2, K, N) a part is too large: LARGE, or what noise does at most."""
+        problem = self.solution.layout.problem
+        return np.maximum(LARGE, normal_isf(problem.significance / 2.0) * self.noise)
+
+    @property
+    def doubts(self) -> list[str]:
+        """In words at which stations it is larger than may be taken as linear."""
+        found = list[str]()
+        station, limits = self.stations, self.limits
+        for number in np.unique(station).tolist():
+            own = station == number
+            if not np.any(self.share[:, own] > limits[:, own]):
+                continue
+            total = self.change[own].sum(axis=0)
+            x, y, azimuth = total[:3] / ARCSEC
+            found.append(
+                f"tracker station {self.solution.layout.problem.station_name(number)} moved "
+                f"between rounds of nests (azimuth {azimuth:.1f}, tilts {x:.1f} and {y:.1f} "
+                f"arcsec, range {total[6] / MICROMETRE:.1f} um), which moves deviations by up to "
+                f"{self.share[:, own].max():.1f} standard uncertainties; it is taken away as "
+                "linear in time, but a knock or a bend would stay: let the tracker settle, or "
+                "measure the nests more often (plan.nests_every)"
+            )
+        return found
+
+    @property
+    def stations(self) -> Ints:
+        """The station (K,) of each span."""
+        return np.array([span.station for span in self.solution.tracker.spans], dtype=np.int64)
+
+    @property
+    def unseen_knock(self) -> float:
+        """The error of a knock of the tracker that is found with POWER, in uncertainties."""
+        found = self.limits + normal_isf(1.0 - POWER) * self.noise
+        return float(KNOCK * found[0, :, 1:].max(initial=0.0))
+
+    def probability(self, station: int) -> float:
+        """Return how probable changes this large are at a station where nothing drifts."""
+        own = self.stations == station
+        square = sum(
+            float(c @ np.linalg.solve(v, c))
+            for c, v in zip(self.change[own], self.covariance[own], strict=True)
+        )
+        return chi2_sf(square, PARTS * int(own.sum()))
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """The drift of each station for a result; nothing where none was estimated."""
+        spans, found = self.solution.tracker.spans, list[dict[str, Any]]()
+        spread = np.sqrt(np.einsum("kpp->kp", self.covariance))
+        for number in np.unique(self.stations).tolist():
+            own = np.flatnonzero(self.stations == number)
+            found.append(
+                {
+                    "station": self.solution.layout.problem.station_name(number),
+                    "knots": [spans[own[0]].begin, *(spans[k].end for k in own)],
+                    "turn_rad": self.change[own, :3],
+                    "turn_std_rad": spread[own, :3],
+                    "shift_m": self.change[own, 3:6],
+                    "shift_std_m": spread[own, 3:6],
+                    "range_m": self.change[own, 6],
+                    "range_std_m": spread[own, 6],
+                    "probability": self.probability(number),
+                    "moved_standard_uncertainties": self.share[0, own].max(axis=1),
+                }
+            )
+        return {"drift": found} if found else {}
 
 
 def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) -> None:
@@ -259,237 +664,3 @@ def differing(repeats: Sequence[Closure], angles: Floats, significance: float) -
         for c in repeats
         if c.open(significance)
     ]
-
-
-def _whole_turn(repeats: Sequence[Closure], angles: Floats) -> dict[str, float]:
-    """Return how far the table is from its first place after a whole turn, if it was measured."""
-    for c in repeats:
-        if abs(turned := angles[c.last] - angles[c.first]) > np.pi:
-            return {
-                "closure_rad": float(np.sign(turned)) * c.error,
-                "closure_std_rad": c.std,
-            }
-    return {}
-
-
-@dataclass(frozen=True, eq=False)
-class _Evidence:
-    """What the statements rest on: the prepared data, what the drift did, and the result.
-
-    ``std`` (N,) in rad; ``dof`` degrees of freedom of the residuals; ``closure_std`` (rad) of the
-    first position measured again after a whole turn, None where it was not. ``swings``: whether
-    the uncertainty holds the stated swings.
-    """
-
-    prepared: PreparedWay
-    correction: DriftCorrection
-    std: Floats
-    dof: int
-    closure_std: float | None
-    swings: bool
-
-    @property
-    def direct(self) -> bool:
-        """Whether the table carried reflectors and no mirror."""
-        return isinstance(self.prepared, PreparedPoints)
-
-
-def _protections(facts: _Evidence) -> Iterator[Protection]:
-    """Yield a statement about every effect but what gathers in one place."""
-    yield _drift(facts)
-    yield _knock(facts)
-    yield _noise(facts)
-    yield from _carried(facts)
-    yield Protection(
-        "repeatability",
-        "not protected",
-        "the table arrives once at each position: its scatter from arrival to arrival is in the "
-        "curve and not in the uncertainty",
-    )
-    yield Protection(
-        "refraction",
-        "not protected",
-        "a gradient of 1 K/m across the beam bends it by about 0.1 arcsec for each metre, and no "
-        "residual need show it",
-    )
-    zero = "no method knows the zero: deviations count from the first position"
-    yield Protection("gauge", "harmless", zero)
-    if not facts.prepared.drift.open_stations:  # else everything is said of the drift
-        yield _uneven_drift(facts)
-
-
-def _carried(facts: _Evidence) -> Iterator[Protection]:
-    """Yield what depends on what the table carries: reflectors, or a mirror."""
-    what = "circles" if facts.direct else "lengths"
-    scale = f"a scale of the range changes all {what} alike and no angle"
-    yield Protection("scale", "harmless", scale)
-    if facts.direct:
-        yield Protection(
-            "error motion",
-            "not protected",
-            "a reflector on the table takes radial error motion for an angle, 0.7 arcsec per "
-            "micrometre at 300 mm; the residuals show only what is along the radius",
-        )
-        lean = "a tilt of the table moves reflectors above its centre like radial error motion"
-        yield Protection("tilt", "not protected", lean)
-        return
-    motion = "a mirror that is moved without turning keeps its normal"
-    yield Protection("error motion", "harmless", motion)
-    limit = facts.prepared.problem.tilt_std / ARCSEC
-    stated = f"by the stated tilts of the table of {limit:g} arcsec (tilt_std_arcsec)"
-    yield Protection("tilt", "bounded", stated)
-
-
-def _drift(facts: _Evidence) -> Protection:
-    drift, problem = facts.prepared.drift, facts.prepared.problem
-    if drift.open_stations:
-        names = ", ".join(problem.station_name(s) for s in drift.open_stations)
-        return Protection(
-            "drift",
-            "not protected",
-            f"the nests were not measured again before the tracker left station {names}, so what "
-            "it turned by while it stood there is in the deviations",
-        )
-    return Protection(
-        "drift",
-        "estimated",
-        "nests measured again show turns, shifts and range of the tracker at each station, linear "
-        "in time between rounds of nests; a part that moves a deviation by more than one standard "
-        "uncertainty makes the result suspect",
-    )
-
-
-def _uneven_drift(facts: _Evidence) -> Protection:
-    """Return the statement about a drift that is no straight line between rounds of nests."""
-    stated = facts.prepared.problem.uneven_drift_std
-    if facts.swings and stated > 0.0:
-        return Protection(
-            "uneven drift",
-            "bounded",
-            f"by the stated swing of the tracker's azimuth of {stated / ARCSEC:g} arcsec "
-            "(uneven_drift_std_arcsec) about the straight line between rounds of nests",
-        )
-    error = float(ARCSEC / facts.std[1:].min())
-    return Protection(
-        "uneven drift",
-        "not protected",
-        "what the tracker turns by between two rounds of nests and back again leaves no "
-        f"trace; 1 arcsec of it moves a deviation by up to {error:.2g} standard "
-        "uncertainties: let it settle, and measure the nests more often (plan.nests_every)",
-    )
-
-
-def _knock(facts: _Evidence) -> Protection:
-    problem = facts.prepared.problem
-    carried = "a reflector" if facts.direct else "a mirror"
-    if facts.closure_std is None:
-        return Protection(
-            "knock",
-            "not protected",
-            f"no position was measured again after a whole turn: {carried} that moved on the "
-            "table turns all positions after it without a trace",
-        )
-    if facts.prepared.drift.open_stations:
-        return Protection(
-            "knock",
-            "not protected",
-            f"the closure shows {carried} that moved, but only nests that are measured again "
-            "show a tracker knocked at its station",
-        )
-    found = normal_isf(problem.significance / 2.0) + normal_isf(1.0 - POWER)
-    on_table = found * facts.closure_std / float(facts.std[1:].min())
-    error = max(on_table, facts.correction.unseen_knock(facts.std))
-    return Protection(
-        "knock",
-        "tested",
-        f"the closure shows {carried} that moved, nests measured again show the tracker",
-        error,
-    )
-
-
-def _noise(facts: _Evidence) -> Protection:
-    if not facts.dof:
-        return Protection("axis noise", "not protected", "nothing is measured twice")
-    # No noise at all along the beam, a third of all coordinates, hides most of that across it.
-    error = hidden_noise(facts.prepared.problem.significance, facts.dof, 1.5)
-    return Protection(
-        "axis noise",
-        "tested",
-        "the residuals test the stated noise of the tracker and the slopes of the glass together; "
-        "noise across the beam can hide behind an overstated one along it: the error is that of "
-        "this case",
-        error,
-    )
-
-
-@dataclass(frozen=True)
-class MirrorTrials:
-    """Draws measurements like the given one and solves them; made by :func:`mirror_trials`.
-
-    ``factor`` (n, 3, 3) are Cholesky factors of the points' covariances, ``tilt`` (2 N, 3 n) the
-    movement of all coordinates per tilt (rad) of the table across and along the normal, ``swing``
-    (K, 3 n) the same per standard deviation of the tracker's :func:`~.drift.swings`.
-    """
-
-    prepared: PreparedWay
-    factor: Floats
-    tilt: Floats
-    swing: Floats
-
-    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return the deviations (count, N) in rad of ``count`` simulated measurements."""
-        parts = [
-            self.prepared.estimate(self.draw(rng, min(_CHUNK, count - done)))
-            for done in range(0, count, _CHUNK)
-        ]
-        return np.concatenate(parts)
-
-    def draw(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return points (count, n, 3): the measured ones with fresh noise and table tilts."""
-        xyz = self.prepared.problem.xyz
-        noise = rng.standard_normal((count, *xyz.shape))
-        tilts = self.prepared.problem.tilt_std * rng.standard_normal((count, len(self.tilt)))
-        points: Floats = xyz + (self.factor @ noise[..., None])[..., 0]
-        points += (tilts @ self.tilt).reshape(points.shape)
-        if len(self.swing):
-            amplitudes = rng.standard_normal((count, len(self.swing)))
-            points += (amplitudes @ self.swing).reshape(points.shape)
-        return points
-
-
-def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
-    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses."""
-    prepared = gathering.settled(problem).screened.prepared
-    swing = swings(prepared.problem, prepared.drift).reshape(problem.xyz.size, -1).T
-    covariance = problem.noise.covariance(problem.xyz)
-    if isinstance(prepared, PreparedPoints):
-        none = np.zeros((0, problem.xyz.size))
-        return MirrorTrials(prepared, _factor(covariance), none, none)
-    pairs, normals = prepared.pairs, prepared.normals(problem.xyz)
-    response = image_response(
-        problem.xyz[pairs.direct],
-        problem.xyz[pairs.mirrored],
-        normals.normal[pairs.group],
-        normals.offset[pairs.group],
-    )
-    # The glass is not flat: it gives each mirrored point a normal of its own.
-    slope = problem.noise.mirror_slope_std * response
-    covariance[pairs.mirrored] += slope @ np.swapaxes(slope, 1, 2)
-    axes, height = cones(prepared.poses.turned(normals.normal, pairs.station), prepared.sets)
-    axes = (axes[:, None] @ prepared.poses.rotation[pairs.station])[
-        :, 0
-    ]  # as each station sees it
-    t, b = tangent_frame(normals.normal, axes)
-    tilt = np.zeros((len(prepared.angles), 2, *problem.xyz.shape))
-    # A tilt of the table across the normal moves it along b; one about the normal's own horizontal
-    # direction moves it along t, by sin(beta) of the tilt.
-    for which, change in enumerate((b, height * t)):
-        moved = (response @ change[pairs.group][..., None])[..., 0]
-        tilt[pairs.position[pairs.group], which, pairs.mirrored] = moved
-    tilt = tilt.reshape(-1, problem.xyz.size)
-    return MirrorTrials(prepared, _factor(covariance), tilt, swing)
-
-
-def _factor(covariance: Floats) -> Floats:
-    """Return the Cholesky factors of covariances (n, 3, 3)."""
-    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
