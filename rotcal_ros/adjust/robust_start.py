@@ -71,9 +71,6 @@ def _sound(fit: Fit, limits: Limits) -> bool:
 def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     n, p = model.size
     every = np.ones(n, dtype=np.bool_)
-    sound = _if_sound(model, limits, every)
-    if sound is not None:
-        return sound, np.zeros(0, dtype=np.int64)
     # at first each by what it misses the start values by: a gross error cannot pull them away
     miss = np.maximum(np.abs(model.observed - model.equations(model.first)[0]) / model.std, 1.0)
     if model.linearised(model.first)[1].large:
@@ -97,19 +94,6 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     except RotcalError:
         return fit.x[:p], np.zeros(0, dtype=np.int64)  # too many: they are judged with the rest
     return fit.x[:p], np.flatnonzero(gross)
-
-
-def _if_sound(model: Model, limits: Limits, every: Bools) -> Floats | None:
-    """Return the unknowns (p,) of plain least squares, where nothing stands out of it; else None.
-
-    A gross error that shows nowhere is one that nothing checks: no other start would show it.
-    """
-    try:
-        fit = fitted(model, every, model.std, model.first)
-    except RotcalError:
-        return None
-    miss = np.abs(fit.residual) / model.std
-    return None if (miss > limits.outlier(model)).any() else fit.x
 
 
 def _concentrated(model: Model, fit: Fit) -> Fit:
