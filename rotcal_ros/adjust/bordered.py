@@ -103,10 +103,9 @@ class FewEach(Design):
     def beside(self, rows: Floats | csr_array) -> FewEach:
         """Return the design with further ``rows`` (k, p) at its end."""
         if isinstance(rows, csr_array) and not len(self.known):
-            both, n = (self.few, rows), self.few.shape[0] + rows.shape[0]
-            data, indices = (
-                np.concatenate([getattr(m, of) for m in both]) for of in ("data", "indices")
-            )
+            n = self.few.shape[0] + rows.shape[0]
+            data = np.concatenate([self.few.data, rows.data])
+            indices = np.concatenate([self.few.indices, rows.indices])
             begin = np.append(self.few.indptr, self.few.indptr[-1] + rows.indptr[1:])
             return replace(self, few=csr_array((data, indices, begin), shape=(n, rows.shape[1])))
         return replace(self, known=np.concatenate([self.known, dense(rows)]))

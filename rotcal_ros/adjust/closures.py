@@ -23,6 +23,8 @@ from rotcal_ros.foundation.units import TURN
 
 MISSED: Final = 1e-7
 """Rad by which typed steps, and their sums, may miss a whole turn; 20 milliarcsec."""
+ROUNDED: Final = 1e-14
+"""Share of the largest variance of what a relation misses, below which another is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,7 @@ class Closed:
         """What makes it white: V^-1/2 (q, k), of what is known of it."""
         own = self.relation.std**2 * np.eye(len(self.error))
         values, axes = np.linalg.eigh(self.scale**2 * self.response @ self.response.T + own)
-        kept = values > MISSED**2 * max(values[-1], np.finfo(np.float64).tiny)
+        kept = values > ROUNDED * max(values[-1], np.finfo(np.float64).tiny)
         return np.asarray(axes[:, kept].T / np.sqrt(values[kept])[:, None])
 
     @property
@@ -133,10 +135,8 @@ class Closed:
 
     def beside(self, effect: Disturbing, seen: Seen | SeenFamily) -> Seen | SeenFamily:
         """Return what is ``seen`` of an ``effect`` with what this tells of it."""
-        columns, by = (
-            effect.at(self.fit.computed),
-            np.where(self.fit.used, 1.0 / self.fit.std, 0.0),
-        )
+        columns = effect.at(self.fit.computed)
+        by = np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
         felt, white = self._root @ (self.response * by), self._root @ self.error
         if isinstance(columns, Steps):
             parts = [np.zeros((0, columns.width, len(white)))]

@@ -118,6 +118,10 @@ class Correlated:
         """Return the same below ``count`` further rows, in a model where all ways are possible."""
         return Correlated(self.rows + count, self.parts)
 
+    def divided(self, _std: Floats) -> Correlated:
+        """Return the same of rows in their standard deviations ``std`` (n,): what it is, too."""
+        return self
+
     def planned(self) -> Correlated:
         """Return the same where no data say which ways are likely."""
         return self.below(0)

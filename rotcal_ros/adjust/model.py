@@ -733,7 +733,7 @@ class Model:
             computed, design = self.equations(x)
             return changed(computed, 1.0 / root), changed(dense(design), 1.0 / root)
 
-        return self._changed(
+        return self.changed(
             equations, lambda of: changed(of, 1.0 / root), lambda of: changed(of, root), False
         )
 
@@ -761,16 +761,19 @@ class Model:
             return to @ computed, to @ (design if isinstance(design, csr_array) else dense(design))
 
         alone = replace(self, std=std[there][order], mixed=back)
-        return alone._changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
+        return alone.changed(equations, lambda of: np.asarray(to @ of), back.__matmul__, True)
 
-    def _changed(
+    def changed(
         self,
         equations: Equations,
         to: Callable[[Floats], Floats],
         back: Callable[[Floats], Floats],
         apart: bool,
     ) -> Model:
-        """Return the model of combinations of its observations, which ``back`` takes back."""
+        """Return the model of combinations ``to`` of its observations, which ``back`` takes back.
+
+        Both take (n,) and (n, k). ``apart``: each observation is changed by itself.
+        """
         effects = [e.mapped(to, back, apart=apart) for e in self.effects]
         expected = [
             e._replace(effect=e.effect.mapped(to, back, apart=apart)) for e in self.expected

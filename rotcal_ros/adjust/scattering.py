@@ -102,6 +102,11 @@ class Scattering(Correlated):
         """Return the same below ``count`` further rows."""
         return replace(self, rows=self.rows + count)
 
+    def divided(self, std: Floats) -> Scattering:
+        """Return the same of rows that were divided by their standard deviations ``std`` (n,)."""
+        stated = None if self.stated is None else self.stated / float(std[self.rows[0]])
+        return replace(self, stated=stated)
+
     def planned(self) -> Scattering:
         """Return the same where nothing is read yet: it is as large as rows are weighed."""
         return replace(self, asked=False)

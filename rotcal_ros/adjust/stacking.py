@@ -50,19 +50,11 @@ def whitened(model: Model) -> Model:
         computed, design = model.equations(x)
         return computed / std, dense(design) / std[:, None]
 
-    def divided(columns: Floats) -> Floats:
-        return columns / std[:, None]
-
-    return replace(
-        model,
-        observed=model.observed / std,
-        std=np.ones(len(std)),
-        equations=equations,
-        unit=IN_NOISE,
-        effects=[
-            e.mapped(divided, lambda computed: computed * std, apart=True) for e in model.effects
-        ],
+    changed = model.changed(
+        equations, lambda of: (of.T / std).T, lambda of: (of.T * std).T, apart=True
     )
+    correlated = [each.divided(std) for each in model.correlated]
+    return replace(changed, std=np.ones(len(std)), unit=IN_NOISE, correlated=correlated)
 
 
 def stacked(
@@ -71,7 +63,8 @@ def stacked(
     """Return the :func:`whitened` models of several instruments, by their names, as one.
 
     The first unknowns of each are those in the blocks ``shared`` (s,); ``outputs`` (o, s) are
-    those of all. What each determines besides is reported beside its name.
+    those of all. What each determines besides is reported beside its name. Relations that only the
+    outputs of one should keep are not asked for.
     """
     width, parts = sum(shared.values()), list(models.values())
     rows = places_of([m.size[0] for m in parts])
@@ -79,16 +72,12 @@ def stacked(
     n, p = rows[-1].stop, own[-1].stop
     blocks = dict(shared)
     for name, model in models.items():
-        of_its_own = list(model.blocks.items())[len(shared) :]
-        blocks |= {f"{block} of {name}": size for block, size in of_its_own}
+        its_own = list(model.blocks.items())[len(shared) :]
+        blocks |= {f"{block} of {name}": size for block, size in its_own}
 
-    def columns_of(unknowns: slice) -> Floats:
-        return np.append(np.arange(width), np.arange(unknowns.start, unknowns.stop))
-
-    columns = [columns_of(unknowns) for unknowns in own]
+    columns = [np.append(np.arange(width), np.arange(u.start, u.stop)) for u in own]
     every = list(zip(models.items(), rows, columns, strict=True))
-    firsts = np.cumsum([0, *(len(m.components) for m in parts)])
-    start = np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)])
+    begins = np.cumsum([0, *(len(m.components) for m in parts[:-1])]).tolist()
     return Model(
         blocks=blocks,
         observed=np.concatenate([m.observed for m in parts]),
@@ -97,16 +86,14 @@ def stacked(
         outputs=np.pad(outputs, ((0, 0), (0, p - width))),
         words=words,
         unit=IN_NOISE,
-        start=start,
+        start=np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)]),
         also={
             f"{what} of {name}": _spread(np.asarray(further), mine, p)
             for (name, model), _, mine in every
             for what, further in model.also.items()
         },
         components=[f"{c} of {name}" for name, m in models.items() for c in m.components],
-        component=np.concatenate(
-            [m.of_component + first for m, first in zip(parts, firsts, strict=False)]
-        ),
+        component=np.concatenate([m.of_component + k for m, k in zip(parts, begins, strict=True)]),
         judged=np.concatenate([m.may_go for m in parts]),
         groupings=[
             grouping._replace(kind=f"{name}, {grouping.kind}").with_others(n - at.stop, at.start)
@@ -119,13 +106,27 @@ def stacked(
             for effect in model.effects
         ],
         row_names=[f"{row} of {name}" for name, m in models.items() for row in m.names],
-        correlated=[
-            each.below(at.start)
-            for m, at in zip(parts, rows, strict=True)
-            for each in m.correlated
-        ],
+        correlated=[each.below(at.start) for (_, m), at, _ in every for each in m.correlated],
         element=_elements(parts),
+        definitions=_definitions(parts, columns, p),
+        expected=[
+            each._replace(effect=_disturbing(name, each.effect, at, n))
+            for (name, model), at, _ in every
+            for each in model.expected
+        ],
+        unstated=any(m.unstated for m in parts),
     )
+
+
+def _definitions(
+    models: Sequence[Model], columns: Sequence[Floats], unknowns: int
+) -> Floats | None:
+    found = [
+        _spread(model.definitions, mine, unknowns)
+        for model, mine in zip(models, columns, strict=True)
+        if model.definitions is not None
+    ]
+    return np.concatenate(found) if found else None
 
 
 def _elements(models: Sequence[Model]) -> Ints | None:

@@ -5,7 +5,7 @@ import pytest
 
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit, linear
+from rotcal_ros.adjust.model import Disturbing, Expected, Grouping, Model, Unit, linear
 from rotcal_ros.adjust.stacking import reparametrised, stacked, whitened
 
 PLACES, ARM = 5, 0.2
@@ -92,3 +92,29 @@ def test_other_unknowns_give_the_same_outputs():
     one, other = adjust(gauge), adjust(steps)
     np.testing.assert_allclose(other.value, one.value, atol=1e-15)
     np.testing.assert_allclose(other.covariance, one.covariance, atol=1e-20)
+
+
+ZEROED = np.hstack([LEVEL, np.ones((15, 1))])
+"""The level from a zero of its own: the places have no mean."""
+SLIP = Disturbing("knock", "it slips", np.tril(np.ones((15, 15)))[:, 1:], 1e-4, family=True)
+BLOCKS = {"place": PLACES, "zero": 1}
+
+
+@pytest.mark.parametrize(
+    "alone",
+    [
+        model(ZEROED, 2e-7, BLOCKS, 3, definitions=np.append(np.ones(PLACES), 0.0)[None]),
+        model(LEVEL, 2e-7, {"place": PLACES}, 3, expected=[Expected(SLIP, 8e-7, 0.5)]),
+        model(LEVEL, 1e-5, {"place": PLACES}, 3).scattering(
+            "the places", np.eye(4, PLACES, 1) - np.eye(4, PLACES), 8e-6, 1e-4
+        ),
+    ],
+    ids=["definitions", "expected", "scattering"],
+)
+def test_what_a_model_says_beside_its_readings_holds_in_others_units_too(alone):
+    blocks = dict(alone.blocks)
+    outputs = np.eye(PLACES, alone.size[1])
+    one = adjust(alone)
+    other = adjust(stacked({"level": whitened(alone)}, blocks, outputs, WORDS))
+    np.testing.assert_allclose(other.value, one.value, rtol=1e-6, atol=1e-13)
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-5, atol=1e-20)

@@ -54,7 +54,7 @@ def test_a_list_of_phrases_is_said_part_by_part():
          "ausgeschlossen: mögliche Ursache: warme Luft, eine Person oder ein Hindernis im "
          "Strahlengang"),
         # a name of the cell in a place, with what looks like a place
-        ("tracker station {0}, in the mirror", "Lasertracker-Station {0}, im Planspiegel"),
+        ("tracker station {0}, nest 2", "Lasertracker-Station {0}, Nest 2"),
     ],
 )  # fmt: skip
 def test_a_finished_text_is_understood(english, german):

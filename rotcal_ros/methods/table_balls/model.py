@@ -468,26 +468,28 @@ class StatedRows(NamedTuple):
         """All rows (k + l, 6 t p)."""
         return np.concatenate([self.each.toarray(), self.parts])
 
-    def known(self, balls: BallsOnTable) -> tuple[csr_array, Floats]:
-        """Return the rows (k, u) stop by stop, and those (l, u) of parts, of all unknowns."""
+    def known(self, balls: BallsOnTable, design: csr_array) -> tuple[csr_array, Floats]:
+        """Return all that is known beside the ``design`` (n, u) of readings, per its deviation.
+
+        Rows (k, u) stop by stop; others (l, u): of parts, of what else is stated, and definitions.
+        """
         at, k, unknowns = balls.motions, self.each.shape[0], sum(balls.blocks.values())
         before, between = (k, at.start), (k, unknowns - balls.sums - at.stop)
-        each = hstack([csr_array(before), self.each, csr_array(between), csr_array(self.sums)])
+        each = csr_array(
+            hstack([csr_array(before), self.each, csr_array(between), csr_array(self.sums)])
+        )
         rows = np.zeros((len(self.parts), unknowns))
         rows[:, at] = self.parts
-        return csr_array(each), rows
+        stated = ((name, std) for name, std in balls.known.items() if isfinite(std))
+        rows = np.concatenate([rows, *(block_rows(balls.blocks, n) / std for n, std in stated)])
+        telling = FewEach(design / balls.sigma, np.zeros((0, unknowns))).beside(each).beside(rows)
+        return each, np.concatenate([rows, defined(balls, telling)])
 
 
 def _sums(balls: BallsOnTable) -> Floats:
     """Return the definitions (d, 6 t p), of the motions alone."""
     every = definitions(balls.angles, balls.tilts)
     return np.array([_row(balls, each)[balls.motions] for each in every])
-
-
-def _stated_beside(balls: BallsOnTable) -> Floats:
-    """Return rows (k, u) of what else is stated to be zero, per its standard deviation."""
-    known = (block_rows(balls.blocks, n) / std for n, std in balls.known.items() if isfinite(std))
-    return np.concatenate([np.zeros((0, sum(balls.blocks.values()))), *known])
 
 
 def _open_motions(balls: BallsOnTable, places: Floats, *, whole: bool) -> csr_array:
@@ -601,11 +603,7 @@ def model_of(
     motions = StatedRows.of(balls, places, whole=whole)
     balls = replace(balls, sums=motions.sums.shape[1])
     design = balls(np.append(start, np.zeros(balls.sums)))[1]
-    each, parts = motions.known(balls)
-    known = np.concatenate([parts, _stated_beside(balls)])
-    telling = FewEach(design / balls.sigma, np.zeros((0, design.shape[1])))
-    telling = telling.beside(each).beside(known)
-    known = np.concatenate([known, defined(balls, telling)])
+    each, known = motions.known(balls, design)
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE

@@ -59,7 +59,7 @@ def test_of_two_that_disagree_grossly_nothing_tells_which_is_right():
 
 @pytest.mark.parametrize(
     ("pattern", "way"),
-    product(worlds.PATTERNS, WAYS) if LONG else zip(worlds.PATTERNS, WAYS, strict=True),
+    list(product(worlds.PATTERNS, WAYS) if LONG else zip(worlds.PATTERNS, WAYS, strict=True)),
 )
 def test_half_of_a_position_against_the_other_half_is_named(pattern, way):
     world = mirror_world(7, pattern, 8.0)
