@@ -8,6 +8,7 @@ remembered, and the difference it makes joins the covariance.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
 
@@ -165,11 +166,12 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     for _ in range(FEW_EFFECTS):
         fit = diagnosis.fitted(ones, diagnosis.start)
         look = Look(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
-        found = [e for e in look.significant() if _bearable(look.before, e)]
-        best = max(found, key=lambda e: e.support, default=None)
-        if best is None or best.effect is None:
+        best = _first(look.significant_effects(), look.before)
+        if best is None:
             return None
-        diagnosis = look.diagnosis.holding(best, look.rivals(best))
+        diagnosis = look.before.holding(best, look.rivals(best))
+        if not _as_stated(diagnosis, diagnosis.fitted(ones, fit.x), bent=True):
+            continue
         try:
             after = _explained_beside_noise(diagnosis)
         except DataError:
@@ -188,8 +190,7 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
         look = Look(diagnosis, fit)
         diagnosis = look.diagnosis
-        found = sorted(look.significant(), key=lambda e: -round(e.support / TIED))
-        best = next((e for e in found if _bearable(diagnosis, e)), None)
+        best = _first(look.significant(), diagnosis)
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
         elif not bent:
@@ -198,6 +199,12 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
             return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
+
+
+def _first(found: Iterable[Explanation], diagnosis: Diagnosis) -> Explanation | None:
+    """Return the most probable explanation that a ``diagnosis`` can hold; None: there is none."""
+    ordered = sorted(found, key=lambda e: -round(e.support / TIED))
+    return next((e for e in ordered if _bearable(diagnosis, e)), None)
 
 
 def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
@@ -244,16 +251,21 @@ def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
 def _estimated_noise(
     diagnosis: Diagnosis, stated: Fit, bent: bool, held: Bools
 ) -> tuple[EstimatedFactors, Fit]:
-    """Return the factors of the components but those that are ``held`` (c,) at one."""
+    """Return the factors of the components but those that are ``held`` (c,) at one.
+
+    Other weights hardly move the solution: its derivatives are those ``stated``, but at the end.
+    """
+    model = diagnosis.model
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
-        fit = diagnosis.fitted(factors, before.x)
+        fit = before.weighed_by(model.std * factors[model.of_component])
         evidence = _evidence(fit, bent)
         return replace(evidence, present=evidence.present & ~held), fit
 
     start = np.where(held, 1.0, diagnosis.noise.factors)
-    prior = np.eye(len(held)) / (UNKNOWN if diagnosis.model.unstated else PRIOR) ** 2
-    return estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
+    prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
+    found, fit = estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
+    return found, diagnosis.fitted(found.factors, fit.x)
 
 
 def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.groups import Group
-from rotcal_ros.adjust.sensitivity import Moment, Sensitivity, total
+from rotcal_ros.adjust.sensitivity import Moment, total
 from rotcal_ros.adjust.subsets import LEAST, bounds, distinct, most_of
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -55,15 +55,15 @@ class Hypotheses:
     """q explanations of the same form, each with d sizes along its own axes.
 
     ``values`` (q, d): s, ``along`` (q, d): u. ``mixing``: what a unit of each is on the n rows of
-    its group, (n, q, d), worked out when it is asked for; ``sensitivity`` (o, n): what these do
-    to the outputs. ``axes`` (q, d, d): V, where d sizes are not their own axes already.
+    its ``group``, (n, q, d), worked out when it is asked for.
+    ``axes`` (q, d, d): V, where d sizes are not their own axes already.
     ``times``: a matrix (r, n) times the mixing, (r, q, d), where that is quicker without it.
     """
 
     values: Floats
     along: Floats
     mixing: Callable[[], Floats]
-    sensitivity: Sensitivity
+    group: Group
     axes: Floats | None = None
     times: Callable[[Floats], Floats] | None = None
 
@@ -74,13 +74,13 @@ class Hypotheses:
         """
         counts = (std > 0.0) & np.isfinite(std)
         if self.times is not None:
-            rows, most = self.sensitivity.dense(), np.zeros(self.values.shape)
+            rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
             for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
                 felt = self.times(rows[some] / std[some, None])
                 np.maximum(most, np.abs(felt, out=felt).max(axis=0, initial=0.0), out=most)
             return most
         mix = self.mixing()
-        felt = self.sensitivity.of(mix.reshape(len(mix), -1))[counts] / std[counts, None]
+        felt = self.group.sensitivity.of(mix.reshape(len(mix), -1))[counts] / std[counts, None]
         felt = felt.reshape(-1, *mix.shape[1:])
         return np.asarray(np.abs(felt, out=felt).max(axis=0, initial=0.0))
 
@@ -91,7 +91,7 @@ class Hypotheses:
             self.values[which],
             self.along[which],
             lambda: self.mixing()[:, which],
-            self.sensitivity,
+            self.group,
             axes,
             None if times is None else lambda matrix: times(matrix)[:, which],
         )
@@ -115,14 +115,14 @@ class Hypotheses:
         mix = self.mixing()
         flat = mix.reshape(len(mix), -1)
         spread = (mix.swapaxes(0, 1) @ second).swapaxes(0, 1).reshape(flat.shape)
-        return Moment(self.sensitivity, flat @ first.ravel(), spread @ flat.T)
+        return Moment(self.group.sensitivity, flat @ first.ravel(), spread @ flat.T)
 
     def moments(self, weights: Floats, sizes: Floats = SIZES) -> tuple[Floats, Floats]:
         """Return sums (o,) of what the outputs are off by, and (o, o) of its square.
 
         ``weights`` (q, t): posterior probabilities.
         """
-        return total([self.moment(weights, sizes)], self.sensitivity.outputs)
+        return total([self.moment(weights, sizes)], self.group.sensitivity.outputs)
 
 
 def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
@@ -146,7 +146,7 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
 
     where = bounds(subsets) if large else None
     times = None if where is None else lambda matrix: _times_runs(group, subsets, where, matrix)
-    return Hypotheses(values, along, on_rows, group.sensitivity, vectors, times)
+    return Hypotheses(values, along, on_rows, group, vectors, times)
 
 
 def _of_any(group: Group, subsets: Bools) -> tuple[Floats, Floats]:
@@ -208,7 +208,7 @@ def scatter(group: Group) -> Hypotheses:
     """Return that all rows of the ``group`` are noisier, each by itself."""
     values, vectors = group.axes
     along = group.residual.ravel() @ vectors
-    return Hypotheses(values[None], along[None], lambda: vectors[:, None], group.sensitivity)
+    return Hypotheses(values[None], along[None], lambda: vectors[:, None], group)
 
 
 def free(group: Group, subset: Bools) -> Hypotheses:
@@ -226,7 +226,7 @@ def free(group: Group, subset: Bools) -> Hypotheses:
         mix[subset] = group.relative[subset][:, :, None] * axes.reshape(k, c, -1)
         return mix.reshape(-1, 1, k * c)
 
-    return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group.sensitivity)
+    return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group)
 
 
 @lru_cache(maxsize=256)
@@ -410,6 +410,6 @@ def studentised(group: Group, variance: float) -> Group:
     return replace(
         group,
         residual=group.residual / root,
-        sensitivity=group.sensitivity.weighted(root),
+        felt=lambda: group.sensitivity.weighted(root),
         unit=group.unit / root,
     )

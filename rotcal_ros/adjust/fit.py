@@ -32,6 +32,8 @@ FROZEN, SHRINKS = 0.01, 0.01
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
 the next one is so much smaller."""
 HALVINGS: Final = 20
+FEW: Final = 2_000_000
+"""Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -58,7 +60,7 @@ class Fit:
         """The derivatives (n, p + q) of the computed observations."""
         return self.jacobian.dense()
 
-    @property
+    @cached_property
     def _white_design(self) -> Design:
         return self.jacobian.weighted(self.used / self.std)
 
@@ -72,6 +74,16 @@ class Fit:
             return found
         _require_told(self.model, design)
         return _whole(self.model, design)
+
+    def weighed_by(self, std: Floats) -> Fit:
+        """Return the solution weighed by other ``std`` (n,), by the derivatives of this one."""
+        weight = self.used / std
+        steps = _Steps.of(self.model, self.jacobian.weighted(weight))
+        step, _ = steps(self.residual * weight, self.x)
+        residual = self.residual - self.jacobian.times(step)
+        return Fit(
+            self.model, self.x + step, residual, std, self.used, self.jacobian, steps.by_form
+        )
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
@@ -97,7 +109,7 @@ class Fit:
         """The sum of squares of what is used."""
         return float(self.white @ self.white)
 
-    @property
+    @cached_property
     def dof(self) -> int:
         """Observations in use minus unknowns that they determine."""
         return int(self.used.sum()) - self.kernel.rank
@@ -166,13 +178,22 @@ class Fit:
 
     def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
         """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
+        every = self._influence if outputs is None else None
         outputs = self.model.output_rows if outputs is None else outputs
-        found = self.kernel.response(outputs, rows)
+        found = self.kernel.response(outputs, rows) if every is None else every[:, rows]
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
                 found[:, mine] = self._spread[number][1][: len(outputs), at]
         return found
+
+    @cached_property
+    def _influence(self) -> Floats | None:
+        """What whitened errors do to the outputs (o + a, n), each as it is; None: too many."""
+        outputs, n = self.model.output_rows, len(self.std)
+        if len(outputs) * n > FEW:
+            return None
+        return self.kernel.response(outputs, np.arange(n))
 
     @cached_property
     def _spread(self) -> list[tuple[Floats, Floats]]:
@@ -210,10 +231,15 @@ class Fit:
 
         Each as it is, whatever they have in common.
         """
+        every = self._influence
+        if every is not None:
+            return every[:, rows]
         return self.kernel.response(self.model.output_rows, rows)
 
     def sensitivity(self, rows: Ints) -> Sensitivity:
         """Return the same in parts that are few."""
+        if self._influence is not None:
+            return Sensitivity.whole(self._influence[:, rows])
         return self.kernel.sensitivity(self.model.output_rows, rows)
 
     def moved(self, white: Floats) -> Floats:

@@ -8,6 +8,7 @@ are what can be wrong as a whole: a length is one row, the centre of a ball thre
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -29,12 +30,12 @@ class Group:
 
     ``kind``, ``name``: for people, as "station" and "station 3". ``members`` (e,): the caller's
     numbers of the elements. ``residual`` (e, c): r, observed - computed, whitened. ``cofactor``
-    (e, c, e, c): R. ``sensitivity`` (o, e c): B, by how much an output is off per whitened unit
-    error. ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard
-    deviation; zero where an element lacks the axis, whose other entries are zero too.
-    ``gathered`` (q, e): subsets that lie together, see :mod:`.subsets`. ``lost``: how many
-    elements of the group were rejected before, which are no members. ``eigen``: eigenvalues and
-    vectors of R, where a layout's are remembered.
+    (e, c, e, c): R. ``felt``: returns :attr:`sensitivity`, which of few groups is asked for.
+    ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard deviation;
+    zero where an element lacks the axis, whose other entries are zero too. ``gathered`` (q, e):
+    subsets that lie together, see :mod:`.subsets`. ``lost``: how many elements of the group were
+    rejected before, which are no members. ``eigen``: eigenvalues and vectors of R, where a
+    layout's are remembered.
     """
 
     kind: str
@@ -42,7 +43,7 @@ class Group:
     members: Ints
     residual: Floats
     cofactor: Floats
-    sensitivity: Sensitivity
+    felt: Callable[[], Sensitivity]
     unit: Floats
     gathered: Bools
     lost: int = 0
@@ -57,7 +58,7 @@ class Group:
         residual: Floats,
         unit: Floats,
         leverage: Floats,
-        sensitivity: Sensitivity,
+        felt: Callable[[], Sensitivity],
         gathered: Bools | None = None,
         lost: int = 0,
     ) -> Group:
@@ -72,7 +73,7 @@ class Group:
         if gathered is None:
             gathered = np.zeros((0, len(members)), dtype=np.bool_)
         return cls(
-            kind, name, members, residual, cofactor.reshape(*shape, *shape), sensitivity, unit,
+            kind, name, members, residual, cofactor.reshape(*shape, *shape), felt, unit,
             gathered, lost,
         )  # fmt: skip
 
@@ -80,6 +81,11 @@ class Group:
     def size(self) -> int:
         """The number e of elements."""
         return len(self.members)
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity:
+        """B (o, e c): by how much an output is off per whitened unit error."""
+        return self.felt()
 
     @property
     def response(self) -> Floats:
@@ -260,10 +266,11 @@ class SolutionView:
         """
         rows = design.reshape(residual.size, -1)
         spread = rows @ self.covariance
-        sensitivity = Sensitivity.whole(np.asarray(self.outputs @ spread.T))
-        return Group.of(
-            kind, name, members, residual, unit, spread @ rows.T, sensitivity, gathered, lost
-        )
+
+        def felt() -> Sensitivity:
+            return Sensitivity.whole(np.asarray(self.outputs @ spread.T))
+
+        return Group.of(kind, name, members, residual, unit, spread @ rows.T, felt, gathered, lost)
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,8 +48,10 @@ ALIKE: Final = 20.0
 """Likelihood ratio below which two explanations are called nearly as good."""
 CANDIDATES: Final = 12
 """Best shifts of either kind that are tried as what to leave out."""
-DRAWS: Final = 500
-"""Sets of sound residuals that show how probable a Bayes factor is on sound data."""
+DRAWS: Final = (100, 400)
+"""Sets of sound residuals that show how probable a Bayes factor is on sound data, in turn."""
+OFTEN: Final = 10
+"""Draws that exceed a Bayes factor, with which its probability is known well enough."""
 POSSIBLE: Final = 0.9
 """Bayes factor below which nothing is suspected."""
 LARGEST_LOG: Final = 690.0
@@ -166,14 +168,18 @@ class Judgement:
         """
         if not self.possible:
             return 1.0
-        rng = np.random.default_rng(0)
-        total: list[Floats] = []
-        single = [np.full(DRAWS, np.log(1.0 - self.belief.outlier))]
-        for group, freedom in zip(self.groups, self.freedom, strict=True):
-            for part, prior, counts in _drawn(group, freedom, self.belief, rng):
-                (total if counts else single).append(part + prior - np.log(len(self.groups)))
-        drawn = log_sum(np.array(total).T) - log_sum(np.array(single).T)
-        return float((1 + (drawn >= self.log_bayes).sum()) / (1 + DRAWS))
+        rng, exceeded, drawn = np.random.default_rng(0), 0, 0
+        for count in DRAWS:
+            total: list[Floats] = []
+            single = [np.full(count, np.log(1.0 - self.belief.outlier))]
+            for group, freedom in zip(self.groups, self.freedom, strict=True):
+                for part, prior, counts in _drawn(group, freedom, self.belief, rng, count):
+                    (total if counts else single).append(part + prior - np.log(len(self.groups)))
+            logs = log_sum(np.array(total).T) - log_sum(np.array(single).T)
+            exceeded, drawn = exceeded + int((logs >= self.log_bayes).sum()), drawn + count
+            if exceeded >= OFTEN:
+                break
+        return (1 + exceeded) / (1 + drawn)
 
     def covariance(self) -> Floats:
         """Return what the probable errors add to the covariance (o, o) of the outputs."""
@@ -253,25 +259,25 @@ def _weigh(g: int, group: Group, belief: Belief, searched: float) -> list[Weighe
 
 
 def _drawn(
-    group: Group, freedom: float, belief: Belief, rng: np.random.Generator
+    group: Group, freedom: float, belief: Belief, rng: np.random.Generator, count: int
 ) -> list[tuple[Floats, float, bool]]:
-    """Return ln of the mean Bayes factor (DRAWS,) of each family on sound residuals.
+    """Return ln of the mean Bayes factor (count,) of each family on sound residuals.
 
     With ln of its prior, and whether it gathers.
     """
     values, vectors = group.axes
-    normal = rng.standard_normal((len(values), DRAWS))
+    normal = rng.standard_normal((len(values), count))
     # by the symmetric root: vectors of equal values may turn with the rounding
     drawn = vectors @ (np.sqrt(values)[:, None] * (vectors.T @ normal))
     if np.isfinite(freedom):
-        drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)
-    whole = log_bayes(np.tile(values, (DRAWS, 1)), (vectors.T @ drawn).T)
+        drawn /= np.sqrt(rng.chisquare(freedom, count) / freedom)
+    whole = log_bayes(np.tile(values, (count, 1)), (vectors.T @ drawn).T)
     families, noisier = _families(group, belief)
     alike = np.log(len(SIZES))
     found = [(log_sum(whole) - alike, float(np.log(noisier)), True)]
     for k, (subsets, prior) in enumerate(families):
         form = shifts(group, subsets)
-        score = drawn.reshape(*group.residual.shape, DRAWS) * group.relative[:, :, None]
+        score = drawn.reshape(*group.residual.shape, count) * group.relative[:, :, None]
         along = subsets.astype(np.float64) @ np.moveaxis(score, 0, 1)  # (c, q, r)
         along = np.moveaxis(along, 2, 0).swapaxes(1, 2)
         if form.axes is not None:

@@ -17,7 +17,7 @@ from scipy.special import gammaln
 
 from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
 from rotcal_ros.adjust.distributions import f_isf
-from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test
+from rotcal_ros.adjust.effects import EffectTest, Seen, SeenFamily, effect_test, family_test
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import judged
 from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole, Undivided
@@ -25,7 +25,6 @@ from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
 from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
-from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
 RARER: Final = 3.0
@@ -62,12 +61,10 @@ class Look:
 
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""
-        model, limits = self.before.model, self.before.limits
-        if self.singles and self._stands_out(self.singles[0]):
+        limits = self.before.limits
+        if len(self._oddest) and self._stands_out(self._oddest[0]):
             yield self.singles[0]
-        for members in self.effects:
-            if members[0].probability < limits.of_each_effect(model):
-                yield members[0]
+        yield from self.significant_effects()
         judgement = self.diagnosis.gathering.judgement
         # proof takes the noise for known; of few residuals its chance is drawn
         if (
@@ -76,6 +73,12 @@ class Look:
             and judgement.chance < limits.significance
         ):
             yield from self.groups[:1]
+
+    def significant_effects(self) -> Iterator[Explanation]:
+        """Yield the best explanation by each effect that is beyond chance."""
+        limit = self.before.limits.of_each_effect(self.before.model)
+        if any(test.probability < limit for _, _, test in self._tested):
+            yield from (each[0] for each in self.effects if each[0].probability < limit)
 
     def rivals(self, best: Explanation) -> list[Explanation]:
         """Return what explains the residuals nearly as well as ``best``, to another result."""
@@ -107,8 +110,8 @@ class Look:
         limit = rank * float(f_isf(limits.of_each_observation(model), max(rank, 1.0), left))
         return float(np.sqrt(squares / others)), float(np.sqrt(limit))
 
-    def _stands_out(self, single: Explanation) -> bool:
-        value, limit = self._test(self.before.model.of_element[single.rows[0]])
+    def _stands_out(self, element: int) -> bool:
+        value, limit = self._test(element)
         return value > limit
 
     def _support(self, squares: float, rank: int, alternatives: float) -> tuple[float, float]:
@@ -127,12 +130,17 @@ class Look:
     @cached_property
     def singles(self) -> list[Explanation]:
         """That one element is wrong, those first that stand out most."""
+        return [self._single(k) for k in self._oddest.tolist()]
+
+    @cached_property
+    def _oddest(self) -> Ints:
+        """The elements that stand out most, the first ones most."""
         fit, model = self.fit, self.before.model
         first, (squares, rank) = model.elements[:, 0], fit.element_test
         test = np.where((fit.used & model.may_go)[first], squares, 0.0)
         merit = test - (rank - 1) * np.log(max(int(fit.used.sum()), 2))
         order = np.argsort(-merit, kind="stable")[: MOST_RIVALS + 1]
-        return [self._single(k) for k in order.tolist() if test[k] > 0.0]
+        return order[test[order] > 0.0]
 
     def _single(self, element: int) -> Explanation:
         fit, model = self.fit, self.before.model
@@ -190,39 +198,52 @@ class Look:
     def effects(self) -> list[list[Explanation]]:
         """That a declared effect is there: each a list, of a family the best members first.
 
-        Of a family another member may be there, too; the one before leaves no residual any more.
         What moves may do so in one way alone, which costs less.
         """
-        taken = [e.effect for e in self.before.taken]
-        asked = (e for e in self.before.model.effects if e.family or e not in taken)
-        tried = [self._effect(effect) for effect in asked]
-        return [members for members in tried if members]
+        return [list(self._members(*each)) for each in self._tested]
 
-    def _effect(self, effect: Disturbing) -> list[Explanation]:
-        columns, width = effect.at(self.fit.computed), effect.width
-        if not effect.family:
-            whole = columns_of(columns, slice(None))
-            seen = seen_by(self.fit, whole)
-            test = effect_test(seen, self.rest, largest=effect.largest)
-            return [self._explanation(effect, whole, seen, test, 1)] if test.rank else []
-        family = family_seen_by(self.fit, columns, width)
-        if not family.squares.any():
-            return []
-        chance, found = family_test(family, self.rest).probability, list[Explanation]()
+    @cached_property
+    def _tested(self) -> list[tuple[Disturbing, Seen | SeenFamily, EffectTest]]:
+        """The declared effects that residuals can show, with their tests.
 
-        def tried(seen: Seen, first: int, count: int) -> None:
-            test = effect_test(seen, self.rest, largest=effect.largest)
+        Of a family another member may be there, too; the one before leaves no residual any more.
+        """
+        taken, found = [e.effect for e in self.before.taken], []
+        for effect in self.before.model.effects:
+            if not effect.family and effect in taken:
+                continue
+            columns = effect.at(self.fit.computed)
+            seen: Seen | SeenFamily
+            if effect.family:
+                seen = family_seen_by(self.fit, columns, effect.width)
+                test = family_test(seen, self.rest)
+            else:
+                seen = seen_by(self.fit, columns_of(columns, slice(None)))
+                test = effect_test(seen, self.rest, largest=effect.largest)
             if test.rank:
-                test, mine = test._replace(probability=chance), slice(first, first + count)
-                among = columns.shape[1] // count
-                written = columns_of(columns, mine)
-                found.append(self._explanation(effect, written, seen, test, among))
+                found.append((effect, seen, test))
+        return found
 
-        for k in _largest(family.squares):
-            tried(family.member(k), k * width, width)
-        for j in _largest(family.squares_of_one) if width > 1 else ():
-            tried(family.column(j), j, 1)
-        return sorted(found, key=lambda e: -e.support)
+    def _members(
+        self, effect: Disturbing, seen: Seen | SeenFamily, test: EffectTest
+    ) -> Iterator[Explanation]:
+        """Yield what an effect explains; of a family its best members, the best first."""
+        columns, width = effect.at(self.fit.computed), effect.width
+        if isinstance(seen, Seen):
+            yield self._explanation(effect, columns_of(columns, slice(None)), seen, test, 1)
+            return
+        tried = [(seen.member(k), k * width, width) for k in _largest(seen.squares)]
+        if width > 1:
+            tried += [(seen.column(j), j, 1) for j in _largest(seen.squares_of_one)]
+        found = []
+        for member, first, count in tried:
+            alone = effect_test(member, self.rest, largest=effect.largest)
+            if alone.rank:
+                alone = alone._replace(probability=test.probability)
+                written = columns_of(columns, slice(first, first + count))
+                among = columns.shape[1] // count
+                found.append(self._explanation(effect, written, member, alone, among))
+        yield from sorted(found, key=lambda e: -e.support)
 
     def _explanation(
         self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest, among: int
@@ -306,13 +327,9 @@ class Look:
         fit, gathered = self.fit, gathered_of(grouping, members)
         table = fit.model.elements[members]
         rows = table[:, : int((table[0] >= 0).sum())]
-        # of others it is not asked what gathers, nor what that would do
-        felt = Sensitivity.whole(np.zeros((0, rows.size)))
-        if len(gathered):
-            felt = fit.sensitivity(rows.ravel())
         return Group.of(
             grouping.kind, name, members, fit.white[rows], 1.0 / fit.std[rows],
-            fit.kernel.among(rows.ravel()), felt, gathered, lost,
+            fit.kernel.among(rows.ravel()), lambda: fit.sensitivity(rows.ravel()), gathered, lost,
         )  # fmt: skip
 
 

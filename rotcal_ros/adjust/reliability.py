@@ -81,7 +81,7 @@ def hidden(
         for group, found, dof in zip(groups, gathered, freedom, strict=True)
         if len(group.gathered)
     ]
-    reach = _Reach.of(unseen[0].found.sensitivity, std)
+    reach = _Reach.of(unseen[0].found.group.sensitivity, std)
     most = np.array([reach.most(each) for each in unseen])
     found, reached = dict[int, Hidden](), 0.0
     for k in np.argsort(-most, kind="stable").tolist():
@@ -149,7 +149,7 @@ class _Reach:
 
     def most(self, unseen: _Unseen) -> float:
         """Return what the error of no subset exceeds."""
-        sensitivity = unseen.found.sensitivity
+        sensitivity = unseen.found.group.sensitivity
         if self.root is None or sensitivity.common is None:
             return np.inf
         times = unseen.found.times

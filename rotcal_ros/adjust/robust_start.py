@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from scipy.special import chdtrc
 
 from rotcal_ros.adjust.diagnosis import Limits
-from rotcal_ros.adjust.distributions import chi2_sf, sidak
+from rotcal_ros.adjust.distributions import sidak
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
@@ -50,22 +51,38 @@ def robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
 
 
 def _sound(fit: Fit, limits: Limits) -> bool:
-    """Whether no element stands out, and no component of the noise or group scatters too much."""
+    """Whether no element stands out, and no group scatters too much.
+
+    Noise that is larger than stated bends nothing: a component that scatters too much counts by
+    the median of its residuals.
+    """
     model = fit.model
+    white, components = fit.white, len(model.components)
+    noisy = _scattering(fit, white, model.of_component, components)
+    if noisy.any():
+        test, scale = np.abs(fit.test_value), np.ones(components)
+        for k in np.flatnonzero(noisy):
+            mine = test[model.of_component == k]
+            scale[k] = max(float(np.median(mine[mine > 0.0])) / NORMAL_QUARTILE, 1.0)
+        white = white / scale[model.of_component]
+        loudest = scale[model.of_component[model.elements[:, 0]]]
+    else:
+        loudest = np.ones(len(model.elements))
     squares, rank = fit.element_test
-    if (squares > limits.of_squares(model, rank)).any():
+    if (squares / loudest**2 > limits.of_squares(model, rank)).any():
         return False
-    parts = [(model.of_component, len(model.components))]
-    parts += [(g.number, int(g.number.max(initial=-1)) + 1) for g in model.groupings]
-    for number, count in parts:
-        mine = number >= 0
-        scatter = np.bincount(number[mine], fit.white[mine] ** 2, count)
-        checked = np.bincount(number[mine], fit.redundancy[mine], count)
-        least = sidak(SURELY, int((checked > LEAST_REDUNDANCY).sum()))
-        for q, r in zip(scatter.tolist(), checked.tolist(), strict=True):
-            if r > LEAST_REDUNDANCY and chi2_sf(q, r) < least:
-                return False
-    return True
+    numbers = ((g.number, int(g.number.max(initial=-1)) + 1) for g in model.groupings)
+    return not any(_scattering(fit, white, number, count).any() for number, count in numbers)
+
+
+def _scattering(fit: Fit, white: Floats, number: Ints, count: int) -> Bools:
+    """Return which groups (count,) of rows of a ``number`` (n,) scatter more than chance would."""
+    mine = number >= 0
+    squares = np.bincount(number[mine], white[mine] ** 2, count)
+    checked = np.bincount(number[mine], fit.redundancy[mine], count)
+    tested = checked > LEAST_REDUNDANCY
+    chance = chdtrc(np.where(tested, checked, 1.0), squares)
+    return np.asarray(tested & (chance < sidak(SURELY, int(tested.sum()))))
 
 
 def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:

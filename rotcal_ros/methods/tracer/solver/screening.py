@@ -48,6 +48,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -145,13 +146,14 @@ def groups_of(
             cofactor = view.cofactor(strip, target, unit)
             found.append(Undivided(places.kind, places.name, white, cofactor, places.lost))
             continue
-        leverage, sensitivity = view.leverage(strip, target), view.sensitivity(strip, target)
+        leverage = view.leverage(strip, target)
+        sensitivity = view.sensitivity(strip, target)
         number = np.ravel_multi_index((strip, target), grid.used.shape)
         found.append(
             Group.of(
                 places.kind, places.name, number, white[:, None], unit[:, None],
-                leverage * unit * unit[:, None], sensitivity.weighted(unit), places.gathered,
-                places.lost,
+                leverage * unit * unit[:, None], partial(sensitivity.weighted, unit),
+                places.gathered, places.lost,
             )
         )  # fmt: skip
     return tuple(found)
