@@ -33,7 +33,7 @@ from rotcal_ros.adjust.noise import (
     estimate_factors,
 )
 from rotcal_ros.adjust.robust_start import robust_start
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 
 TIED: Final = 1e-6
@@ -221,9 +221,11 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     """Return the noise as stated, or estimated where that is contradicted, and the fit with it.
 
     ``bent``: large residuals count no more than some, while outliers are about. A component that
-    scatters less than any instrument is exact, made-up data: its statement stays.
+    scatters less than any instrument is exact, made-up data: its statement stays. Where nothing
+    is stated, it has the least noise that the model admits.
     """
-    ones = np.ones(len(diagnosis.model.components))
+    model, ones = diagnosis.model, np.ones(len(diagnosis.model.components))
+    least = model.least_factors if model.unstated else ones
     stated = diagnosis.fitted(ones, diagnosis.start)
     if _as_stated(diagnosis, stated, bent):
         return Noise(ones), stated
@@ -231,13 +233,14 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
     held = np.zeros(len(ones), dtype=np.bool_)
     while True:
-        found, fit = _estimated_noise(diagnosis, stated, bent, held)
-        exact = ~held & (found.factors < LEAST_FACTOR * (1.0 + 1e-9))
+        found, fit = _estimated_noise(diagnosis, stated, bent, np.where(held, least, np.nan))
+        lowest = least if model.unstated else LEAST_FACTOR
+        exact = ~held & (found.factors < lowest * (1.0 + 1e-9))
         if not exact.any():
             return Noise(found.factors, found), fit
         held |= exact
         if held[checked].all():
-            return Noise(ones), stated
+            return Noise(least), diagnosis.fitted(least, stated.x) if model.unstated else stated
 
 
 def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
@@ -249,22 +252,24 @@ def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
 
 
 def _estimated_noise(
-    diagnosis: Diagnosis, stated: Fit, bent: bool, held: Bools
+    diagnosis: Diagnosis, stated: Fit, bent: bool, known: Floats
 ) -> tuple[EstimatedFactors, Fit]:
-    """Return the factors of the components but those that are ``held`` (c,) at one.
+    """Return the factors of the components, but those that are ``known`` (c,), not NaN.
 
     Other weights hardly move the solution: its derivatives are those ``stated``, but at the end.
     """
-    model = diagnosis.model
+    model, held = diagnosis.model, np.isfinite(known)
+    lowest = model.least_factors if model.unstated else np.full(len(held), LEAST_FACTOR)
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
         fit = before.weighed_by(model.std * factors[model.of_component])
         evidence = _evidence(fit, bent)
         return replace(evidence, present=evidence.present & ~held), fit
 
-    start = np.where(held, 1.0, diagnosis.noise.factors)
+    start = np.where(held, known, diagnosis.noise.factors)
     prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
-    found, fit = estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
+    settled = NEARLY_SETTLED if bent else SETTLED
+    found, fit = estimate_factors(at, stated, start, prior, settled, lowest)
     return found, diagnosis.fitted(found.factors, fit.x)
 
 

@@ -404,7 +404,8 @@ class Model:
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
     ``shared``: blocks that rows of many groups feel, where derivatives come as ``csr_array``.
-    ``unstated``: the noise is not known; ``std`` is a guess, no more than tenfold too large.
+    ``unstated``: the noise is not known, and ``std`` a guess; no standard deviation is held to be
+    below ``least``, as what the equations neglect.
     """
 
     blocks: Mapping[str, int]
@@ -430,6 +431,7 @@ class Model:
     closures: Sequence[KnownRelation] = ()
     shared: Sequence[str] = ()
     unstated: bool = False
+    least: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -533,6 +535,14 @@ class Model:
         if self.component is None:
             return np.zeros(len(self.observed), dtype=np.int64)
         return self.component
+
+    @cached_property
+    def least_factors(self) -> Floats:
+        """Factors (c,) of unstated noise that make the smallest of each component ``least``."""
+        number = self.of_component
+        guess = [self.std[number == k].min(initial=np.inf) for k in range(len(self.components))]
+        floor = np.maximum(self.least, np.finfo(np.float64).eps * np.abs(self.observed).max())
+        return np.asarray(np.minimum(floor / np.array(guess), 1.0))
 
     @cached_property
     def may_go(self) -> Bools:

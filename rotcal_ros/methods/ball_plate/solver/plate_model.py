@@ -81,23 +81,23 @@ class PlateRows:
             centres = (np.swapaxes(layout.radial, 1, 2) @ centres[:, :, None])[:, :, 0]
         return np.asarray(centres.ravel() + self.drift @ x[layout.unknowns :])
 
-    def noise(self, design: Design, misclosure: Floats) -> tuple[Floats, bool]:
+    def noise(self, design: Design, misclosure: Floats) -> tuple[Floats, float]:
         """Return standard deviations (3 n,), m: as stated, else as a first fit shows them.
 
-        And whether they have to be estimated: of centres without noise there is nothing to.
+        Then with the least that is noise; that is zero of stated ones.
         """
         problem, n = self.problem, len(self.frame)
         if problem.std is not None:
-            return problem.std[self.layout.row].ravel(), False
+            return problem.std[self.layout.row].ravel(), 0.0
         if problem.sigma is not None:
-            return np.full(3 * n, problem.sigma), False
+            return np.full(3 * n, problem.sigma), 0.0
         kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
         x = Defined.of(kernel, self.layout.definitions).solve(misclosure)
         left, checked = np.abs(misclosure - design.times(x)), 1.0 - kernel.leverage
         every = left / np.sqrt(np.maximum(checked, ROUNDING)) / QUARTILE
         axial, least = np.tile([False, False, True], n), self.layout.neglected(x)
         found = [max(float(np.median(every[part])), least) for part in (~axial, axial)]
-        return np.where(axial, found[1], found[0]), max(found) > least
+        return np.where(axial, found[1], found[0]), least
 
 
 def drift_columns(run_time: Floats, degree: int) -> Floats:
@@ -142,7 +142,7 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         return rows.computed(x), design
 
     start = np.zeros(layout.unknowns + drifts)
-    std, unstated = rows.noise(design, observed - rows.computed(start))
+    std, least = rows.noise(design, observed - rows.computed(start))
     blocks = {"table shift": 3 * table, "table turn": 3 * table, "CMM": 3 * cmm, "ball": 3 * ball}
     return Model(
         blocks=blocks | ({"drift": drifts} if drifts else {}),
@@ -159,7 +159,8 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         row_names=[problem.row_name(k) for k in layout.row.tolist() for _ in range(3)],
         element=np.repeat(np.arange(n), 3),
         definitions=np.pad(layout.definitions, ((0, 0), (0, drifts))),
-        unstated=unstated,
+        unstated=problem.std is None and problem.sigma is None,
+        least=least,
     )
 
 
@@ -206,7 +207,7 @@ def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
                    LARGEST, UM),
         Disturbing("growth", "the plate grew", grown, LARGEST_GROWTH, Unit("um/m", MICROMETRE)),
         Disturbing("knock", "the plate moved on the table", moved.reshape(3 * n, -1), LARGEST, UM,
-                   family=True, of_each=6),
+                   family=True, of_each=6, stays=True),
     )  # fmt: skip
     return found[1:] if problem.drift else found
 

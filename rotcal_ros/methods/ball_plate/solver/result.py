@@ -62,8 +62,6 @@ MOST_OPEN: Final = 0.25
 """Part of the table positions that may be left out for lack of balls."""
 PLAUSIBLE_K: Final = 20.0
 """Kelvin from which on a growth is not laid to the plate's temperature."""
-NOISELESS: Final = 1e-12
-"""Standard deviation of a coordinate, m, below which there is no noise."""
 PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 """Components that a plate shifted or tilted on the table takes back together."""
 NOT_CLOSED: Final = (
@@ -99,7 +97,8 @@ class PlateSolution:
     @property
     def noisy(self) -> bool:
         """Whether centres show any noise, or it was stated."""
-        return bool(self.found.fit.std.max() > NOISELESS)
+        model = self.found.model
+        return not model.unstated or bool(self.found.fit.std.max() > model.least)
 
     @property
     def parts(self) -> dict[str, slice]:
@@ -222,6 +221,8 @@ def _unequal(layout: PlateLayout, found: Adjusted) -> bool:
     rows, fit = PlateRows(layout), found.fit
     if not rows.turned or found.found_effects or len(found.model.components) != len(IN_PLANE):
         return False
+    if found.model.unstated and not found.diagnosis.noise.estimated:
+        return False  # there is none
     used = fit.used.reshape(-1, 3)[:, 0]
     left = (np.swapaxes(rows.frame, 1, 2) @ fit.white.reshape(-1, 3, 1))[used, :2, 0]
     x, y = (left**2).sum(axis=0).tolist()
