@@ -112,7 +112,8 @@ def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
 def _price(model: Model, rows: Ints) -> float:
     """Return the price of ``rows`` that explain themselves, by elements among all."""
     elements = len(np.unique(model.of_element[rows]))
-    return (len(rows) + 2 * elements) * float(np.log(len(model.observed)))
+    among = 2 * elements * np.log(max(model.rejectable, 1))
+    return float(len(rows) * np.log(len(model.observed)) + among)
 
 
 def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
@@ -193,12 +194,39 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         best = _first(look.significant(), diagnosis)
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
+        elif (together := _together(diagnosis.solved(fit))) is not None:
+            diagnosis = together
         elif not bent:
             return diagnosis.solved(fit)
         elif noise.estimated is None and _as_stated(diagnosis, fit, bent=False):
             return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
+
+
+def _together(diagnosis: Diagnosis) -> Diagnosis | None:
+    """Return that what was left out of one group, one by one, is off together; None: it is not.
+
+    Which of them go first, noise decides: with all of them it is asked again who is to blame.
+    """
+    model, alone = diagnosis.model, ~diagnosis.used
+    for case in diagnosis.gathering.blamed:
+        alone[model.rows_of(case.group.members[case.subset])] = False
+    for grouping in (g for g in model.groupings if g.gathers):
+        for number in np.unique(grouping.number[alone & (grouping.number >= 0)]).tolist():
+            back = np.flatnonzero(alone & (grouping.number == number))
+            if len(np.unique(model.of_element[back])) < 2:
+                continue
+            why = {row: text for row, text in diagnosis.why.items() if row not in back}
+            price = diagnosis.price - _price(model, back)
+            whole = replace(diagnosis, why=why, price=price)
+            found = Look(whole, whole.fit).together(f"{grouping.kind} {number}")
+            if found is None or not _bearable(whole, found):
+                continue
+            other = whole.holding(found)
+            if _improbability(other) <= _improbability(diagnosis):
+                return other
+    return None
 
 
 def _first(found: Iterable[Explanation], diagnosis: Diagnosis) -> Explanation | None:

@@ -70,13 +70,15 @@ class Grouping(NamedTuple):
     ``number`` (n,): which one each belongs to, -1 for none. ``along`` (n,): a time or place along
     which neighbours are spoiled together. ``near`` (n, k): places with neighbours all round, unit
     vectors for directions, of which a sector closes round the circle. Of neither: only the whole
-    group is judged.
+    group is judged. ``frame`` (n, c, c): takes the c rows of each one's element, of one noise, to
+    the axes along which those of a group are off alike; None: that are the rows.
     """
 
     kind: str
     number: Ints
     along: Floats | None = None
     near: Floats | None = None
+    frame: Floats | None = None
 
     @property
     def gathers(self) -> bool:
@@ -85,8 +87,9 @@ class Grouping(NamedTuple):
 
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
-        along, near = (None if each is None else each[rows] for each in (self.along, self.near))
-        return Grouping(self.kind, self.number[rows], along, near)
+        known = (self.along, self.near, self.frame)
+        found = (None if each is None else each[rows] for each in known)
+        return Grouping(self.kind, self.number[rows], *found)
 
     def with_others(self, below: int, above: int = 0) -> Grouping:
         """Return the same beside further observations, below and above, that belong to none."""
@@ -96,6 +99,7 @@ class Grouping(NamedTuple):
             np.pad(self.number, rows, constant_values=-1),
             None if self.along is None else np.pad(self.along, rows),
             None if self.near is None else np.pad(self.near, (rows, (0, 0))),
+            None if self.frame is None else np.pad(self.frame, (rows, (0, 0), (0, 0))),
         )
 
 

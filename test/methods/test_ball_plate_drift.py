@@ -119,12 +119,12 @@ def test_a_stated_allowance_enlarges_the_uncertainty_by_what_it_does():
     plain, _ = measured(36, DEMO_PLATE, 2, order)
     bounded, _ = measured(36, DEMO_PLATE, 2, order, drift_allowance=1e-6)
     disturbed, _ = measured(
-        36, DEMO_PLATE, 2, order, displaced=lambda i, _: drifted(len(i), [1e-6, 1e-6, 1e-6])
-    )
+        36, DEMO_PLATE, 2, order, displaced=lambda i, _: drifted(len(i), [1e-7, 1e-7, 1e-7])
+    )  # a tenth, which stays unseen
     less, more, moved = solve(plain), solve(bounded), solve(disturbed)
     assert "drift" not in more.unprotected
     assert more.protections[0].treatment == "bounded"
-    error = moved.deviations["EZC"] - less.deviations["EZC"]
+    error = 10.0 * (moved.deviations["EZC"] - less.deviations["EZC"])
     added = more.std["EZC"] ** 2 - less.std["EZC"] ** 2
     np.testing.assert_allclose(added, error**2 / 3.0, atol=0.02 * np.max(error**2))
     for name in COMPONENTS:

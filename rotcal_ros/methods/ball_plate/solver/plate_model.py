@@ -154,7 +154,7 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         unit=UM,
         components=IN_PLANE if rows.turned else BY_AXIS,
         component=np.tile([0, 0, 1] if rows.turned else [0, 1, 2], n),
-        groupings=_groupings(layout),
+        groupings=_groupings(rows),
         effects=_effects(rows),
         row_names=[problem.row_name(k) for k in layout.row.tolist() for _ in range(3)],
         element=np.repeat(np.arange(n), 3),
@@ -171,25 +171,31 @@ def _wider(outputs: Outputs, more: int) -> Outputs:
     return Outputs(few, np.pad(outputs.common, ((0, 0), (0, more))), outputs.share)
 
 
-def _groupings(layout: PlateLayout) -> list[Grouping]:
+def _groupings(rows: PlateRows) -> list[Grouping]:
     """Return what may be spoiled together: of a table position, a ball, a CMM position.
 
     Neighbours round the plate or the table are near each other; of large problems it is not
-    asked which.
+    asked which. What spoils a position moves balls alike in the machine's axes, what spoils a ball
+    on the plate does so radially and tangentially.
     """
+    layout = rows.layout
     problem, row = layout.problem, layout.row
     table, ball, place = (
         each[row] for each in (problem.position, problem.ball_step, problem.cmm_index)
     )
     circle = on_circle(problem.angles) if layout.unknowns <= JUDGED else None
 
-    def grouping(kind: str, number: Ints, beside: Ints) -> Grouping:
-        near = None if circle is None else np.repeat(circle[beside], 3, axis=0)
-        return Grouping(kind, np.repeat(number, 3), near=near)
+    def grouping(kind: str, number: Ints, beside: Ints, frame: Floats) -> Grouping:
+        if circle is None:
+            return Grouping(kind, np.repeat(number, 3))
+        frame = np.repeat(frame @ np.swapaxes(rows.frame, 1, 2), 3, axis=0)
+        near = np.repeat(circle[beside], 3, axis=0)
+        return Grouping(kind, np.repeat(number, 3), near=near, frame=frame)
 
-    of_ball = [] if circle is None else [grouping("ball step", ball, table)]
+    machine = np.eye(3)[None]
+    of_ball = [] if circle is None else [grouping("ball step", ball, table, layout.radial)]
     cmm = Grouping("CMM position", np.repeat(place, 3))
-    return [grouping("table position", table, ball), *of_ball, cmm]
+    return [grouping("table position", table, ball, machine), *of_ball, cmm]
 
 
 def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotcal_ros.adjust import engine
 from rotcal_ros.adjust.diagnosis import Limits
-from rotcal_ros.adjust.distributions import f_sf
+from rotcal_ros.adjust.distributions import f_sf, normal_isf
 from rotcal_ros.adjust.engine import Adjusted, FoundEffect, Trials
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -51,6 +51,8 @@ LIMITS: Final = Limits(rejected_share=0.02)
 """Dirt on one ball of fifty is nothing unusual; two of twelve at one position are."""
 AXIS_SIGNIFICANCE: Final = 0.001
 """Level of the test whether the centres scatter alike along x and y."""
+UNEQUAL: Final = 3.0
+"""Times that centres may scatter along one axis as much as along another."""
 VISIBLE: Final = 0.01
 """Part of a drift's sum of squares that must be left in the residuals to estimate it."""
 HIDDEN_DRIFT: Final = (
@@ -394,9 +396,14 @@ def _doubts(solution: PlateSolution) -> Iterator[str]:
     for effect in found.found_effects:
         if effect.effect.effect == "growth":
             yield _of_growth(effect, solution.fitted.material)
-    if solution.by_axis and found.model.unstated:
-        noise = found.model.std[:3] * found.diagnosis.noise.factors / MICROMETRE
-        shown = ", ".join(f"{size:.3g}" for size in noise.tolist())
+    estimated = found.diagnosis.noise.estimated
+    if not found.model.unstated or estimated is None:
+        return
+    noise, known = found.fit.std[:3], estimated.log_std[found.model.of_component[:3]]
+    apart = np.hypot(known[noise.argmin()], known[noise.argmax()])
+    least = np.log(noise.max() / noise.min()) - normal_isf(0.5 * AXIS_SIGNIFICANCE) * apart
+    if solution.by_axis or least > np.log(UNEQUAL):
+        shown = ", ".join(f"{size / MICROMETRE:.3g}" for size in noise.tolist())
         yield (
             f"the centres scatter unequally, by {shown} um along x, y and z: each axis counts by "
             "its own noise; state solver.sigma_axes_m, or find out why"
