@@ -534,7 +534,7 @@ def _doubts(found: Adjusted) -> Iterator[str]:
         )
     yield from gathering.doubts(
         found.diagnosis.gathering,
-        GatheringLimits(limits.rejected_share, limits.significance),
+        GatheringLimits(limits.gathered_share, limits.significance),
         model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
     )
     yield from _open(found)

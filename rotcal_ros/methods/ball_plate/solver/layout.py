@@ -29,7 +29,7 @@ from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.circles import Circular, Turns
-from rotcal_ros.adjust.kernels import Defined
+from rotcal_ros.adjust.kernels import Defined, Design
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
@@ -214,7 +214,7 @@ class PlateLayout:
             np.repeat(self.places[self.cmm] % self.size, 3),
         )  # fmt: skip
         n = len(found.turn)
-        return Circular(self.rows, found, np.ones(n), np.zeros((n, 0)))
+        return Circular(self.rows, found, np.ones(n), np.zeros((n, 0)), self.by_place(self.rows))
 
     def _by_group(self, mine: Ints, values: Floats) -> Floats:
         """Return ``values`` (m, 3, k) of places as columns of their groups, (m, 3, g, k)."""
@@ -386,13 +386,15 @@ class PlateLayout:
         read = (self.radial @ deviations[self.row][:, :, None]).ravel()
         return np.asarray(self.curves() @ self._kernel.solve(read))
 
+    def by_place(self, rows: csr_array) -> Groups | None:
+        """Return how the unknowns of ``rows`` fall into places of the table; others are shared."""
+        return Groups.of(rows, np.arange(6 * self.counts[0], self.unknowns))
+
     @cached_property
     def _kernel(self) -> Defined:
-        joined = np.arange(6 * self.counts[0], self.unknowns)
-        rows, nothing = self.rows, np.zeros((0, self.unknowns))
-        found = None if self.circular is None else self.circular.kernel()
-        by_groups = FewEach(rows, nothing, groups=Groups.of(rows, joined))
-        kernel = by_groups.kernel() if found is None else found
+        none = np.zeros((0, self.unknowns))
+        design: Design = FewEach(self.rows, none, groups=self.by_place(self.rows))
+        kernel = (self.circular or design).kernel()
         if kernel is None or kernel.directions.shape[1] != FREE * self.groups:
             raise ObservabilityError("these balls and CMM positions do not separate the errors")
         return Defined.of(kernel, self.definitions)

@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 from scipy.sparse import block_diag, csr_array
 
-from rotcal_ros.adjust.bordered import FewEach, Groups
+from rotcal_ros.adjust.bordered import FewEach
 from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.kernels import Defined, Design, Whole
+from rotcal_ros.adjust.kernels import Defined, Design, Updated, Whole
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -64,13 +64,12 @@ class PlateRows:
         """Return the design: by circles where these are complete and all centres weigh alike."""
         layout, problem = self.layout, self.problem
         circular = layout.circular if self.turned and problem.weighed_alike else None
-        if circular is not None and circular.kernel() is not None:
+        if circular is not None and isinstance(circular.kernel(), Updated):
             return circular.with_extra(self.drift)
         rows = layout.rows
         if not self.turned:
             rows = csr_array(block_diag(np.swapaxes(layout.radial, 1, 2), format="csr") @ rows)
-        joined = np.arange(6 * layout.counts[0], layout.unknowns)
-        found = FewEach(rows, np.zeros((0, layout.unknowns)), groups=Groups.of(rows, joined))
+        found = FewEach(rows, np.zeros((0, layout.unknowns)), groups=layout.by_place(rows))
         return found.with_extra(self.drift) if self.problem.drift else found
 
     def computed(self, x: Floats) -> Floats:

@@ -47,8 +47,8 @@ from rotcal_ros.methods.ball_plate.solver.separability import (
 )
 
 METHOD: Final = "ball_plate"
-LIMITS: Final = Limits(rejected_share=0.02)
-"""Dirt on one ball of fifty is nothing unusual; two of twelve at one position are."""
+LIMITS: Final = Limits(rejected_share=0.02, gathered_share=3e-4)
+"""Dirt on one ball of fifty is nothing unusual; on two of twelve at one position it is."""
 AXIS_SIGNIFICANCE: Final = 0.001
 """Level of the test whether the centres scatter alike along x and y."""
 UNEQUAL: Final = 3.0
