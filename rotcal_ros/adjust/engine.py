@@ -627,7 +627,7 @@ def _unseen(
 ) -> Unseen:
     size, limits = effect.largest, {"significance": significance, "power": POWER, "dof": dof}
     if isinstance(seen, SeenFamily):
-        return unseen_family(seen, std, size, **limits)
+        return unseen_family(seen, std, size, usual=effect.usual, **limits)
     return unseen(seen, std, size, **limits)
 
 

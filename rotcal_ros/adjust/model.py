@@ -192,7 +192,8 @@ class Disturbing:
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
     ``family`` has members of which at most one is there, in the order of time, each of so many
     columns as its :attr:`width`; other columns are there together. What ``stays`` does so from
-    its moment on until the run ends, as :class:`Steps` do.
+    its moment on until the run ends, as :class:`Steps` do. Where its moment is random, what may
+    stay unseen is told of this ``usual`` share of them, not of the worst.
     """
 
     effect: Effect
@@ -203,6 +204,7 @@ class Disturbing:
     family: bool = False
     of_each: int = 1
     stays: bool = False
+    usual: float = 1.0
 
     @property
     def width(self) -> int:

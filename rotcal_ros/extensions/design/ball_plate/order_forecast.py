@@ -7,10 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.closures import Closed
 from rotcal_ros.adjust.distributions import noncentrality
-from rotcal_ros.adjust.effects import Seen, unseen
+from rotcal_ros.adjust.effects import Seen, SeenFamily, unseen
 from rotcal_ros.adjust.engine import LIMITS
 from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.model import Disturbing
 from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
@@ -19,6 +21,7 @@ from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.plate_model import (
     LARGEST,
+    RANDOM_MOMENTS,
     PlateRows,
     drift_columns,
     plate_model,
@@ -29,8 +32,6 @@ from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_ci
 AXES: Final = ("x", "y", "z")
 MOMENTS: Final = 40
 """Moments at which a knock is looked at, evenly over the run."""
-RANDOM_MOMENTS: Final = 0.95
-"""A knock comes at a random moment: its error is that of all but the worst 5 % of them."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +80,24 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     model, rows = plate_model(layout), PlateRows(layout)
     fit = fitted(model, np.ones(len(model.observed), dtype=np.bool_), model.std, model.first)
     std, significance = fit.counting(fit.noise_std), LIMITS.of_each_effect(model)
-    drift = seen_by(fit, rows.of(drift_columns(rows.time, 1)))
+    closed = [Closed(fit, relation, 1.0, np.inf) for relation in model.closures]
+
+    def seen_of(displacements: Floats) -> Seen:
+        columns = rows.of(displacements)
+        seen: Seen | SeenFamily = seen_by(fit, columns)
+        for each in closed:
+            seen = each.beside(Disturbing("drift", "", columns, LARGEST), seen)
+        assert isinstance(seen, Seen)
+        return seen
+
+    drift = seen_of(drift_columns(rows.time, 1))
     motion = plate_motion(problem)[layout.row]
     moments = np.unique(np.ceil((np.arange(MOMENTS) + 0.5) / MOMENTS * len(row)))
     knocks = [
-        seen_by(fit, rows.of(motion * (np.arange(len(row)) >= moment)[:, None, None]))
-        for moment in moments
+        seen_of(motion * (np.arange(len(row)) >= moment)[:, None, None]) for moment in moments
     ]
     places = radius * on_circle(problem.angles[problem.cmm_index[layout.row]])
-    growth = seen_by(fit, rows.of((rows.time[:, None] * places)[:, :, None]))
+    growth = seen_of((rows.time[:, None] * places)[:, :, None])
     single = len(moments) * 6
     drifts = [_effect(fit, "drift", a, a, [drift], 1.0, significance) for a in range(3)]
     moves = [

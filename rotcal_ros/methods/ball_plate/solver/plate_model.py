@@ -15,9 +15,9 @@ from rotcal_ros.adjust.bordered import FewEach
 from rotcal_ros.adjust.designs import Derivatives
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.kernels import Defined, Design, Updated, Whole
-from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, Model, Unit
+from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, KnownRelation, Model, Unit
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.solver.layout import ROUNDING, PlateLayout
@@ -35,6 +35,12 @@ QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 MOMENTS: Final = 40
 """Moments at which a knock is looked for, evenly over the run; a quarter where each costs more."""
+RANDOM_MOMENTS: Final = 0.95
+"""A knock comes at a random moment: its error is that of all but the worst 5 % of them."""
+AGAIN: Final = "table position measured again"
+NOT_CLOSED: Final = "the table position that was measured again at the end had changed"
+MOST_REPEATED: Final = 0.2
+"""Part of the rows that the last stops may repeat; more is a measurement of its own."""
 MANY_CENTRES: Final = 3000
 JUDGED: Final = 1200
 """Unknowns up to which it is asked which centres of a place are off together."""
@@ -44,7 +50,8 @@ class PlateRows:
     """The rows of a model: three of each centre of a ``layout``, in the order of measurement.
 
     ``frame`` (n, 3, 3) takes machine coordinates to them. ``by_axis``: x and y have noise of
-    their own.
+    their own. ``extra`` (3 n, q): columns of further unknowns, the drift and where the table
+    stands at positions that the last stops measure once more.
     """
 
     def __init__(self, layout: PlateLayout, *, by_axis: bool = False) -> None:
@@ -55,22 +62,37 @@ class PlateRows:
         self.frame = layout.radial if self.turned else np.eye(3)[None].repeat(len(layout.row), 0)
         self.time = self.problem.run_time[layout.row]
         self.drift = self.of(drift_columns(self.time, self.problem.drift))
+        self.again = self._again()
+        self.extra = np.hstack([self.drift, self.again])
 
     def of(self, displacements: Floats) -> Floats:
         """Return rows (3 n, k) of ``displacements`` (n, 3, k) in machine coordinates."""
         return np.asarray((self.frame @ displacements).reshape(3 * len(self.frame), -1))
+
+    def _again(self) -> Floats:
+        """Return what the closing rows feel of the table at their positions, (3 n, 6 k)."""
+        layout, closing = self.layout, np.flatnonzero(closing_rows(self.problem)[self.layout.row])
+        spots, number = np.unique(layout.at[closing], return_inverse=True)
+        felt = layout.rows[(3 * closing[:, None] + np.arange(3)).ravel()]
+        found = np.zeros((len(layout.row), 3, len(spots), 6))
+        for k, spot in enumerate(spots.tolist()):
+            own = felt[:, spot + layout.counts[0] * np.arange(6)].toarray().reshape(-1, 3, 6)
+            found[closing[number == k], :, k] = own[number == k]
+        if not self.turned:
+            found = np.einsum("nba,nbkj->nakj", layout.radial, found)
+        return found.reshape(3 * len(layout.row), -1)
 
     def design(self) -> Design:
         """Return the design: by circles where these are complete and all centres weigh alike."""
         layout, problem = self.layout, self.problem
         circular = layout.circular if self.turned and problem.weighed_alike else None
         if circular is not None and isinstance(circular.kernel(), Updated):
-            return circular.with_extra(self.drift)
+            return circular.with_extra(self.extra)
         rows = layout.rows
         if not self.turned:
             rows = csr_array(block_diag(np.swapaxes(layout.radial, 1, 2), format="csr") @ rows)
         found = FewEach(rows, np.zeros((0, layout.unknowns)), groups=layout.by_place(rows))
-        return found.with_extra(self.drift) if self.problem.drift else found
+        return found.with_extra(self.extra) if self.extra.size else found
 
     def computed(self, x: Floats) -> Floats:
         """Return what the unknowns make of the rows (3 n,)."""
@@ -78,7 +100,7 @@ class PlateRows:
         centres = layout.computed(x)
         if not self.turned:
             centres = (np.swapaxes(layout.radial, 1, 2) @ centres[:, :, None])[:, :, 0]
-        return np.asarray(centres.ravel() + self.drift @ x[layout.unknowns :])
+        return np.asarray(centres.ravel() + self.extra @ x[layout.unknowns :])
 
     def noise(self, design: Design, misclosure: Floats) -> tuple[Floats, float]:
         """Return standard deviations (3 n,), m: as stated, else as a first fit shows them.
@@ -97,6 +119,21 @@ class PlateRows:
         axial, least = np.tile([False, False, True], n), self.layout.neglected(x)
         found = [max(float(np.median(every[part])), least) for part in (~axial, axial)]
         return np.where(axial, found[1], found[0]), least
+
+
+def closing_rows(problem: BallPlateProblem) -> Bools:
+    """Return which rows (n,) the last stops repeat, so that what happened in between shows."""
+    stop = problem.stop
+    _, cell = np.unique(problem.cell, return_inverse=True)
+    earliest = np.full(cell.max() + 1, np.iinfo(np.int64).max)
+    np.minimum.at(earliest, cell, stop)
+    repeated, again = stop > earliest[cell], np.zeros(len(stop), dtype=np.bool_)
+    for last in range(int(stop.max()), 0, -1):  # from the end, while a stop mostly repeats
+        here = stop == last
+        if 2 * np.count_nonzero(repeated[here]) <= np.count_nonzero(here):
+            break
+        again |= here & repeated
+    return again if again.sum() <= MOST_REPEATED * len(again) else np.zeros_like(again)
 
 
 def drift_columns(run_time: Floats, degree: int) -> Floats:
@@ -134,21 +171,28 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
     """
     rows, problem = PlateRows(layout, by_axis=by_axis), layout.problem
     n, (table, cmm, ball) = len(layout.row), layout.counts
-    design, drifts = rows.design(), rows.drift.shape[1]
+    design, drifts, again = rows.design(), rows.drift.shape[1], rows.again.shape[1]
     observed = rows.of(problem.centres[layout.row][:, :, None]).ravel()
 
     def equations(x: Floats) -> tuple[Floats, Derivatives]:
         return rows.computed(x), design
 
-    start = np.zeros(layout.unknowns + drifts)
+    more = drifts + again
+    start = np.zeros(layout.unknowns + more)
     std, least = rows.noise(design, observed - rows.computed(start))
     blocks = {"table shift": 3 * table, "table turn": 3 * table, "CMM": 3 * cmm, "ball": 3 * ball}
+    blocks |= {name: k for name, k in (("drift", drifts), (AGAIN, again)) if k}
+    found = _wider(Outputs.alone(layout.curves()), more)
+    closing = np.eye(again, len(start), len(start) - again)
+    relation = KnownRelation(NOT_CLOSED, np.eye(again, found.shape[0] + again, found.shape[0]))
     return Model(
-        blocks=blocks | ({"drift": drifts} if drifts else {}),
+        blocks=blocks,
         observed=observed,
         std=std,
         equations=equations,
-        outputs=_wider(Outputs.alone(layout.curves()), drifts),
+        outputs=found,
+        also={AGAIN: closing} if again else {},
+        closures=[relation] if again else [],
         words=WORDS,
         unit=UM,
         components=IN_PLANE if rows.turned else BY_AXIS,
@@ -157,7 +201,7 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         effects=_effects(rows),
         row_names=[problem.row_name(k) for k in layout.row.tolist() for _ in range(3)],
         element=np.repeat(np.arange(n), 3),
-        definitions=np.pad(layout.definitions, ((0, 0), (0, drifts))),
+        definitions=np.pad(layout.definitions, ((0, 0), (0, more))),
         unstated=problem.std is None and problem.sigma is None,
         least=least,
     )
@@ -212,7 +256,7 @@ def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
                    LARGEST, UM),
         Disturbing("growth", "the plate grew", grown, LARGEST_GROWTH, Unit("um/m", MICROMETRE)),
         Disturbing("knock", "the plate moved on the table", moved.reshape(3 * n, -1), LARGEST, UM,
-                   family=True, of_each=6, stays=True),
+                   family=True, of_each=6, stays=True, usual=RANDOM_MOMENTS),
     )  # fmt: skip
     return found[1:] if problem.drift else found
 
