@@ -62,6 +62,12 @@ HIDDEN_DRIFT: Final = (
 )
 MOST_OPEN: Final = 0.25
 """Part of the table positions that may be left out for lack of balls."""
+FEW_BALLS: Final = 2 * MIN_BALLS
+"""Balls at a table position below which dirt may leave its errors open."""
+DIRTY_POSITION: Final = (
+    "without what is far off, too few balls are left at this table position, which leaves its six "
+    "errors open: the angle is left out"
+)
 PLAUSIBLE_K: Final = 20.0
 """Kelvin from which on a growth is not laid to the plate's temperature."""
 PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
@@ -185,14 +191,16 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
     """Return the solution of ``problem``; raises what :func:`solve` raises."""
     fitted, unusable, layout = _prepared(problem)
     try:
-        found = engine.adjust(plate_model(layout), LIMITS)
-        if by_axis := _unequal(layout, found):
-            found = engine.adjust(plate_model(layout, by_axis=True), LIMITS)
+        found, by_axis = _found(layout)
     except ObservabilityError as error:
         require_separable(fitted)  # names the harmonics, where it is the harmonics
-        if fitted.drift:
-            raise ObservabilityError(HIDDEN_DRIFT.format(0.0, VISIBLE)) from error
-        raise
+        less = _without_dirty_position(fitted, layout.groups)
+        if less is None:
+            if fitted.drift:
+                raise ObservabilityError(HIDDEN_DRIFT.format(0.0, VISIBLE)) from error
+            raise
+        left_out, fitted, layout, (found, by_axis) = less
+        unusable = (*unusable, *left_out)
     if fitted.drift:
         _require_visible(found, layout)
     if not found.fit.dof:
@@ -201,6 +209,37 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
             "measure more balls or CMM positions"
         )
     return PlateSolution(problem, fitted, layout, found, unusable, by_axis)
+
+
+def _found(layout: PlateLayout) -> tuple[Adjusted, bool]:
+    """Return what the engine finds, and whether x and y scatter unequally."""
+    found = engine.adjust(plate_model(layout), LIMITS)
+    if not _unequal(layout, found):
+        return found, False
+    return engine.adjust(plate_model(layout, by_axis=True), LIMITS), True
+
+
+def _without_dirty_position(
+    fitted: BallPlateProblem, groups: int
+) -> tuple[list[Rejection], BallPlateProblem, PlateLayout, tuple[Adjusted, bool]] | None:
+    """Return what is found without a table position of few balls, most of which are dirty.
+
+    None where that does not help.
+    """
+    count = balls_at_positions(fitted)
+    for position in np.flatnonzero((count > 0) & (count < FEW_BALLS)).tolist():
+        away = fitted.position == position
+        rejected = [
+            Rejection(int(fitted.rows[r]), f"{fitted.row_name(r)}: {DIRTY_POSITION}")
+            for r in np.flatnonzero(away).tolist()
+        ]
+        less = fitted.take(~away)
+        layout = PlateLayout(less, groups)
+        try:
+            return rejected, less, layout, _found(layout)
+        except ObservabilityError:
+            continue
+    return None
 
 
 def _require_visible(found: Adjusted, layout: PlateLayout) -> None:
