@@ -70,8 +70,12 @@ class PlateRows:
         return np.asarray((self.frame @ displacements).reshape(3 * len(self.frame), -1))
 
     def _again(self) -> Floats:
-        """Return what the closing rows feel of the table at their positions, (3 n, 6 k)."""
-        layout, closing = self.layout, np.flatnonzero(closing_rows(self.problem)[self.layout.row])
+        """Return what the closing rows feel of the table at their positions, (3 n, 6 k).
+
+        Where a drift is estimated it explains what changed: then they are rows like others.
+        """
+        layout, again = self.layout, closing_rows(self.problem)[self.layout.row]
+        closing = np.flatnonzero(again & (not self.problem.drift))
         spots, number = np.unique(layout.at[closing], return_inverse=True)
         felt = layout.rows[(3 * closing[:, None] + np.arange(3)).ravel()]
         found = np.zeros((len(layout.row), 3, len(spots), 6))
