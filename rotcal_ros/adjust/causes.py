@@ -33,7 +33,7 @@ from rotcal_ros.adjust.noise import (
     estimate_factors,
 )
 from rotcal_ros.adjust.robust_start import robust_start
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 
 TIED: Final = 1e-6
@@ -44,6 +44,8 @@ SAME_SIZE: Final = 0.05
 """Relative change of the size of a scatter that is no matter to what is judged."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
+GENEROUSLY: Final = 3.0
+"""Times what few effects explain each that they may explain together."""
 
 
 def found_causes(model: Model, limits: Limits) -> Diagnosis:
@@ -164,9 +166,12 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
 def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     """Return how few effects explain what else had to be noise; None if they do not."""
     ones = np.ones(len(diagnosis.model.components))
-    for _ in range(FEW_EFFECTS):
+    for left in range(FEW_EFFECTS, 0, -1):
         fit = diagnosis.fitted(ones, diagnosis.start)
         look = Look(replace(diagnosis, noise=Noise(ones), start=fit.x), fit)
+        most = sum(sorted(look.squares)[-left:])
+        if _excess(fit) > GENEROUSLY * most:
+            return None
         best = _first(look.significant_effects(), look.before)
         if best is None:
             return None
@@ -182,10 +187,21 @@ def _by_effects(diagnosis: Diagnosis) -> Diagnosis | None:
     return None
 
 
+def _excess(fit: Fit) -> float:
+    """Return by how much squared residuals exceed what noise as stated would make of them."""
+    expected = float(fit.redundancy.sum())
+    squares = float(bent_squares(fit.white**2, fit.redundancy, CHECKED).sum())
+    return squares - expected - 3.0 * float(np.sqrt(2.0 * expected))
+
+
 def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
         noise, fit = _settled_noise(diagnosis, bent)
+        if bent and noise.estimated is not None:
+            whole = _settled_noise(replace(diagnosis, noise=noise, start=fit.x), bent=False)
+            if _alike(noise, whole[0]):  # nothing bends it
+                bent, (noise, fit) = False, whole
         # what was judged before is judged anew: large groups are not kept twice
         gathering = replace(diagnosis.gathering, judgement=None)
         diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
@@ -259,16 +275,27 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
         return Noise(ones), stated
     evidence = _evidence(stated, bent)
     checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
-    held = np.zeros(len(ones), dtype=np.bool_)
+    held, fit, factors = np.zeros(len(ones), dtype=np.bool_), stated, diagnosis.noise.factors
+    if diagnosis.noise.estimated is not None:  # what was exact is so still
+        held = evidence.present & np.isnan(diagnosis.noise.estimated.log_std)
     while True:
-        found, fit = _estimated_noise(diagnosis, stated, bent, np.where(held, least, np.nan))
+        start = np.where(held, least, factors)
+        found, fit = _estimated_noise(diagnosis, fit, start, bent, held)
         lowest = least if model.unstated else LEAST_FACTOR
         exact = ~held & (found.factors < lowest * (1.0 + 1e-9))
         if not exact.any():
             return Noise(found.factors, found), fit
-        held |= exact
+        held, factors = held | exact, found.factors
         if held[checked].all():
             return Noise(least), diagnosis.fitted(least, stated.x) if model.unstated else stated
+
+
+def _alike(bent: Noise, whole: Noise) -> bool:
+    """Whether two estimates of the noise agree as well as they are known."""
+    if bent.estimated is None or whole.estimated is None:
+        return False
+    apart = np.abs(np.log(whole.factors / bent.factors))
+    return not (apart > bent.estimated.log_std).any()  # NaN, absent, does not matter
 
 
 def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
@@ -280,13 +307,14 @@ def _as_stated(diagnosis: Diagnosis, fit: Fit, bent: bool) -> bool:
 
 
 def _estimated_noise(
-    diagnosis: Diagnosis, stated: Fit, bent: bool, known: Floats
+    diagnosis: Diagnosis, near: Fit, start: Floats, bent: bool, held: Bools
 ) -> tuple[EstimatedFactors, Fit]:
-    """Return the factors of the components, but those that are ``known`` (c,), not NaN.
+    """Return the factors of the components but those that are ``held`` (c,), from a ``start``.
 
-    Other weights hardly move the solution: its derivatives are those ``stated``, but at the end.
+    Other weights hardly move the solution: its derivatives are those of one ``near``, but at the
+    end.
     """
-    model, held = diagnosis.model, np.isfinite(known)
+    model = diagnosis.model
     lowest = model.least_factors if model.unstated else np.full(len(held), LEAST_FACTOR)
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
@@ -294,10 +322,9 @@ def _estimated_noise(
         evidence = _evidence(fit, bent)
         return replace(evidence, present=evidence.present & ~held), fit
 
-    start = np.where(held, known, diagnosis.noise.factors)
     prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
     settled = NEARLY_SETTLED if bent else SETTLED
-    found, fit = estimate_factors(at, stated, start, prior, settled, lowest)
+    found, fit = estimate_factors(at, near, start, prior, settled, lowest)
     return found, diagnosis.fitted(found.factors, fit.x)
 
 
@@ -311,4 +338,6 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     # R is a projection: the squared sums of its blocks follow from those of its complement
     information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
     present = part.any(axis=1) & ~model.of_scatter
-    return NoiseEvidence(present, part @ squares, part @ redundancy, information)
+    mine = (part * np.sqrt(squares) * np.sign(fit.white)).T
+    average = mine.T @ fit.left_of(mine)
+    return NoiseEvidence(present, part @ squares, part @ redundancy, information, average)

@@ -331,8 +331,8 @@ class ByOrder(Kernel):
         None where an order is so badly determined that digits go.
         """
         size, orders = turns.size, np.arange(turns.size // 2 + 1)
-        wave = _waves(turns, orders)
-        normal = np.einsum("t,tch,tdh->hcd", share, wave.conj(), wave)
+        wave = _waves(turns, orders).transpose(2, 0, 1)
+        normal = (wave.conj() * share[:, None]).swapaxes(1, 2) @ wave
         at_zero = np.hstack([turns.sign, np.sqrt(size) * turns.tied])
         values, vectors, scale = _of_unit_diagonal((at_zero * share[:, None]).T @ at_zero)
         seen = values > OPEN
@@ -382,7 +382,7 @@ class ByOrder(Kernel):
         orders = np.fft.rfft(np.ascontiguousarray(right[:, :count]).reshape(-1, circles, size))
         sums = np.concatenate([orders[:, :, 0].real / np.sqrt(size), right[:, count:]], axis=1)
         zero = sums @ self.zero
-        found = np.einsum("cdh,kdh->kch", self._by_circle, orders)
+        found = (self.inverse @ orders.transpose(2, 1, 0)).transpose(2, 1, 0)
         found[:, :, 0] = zero[:, :circles] * np.sqrt(size)
         places = np.fft.irfft(found, size).reshape(-1, count)
         whole = np.concatenate([places, zero[:, circles:]], axis=1)
@@ -518,7 +518,8 @@ class ByOrder(Kernel):
         """
         turns = self.turns
         wave = _waves(turns, np.arange(turns.size // 2 + 1))
-        orders = np.einsum("tch,hcd,udh->tuh", wave, self.inverse, wave.conj())
+        wave = wave.transpose(2, 0, 1)
+        orders = (wave @ self.inverse @ wave.conj().swapaxes(1, 2)).transpose(1, 2, 0)
         at_zero = np.hstack([turns.sign, np.sqrt(turns.size) * turns.tied])
         orders[:, :, 0] = at_zero @ self.zero @ at_zero.T
         return np.asarray(np.fft.irfft(orders, turns.size, axis=2))

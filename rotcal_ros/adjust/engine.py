@@ -49,15 +49,15 @@ from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
-from rotcal_ros.foundation.raw_data import Influence, RawData
+from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
 COVARIANCE_LIMIT: Final = 720
 """Most deviations of a component whose covariance is put into the result (4 MB)."""
 SOLVED: Final = 32
 """Trials that are solved at once."""
-MOST_INFLUENCES: Final = 20_000_000
-"""Most numbers in what each observation does to the deviations (160 MB); of more, none."""
+MOST_AT_ONCE: Final = 20_000_000
+"""Most numbers in what each observation does to the outputs that are asked for (160 MB)."""
 LARGEST: Final = 1000.0
 """Errors of several observations, in their stated noise, that nobody would overlook."""
 FAILED_SHARE: Final = 0.2
@@ -122,25 +122,23 @@ class Adjusted:
         """The outputs (o,)."""
         return self.fit.value[: len(self.model.outputs)]
 
-    @property
+    @cached_property
     def covariance(self) -> Floats:
         """Covariance (o, o) of the outputs, with all that is probable but not proved.
 
         Where the noise was estimated from few residuals, 1.96 of its standard uncertainties hold
         95 % as those of Student's t do.
         """
-        return self._covariance
+        return self._covariance_of(slice(len(self.model.outputs)))
 
-    @cached_property
-    def _covariance(self) -> Floats:
-        """Covariance of the outputs that count."""
-        fit, count = self.fit, len(self.model.outputs)
-        few = (self.scale * self._student)[:count]
-        total = few[:, None] * fit.covariance(count) * few
+    def _covariance_of(self, part: slice) -> Floats:
+        """Return the covariance of a ``part`` of the outputs."""
+        few = (self.scale * self._student)[part]
+        total = few[:, None] * self.fit.covariance(part) * few
         for changes in self._probable:
-            total = total + changes[:count] @ changes[:count].T
+            total = total + changes[part] @ changes[part].T
         gathers = self.diagnosis.gathering.covariance()
-        return np.asarray(total if gathers is None else total + gathers[:count, :count])
+        return np.asarray(total if gathers is None else total + gathers[part, part])
 
     @cached_property
     def _probable(self) -> list[Floats]:
@@ -151,7 +149,7 @@ class Adjusted:
             columns = effect.at(self.fit.computed)
             seen = family_seen_by(self.fit, columns, effect.width)
             weight = expected_weights(seen, size, probability)
-            stride = -(-len(weight) * len(self.fit.value) // MOST_INFLUENCES)
+            stride = -(-len(weight) * len(self.fit.value) // MOST_AT_ONCE)
             root = np.sqrt(stride * weight[::stride])
             found.append((root[:, None] * seen.moved[::stride]).T)
         return found
@@ -278,7 +276,7 @@ class Adjusted:
     def trials(self) -> Trials:
         """Measurements with the noise that was used, and with what is probable but not proved."""
         few, size = self.scale * self._student, len(self.value)
-        many = size * len(self.fit.std) > MOST_INFLUENCES and not self.model.correlated
+        many = size * len(self.fit.std) > MOST_AT_ONCE and not self.model.correlated
         causes = [np.zeros((len(few), 0)) if many else few[:, None] * self.fit.response]
         causes += self._probable
         gathers = self.diagnosis.gathering.covariance()
@@ -324,7 +322,6 @@ class Adjusted:
         what is done next takes them (``joint``).
         """
         kept = joint or max(len(self.value[p]) for p in components.values()) <= COVARIANCE_LIMIT
-        whole = self.covariance if kept else None
         every = {p.effect: p for p in (*self.protections(), *protections)}
         suspect = self.verdict == "ok" and bool(doubts)
         return Result(
@@ -332,9 +329,9 @@ class Adjusted:
             angles=angles,
             deviations={name: self.value[part] for name, part in components.items()},
             std={name: self.std[part] for name, part in components.items()},
-            covariance={}
-            if whole is None
-            else {name: whole[part, part] for name, part in components.items()},
+            covariance={name: self._covariance_of(part) for name, part in components.items()}
+            if kept
+            else {},
             sigma0=self.sigma0,
             dof=self.fit.dof,
             n_observations=len(places[0]),
@@ -649,7 +646,7 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     std, words = found.counting_std[: len(found.value)], model.words
     first = model.elements[:, 0]
     each = np.flatnonzero((fit.used & model.may_go)[first])
-    if not len(each) or len(std) * len(each) > MOST_INFLUENCES:
+    if not len(each) or len(std) * len(each) > MOST_AT_ONCE:
         return
     sizes, counts = (model.elements[each] >= 0).sum(axis=1), std > 0.0
     squares, significance = np.zeros(int(counts.sum())), limits.of_each_observation(model)

@@ -79,10 +79,10 @@ class Hypotheses:
                 felt = self.times(rows[some] / std[some, None])
                 np.maximum(most, np.abs(felt, out=felt).max(axis=0, initial=0.0), out=most)
             return most
-        mix = self.mixing()
-        felt = self.group.sensitivity.of(mix.reshape(len(mix), -1))[counts] / std[counts, None]
-        felt = felt.reshape(-1, *mix.shape[1:])
-        return np.asarray(np.abs(felt, out=felt).max(axis=0, initial=0.0))
+        mix, rows = self.mixing(), self.group.sensitivity.dense()[counts] / std[counts, None]
+        felt = rows @ mix.reshape(len(mix), -1)
+        most = np.maximum(felt.max(axis=0, initial=0.0), -felt.min(axis=0, initial=0.0))
+        return np.asarray(most.reshape(mix.shape[1:]))
 
     def take(self, which: slice) -> Hypotheses:
         """Return some of them."""

@@ -28,9 +28,9 @@ CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
 """The same from which on the solution is so near that no step has to be shortened."""
-FROZEN, SHRINKS = 0.01, 0.01
+FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
-the next one is so much smaller."""
+the next one is so much smaller; and how much smaller it is where they hardly change at all."""
 HALVINGS: Final = 20
 FEW: Final = 2_000_000
 """Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
@@ -250,13 +250,14 @@ class Fit:
         """Return the same where the kernel's solution ``gain`` (p + q, k) is known already."""
         return self.model.output_rows.times(gain)
 
-    def covariance(self, count: int) -> Floats:
-        """Return the covariance (count, count) of the first outputs, by the noise alone: B B'."""
-        first, whole = self.model.output_rows.first(count), np.zeros((count, count))
-        for here, rows in first.parts(len(self.x)):
-            whole[:, here] = first.times(self.kernel.times(rows.T))
+    def covariance(self, part: slice) -> Floats:
+        """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
+        mine = self.model.output_rows.part(part)
+        whole = np.zeros((len(mine), len(mine)))
+        for here, rows in mine.parts(len(self.x)):
+            whole[:, here] = mine.times(self.kernel.times(rows.T))
         for alone, spread in self._spread:
-            whole += spread[:count] @ spread[:count].T - alone[:count] @ alone[:count].T
+            whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         whole += whole.T.copy()
         whole *= 0.5
         return whole
@@ -306,7 +307,7 @@ class Fit:
 
         Raises ObservabilityError where one is not determined at all.
         """
-        outputs = self.model.output_rows.first(len(self.model.outputs))
+        outputs = self.model.output_rows.part(slice(len(self.model.outputs)))
         if self._white_design.never_worse(other._white_design, outputs, factor):
             return False
         return bool((self.output_std > factor * other.output_std).any())
@@ -399,14 +400,19 @@ def fitted(
     x[: min(len(start), len(x))] = start[: len(x)]
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
-    steps = _Steps.of(model, jacobian.weighted(weight))
+    steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
     if steps.defines:  # what is defined is no step of the iteration
         x = steps.defined(x)
         computed, jacobian = _computed(model, x, extra)
+        solved = jacobian
+    slow = False
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
         step, left = steps(white, x)
+        if jacobian is not solved and left > STRAIGHT * before and (slow or before > FROZEN):
+            steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
+            step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
         near = left < NEARLY * max(square, 1.0)
@@ -414,7 +420,7 @@ def fitted(
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
-        slow, before, solved = left > SHRINKS * before, left, jacobian
+        slow, before = left > SHRINKS * before, left
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
@@ -425,8 +431,6 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-        if jacobian is not solved and (slow or left > FROZEN):
-            steps = _Steps.of(model, jacobian.weighted(weight))
     raise _unsettled()
 
 

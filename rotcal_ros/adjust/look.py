@@ -211,7 +211,13 @@ class Look:
 
         What moves may do so in one way alone, which costs less.
         """
-        return [list(self._members(*each)) for each in self._tested]
+        tried = [list(self._members(*each)) for each in self._tested]
+        return [members for members in tried if members]
+
+    @property
+    def squares(self) -> list[float]:
+        """What chi-squared falls by for each declared effect alone."""
+        return [test.squares for _, _, test in self._tested]
 
     @cached_property
     def _tested(self) -> list[tuple[Disturbing, Seen | SeenFamily, EffectTest]]:

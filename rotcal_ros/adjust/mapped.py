@@ -51,10 +51,10 @@ class MappedFit(Fit):
         """Return the same."""
         return self.moved(white)
 
-    def covariance(self, count: int) -> Floats:
-        """Return the covariance (count, count) of the first outputs."""
-        part, left = self.by[:count], self.left_out[:count]
-        return np.asarray(part @ part.T + np.outer(left, left))
+    def covariance(self, part: slice) -> Floats:
+        """Return the covariance (k, k) of a ``part`` of the outputs."""
+        by, left = self.by[part], self.left_out[part]
+        return np.asarray(by @ by.T + np.outer(left, left))
 
     @cached_property
     def variance(self) -> Floats:

@@ -568,7 +568,7 @@ class Model:
     @cached_property
     def counting_outputs(self) -> Outputs:
         """``outputs`` alone by what they have in common."""
-        return self.output_rows.first(len(self.outputs))
+        return self.output_rows.part(slice(len(self.outputs)))
 
     @cached_property
     def output_rows(self) -> Outputs:

@@ -76,12 +76,15 @@ class NoiseEvidence:
 
     ``squares`` (c,): weighted sums of squared residuals, ``redundancy`` (c,): what these are
     expected to be, ``information`` (c, c): half of their covariance; zero where absent.
+    ``average`` (c, c): the mean of it and of what these residuals show of it (Gilmour, Thompson
+    and Cullis, Biometrics 51, 1440, 1995), if that is known.
     """
 
     present: Bools
     squares: Floats
     redundancy: Floats
     information: Floats
+    average: Floats | None = None
 
     def probabilities(self) -> Floats:
         """Return (c,) how probably chance explains each component's sum, both sides; 1: absent."""
@@ -138,8 +141,11 @@ def estimate_factors(
         evidence, fit = at(np.exp(logs), fit)
         slope = evidence.squares - evidence.redundancy - prior @ logs
         known = 2.0 * evidence.information + prior
-        step = np.where(evidence.present, np.linalg.solve(known, slope), 0.0)
-        step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+        least = (logs <= np.log(lowest)) & (slope < 0.0)  # these stay where they are
+        free = np.flatnonzero(evidence.present & ~least)
+        step = np.zeros(len(logs))
+        step[free] = np.linalg.solve(_steeper(known, evidence)[np.ix_(free, free)], slope[free])
+        step *= min(1.0, LARGEST_STEP / float(np.abs(step).max(initial=LARGEST_STEP)))
         step = np.maximum(logs + step, np.log(lowest)) - logs
         if float(step @ known @ step) < settled:
             break
@@ -147,3 +153,14 @@ def estimate_factors(
     log_std = np.full(len(logs), np.nan)
     log_std[evidence.present] = np.sqrt(np.linalg.inv(known).diagonal())[evidence.present]
     return EstimatedFactors(np.exp(logs), log_std), fit
+
+
+def _steeper(known: Floats, evidence: NoiseEvidence) -> Floats:
+    """Return the information (c, c) that is expected, or more where the residuals show more.
+
+    Steps by less go too far, and to and fro.
+    """
+    if evidence.average is None:
+        return known
+    values, vectors = np.linalg.eigh(evidence.average - evidence.information)
+    return np.asarray(known + 4.0 * (vectors * np.maximum(values, 0.0)) @ vectors.T)

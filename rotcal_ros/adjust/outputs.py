@@ -109,11 +109,11 @@ class Outputs:
         column[there], value[there] = self.few.indices, self.few.data
         return column, value
 
-    def first(self, count: int) -> Outputs:
-        """Return the first ``count`` of them."""
-        share = self.share[:count]
+    def part(self, which: slice) -> Outputs:
+        """Return some of them."""
+        share = self.share[which]
         felt = share.any(axis=0)
-        return Outputs(self.few[:count], self.common[felt], share[:, felt])
+        return Outputs(self.few[which], self.common[felt], share[:, felt])
 
     def times(self, x: Floats) -> Floats:
         """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""

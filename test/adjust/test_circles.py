@@ -243,7 +243,7 @@ def test_the_closed_form_of_a_complete_grid_is_the_pseudo_inverse(size, steps):
     scale = np.abs(response).max()
     every = np.arange(size * len(shifts))
     assert found.response(outputs, every) == pytest.approx(response, abs=1e-12 * scale)
-    mine = outputs.first(size)
+    mine = outputs.part(slice(size))
     assert found.response(mine, every[:size]) == pytest.approx(
         response[:size, :size], abs=1e-12 * scale
     )
@@ -496,6 +496,6 @@ def test_outputs_are_kept_by_what_they_have_in_common():
     scale = np.arange(1.0, whole.shape[1] + 1.0)
     assert found.lengths(scale) == pytest.approx(np.linalg.norm(whole / scale, axis=1))
     assert found.felt.tolist() == (whole != 0.0).any(axis=0).tolist()
-    assert np.concatenate([rows for _, rows in found.first(7).parts(55)])[:, :53] == pytest.approx(
-        whole[:7], abs=1e-16
-    )
+    assert np.concatenate([rows for _, rows in found.part(slice(7)).parts(55)])[
+        :, :53
+    ] == pytest.approx(whole[:7], abs=1e-16)

@@ -167,18 +167,19 @@ class StatedMotions(Correlated):
         if len(moved) > len(self.stated) * len(self.angles):
             return super().possible(fit)  # several tilts, each of which may move by itself
         scale, merit = np.repeat(self.stated, len(self.angles))[:, None], np.zeros(())
+        ways = [[way / scale for way in each] for each in self.ways.values()]
+        known = gain[:, self.rows]
         for order in range(min(ORDERS, len(self.angles) // 2) + 1):
-            waves = np.kron(np.eye(6)[:5], _waves(order, self.angles))  # nothing is stated of ECC
-            rows = _white(waves @ noise) @ waves
-            felt = rows @ gain[:, self.rows]
-            columns = [
-                [rows @ (way / scale) - felt @ root for way, root in zip(*both, strict=True)]
-                for both in zip(self.ways.values(), self.parts, strict=True)
-            ]
+            wave = _waves(order, self.angles)
+            white = _white(_along(wave, noise))
+            felt, columns = white @ _along(wave, known), list[list[Floats]]()
+            for both in zip(ways, self.parts, strict=True):
+                each = zip(*both, strict=True)
+                columns.append([white @ _along(wave, way) - felt @ root for way, root in each])
             size, axes = np.linalg.eigh(sum(_square(c) for each in columns for c in each))
             shown = axes[:, size > SHOWN].T
             squares = [np.array([_square(shown @ c) for c in each]) for each in columns]
-            merit = merit + _log_likelihood(shown @ rows @ moved, squares)
+            merit = merit + _log_likelihood(shown @ white @ _along(wave, moved)[:, 0], squares)
         best = merit.max(axis=0)
         return np.asarray(best >= best.max() + np.log(LIKELY))
 
@@ -282,6 +283,15 @@ def _log_likelihood(value: Floats, squares: Sequence[Floats]) -> Floats:
 
 def _square(columns: Floats) -> Floats:
     return np.asarray(columns @ columns.T)
+
+
+def _along(wave: Floats, motions: Floats) -> Floats:
+    """Return what five of six ``motions`` (6 p, k) are along a ``wave`` (w, p), (5 w, k).
+
+    Nothing is stated of ECC, the last one.
+    """
+    each = motions.reshape(6, wave.shape[1], -1)[:5]
+    return np.asarray((wave @ each).reshape(5 * len(wave), -1))
 
 
 def _white(noise: Floats) -> Floats:
