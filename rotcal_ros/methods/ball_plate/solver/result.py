@@ -55,11 +55,6 @@ UNEQUAL: Final = 3.0
 """Times that centres may scatter along one axis as much as along another."""
 VISIBLE: Final = 0.01
 """Part of a drift's sum of squares that must be left in the residuals to estimate it."""
-HIDDEN_DRIFT: Final = (
-    "a drift cannot be separated from errors of the table and the CMM in this order of "
-    "measurement: the residuals keep {:.2g} of it, {:g} are needed; measure in the order "
-    "interleaved, or leave solver.drift at none"
-)
 MOST_OPEN: Final = 0.25
 """Part of the table positions that may be left out for lack of balls."""
 FEW_BALLS: Final = 2 * MIN_BALLS
@@ -197,7 +192,7 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
         less = _without_dirty_position(fitted, layout.groups)
         if less is None:
             if fitted.drift:
-                raise ObservabilityError(HIDDEN_DRIFT.format(0.0, VISIBLE)) from error
+                raise _hidden_drift(0.0) from error
             raise
         left_out, fitted, layout, (found, by_axis) = less
         unusable = (*unusable, *left_out)
@@ -254,7 +249,15 @@ def _require_visible(found: Adjusted, layout: PlateLayout) -> None:
     gain = fit.gain(own) * np.sqrt(whole)[:, None]
     seen = 1.0 / float(np.linalg.eigvalsh(gain @ gain.T)[-1])
     if seen < VISIBLE:
-        raise ObservabilityError(HIDDEN_DRIFT.format(seen, VISIBLE))
+        raise _hidden_drift(seen)
+
+
+def _hidden_drift(seen: float) -> ObservabilityError:
+    return ObservabilityError(
+        "a drift cannot be separated from errors of the table and the CMM in this order of "
+        f"measurement: the residuals keep {seen:.2g} of it, {VISIBLE:g} are needed; measure in "
+        "the order interleaved, or leave solver.drift at none"
+    )
 
 
 def _unequal(layout: PlateLayout, found: Adjusted) -> bool:
