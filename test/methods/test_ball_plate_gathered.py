@@ -151,11 +151,11 @@ def test_groups_of_a_plate_in_two_parts_have_the_numbers_of_the_whole():
 
 
 def test_of_a_plate_too_large_to_be_judged_the_rejected_centres_are_counted():
-    problem, _ = simulated(180, [0, 11, 25, 58, 93, 140], sigma=5e-8)
+    problem, _ = simulated(140, [0, 11, 25, 58, 93, 120], sigma=5e-8)
     centres, here = problem.centres.copy(), np.flatnonzero(problem.position == 70)
     centres[here[[1, 4]]] += [[4e-6, 0.0, 0.0], [0.0, -7e-6, 2e-6]]
     result = solve(replace(problem, centres=centres))
     groups = {g["name"]: g for g in result.details["gathering"]["groups"]}
-    assert len(groups) == 180 + 180
+    assert len(groups) == 140 + 140
     assert groups["table position 70"]["rejected"] == 2
     assert result.verdict == "suspect"
