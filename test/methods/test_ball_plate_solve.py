@@ -254,9 +254,11 @@ def test_knocked_plate_is_found_and_the_moment_named(jump, moment):
 
 
 def test_good_data_are_not_called_knocked():
-    for seed in range(60 if LONG else 15):
+    called, seeds = 0, 60 if LONG else 15
+    for seed in range(seeds):
         problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], seed=seed)
-        assert not any("moved" in text for text in solve(in_cmm_order(problem)).warnings)
+        called += any("moved" in text for text in solve(in_cmm_order(problem)).warnings)
+    assert called <= most(0.01, seeds)
 
 
 @pytest.mark.slow
@@ -302,7 +304,8 @@ def test_two_groups_equal_two_closed_forms_and_warn():
         plane -= np.mean(plane * np.exp(-1j * (angle + offset))) * np.exp(1j * (angle + offset))
         np.testing.assert_allclose(result.deviations["EXC"][first::2], plane.real, atol=1e-15)
         np.testing.assert_allclose(result.deviations["EYC"][first::2], plane.imag, atol=1e-15)
-    assert (result.covariance["ECC"][0::2, 1::2] == 0.0).all()
+    apart = result.covariance["ECC"][0::2, 1::2]
+    assert np.abs(apart).max() < 1e-15 * result.std["ECC"].max() ** 2
     np.testing.assert_allclose(np.sqrt(np.diag(result.covariance["EXC"])), result.std["EXC"])
 
 
