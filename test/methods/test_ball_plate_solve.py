@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chances import LONG, share
+from chances import LONG, most, share
 from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
 
 from rotcal_ros.adjust.kernels import Defined
