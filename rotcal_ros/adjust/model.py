@@ -827,10 +827,15 @@ class CurveModel:
 
 def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
     """Return the judged observations of each group, by its number."""
-    return {
-        int(number): np.flatnonzero((grouping.number == number) & judged)
-        for number in np.unique(grouping.number[grouping.number >= 0])
-    }
+    number = grouping.number
+    order = np.argsort(number, kind="stable")
+    order = order[judged[order]]
+    every = np.unique(number[number >= 0])
+    if not len(every):
+        return {}
+    ends = np.searchsorted(number[order], every, side="right")
+    begin = int((number[order] < 0).sum())
+    return dict(zip(every.tolist(), np.split(order[begin:], ends[:-1] - begin), strict=True))
 
 
 def gathered_of(grouping: Grouping, members: Ints) -> Bools:

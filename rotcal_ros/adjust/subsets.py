@@ -93,13 +93,6 @@ def distinct(*subsets: Bools) -> Bools:
     together = np.concatenate(subsets)
     if not len(together):
         return together
-    # sums of whole numbers, exact below 2^53; two sets agree by chance with 1e-13
-    sums = together.astype(np.float64) @ _signature(together.shape[1])
-    first = np.unique(sums, return_index=True)[1]
+    bits = np.packbits(together, axis=1)
+    first = np.unique(bits.view(f"V{bits.shape[1]}").ravel(), return_index=True)[1]
     return np.asarray(together[np.sort(first)])
-
-
-@lru_cache(maxsize=64)
-def _signature(size: int) -> Floats:
-    """Return whole numbers (size,) whose sums tell sets apart."""
-    return np.random.default_rng(0).integers(2**44, size=size).astype(np.float64)
