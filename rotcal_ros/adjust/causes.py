@@ -42,6 +42,8 @@ SCATTER_ROUNDS: Final = 3
 """Times that a scatter is estimated, and all is judged by it."""
 SAME_SIZE: Final = 0.05
 """Relative change of the size of a scatter that is no matter to what is judged."""
+MANY: Final = 0.25
+"""Part of a group from which on those that are left do not tell surely which ones are off."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
 GENEROUSLY: Final = 3.0
@@ -223,7 +225,8 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
 def _together(diagnosis: Diagnosis) -> Diagnosis | None:
     """Return that what was left out of one group, one by one, is off together; None: it is not.
 
-    Which of them go first, noise decides: with all of them it is asked again who is to blame.
+    Which of them go first, noise decides: where they are many it is asked again, with all of them,
+    who is to blame.
     """
     model, alone = diagnosis.model, ~diagnosis.used
     for case in diagnosis.gathering.blamed:
@@ -231,15 +234,17 @@ def _together(diagnosis: Diagnosis) -> Diagnosis | None:
     for grouping in (g for g in model.groupings if g.gathers):
         for number in np.unique(grouping.number[alone & (grouping.number >= 0)]).tolist():
             back = np.flatnonzero(alone & (grouping.number == number))
-            if len(np.unique(model.of_element[back])) < 2:
+            whole = model.of_element[(grouping.number == number) & model.may_go]
+            gone, every = (len(np.unique(each)) for each in (model.of_element[back], whole))
+            if not max(2, MANY * every) <= gone <= 0.5 * every:
                 continue
             why = {row: text for row, text in diagnosis.why.items() if row not in back}
             price = diagnosis.price - _price(model, back)
-            whole = replace(diagnosis, why=why, price=price)
-            found = Look(whole, whole.fit).together(f"{grouping.kind} {number}")
-            if found is None or not _bearable(whole, found):
+            before = replace(diagnosis, why=why, price=price)
+            found = Look(before, before.fit).together(f"{grouping.kind} {number}")
+            if found is None or not _bearable(before, found):
                 continue
-            other = whole.holding(found)
+            other = before.holding(found)
             if _improbability(other) <= _improbability(diagnosis):
                 return other
     return None

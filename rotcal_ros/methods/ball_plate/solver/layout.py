@@ -159,15 +159,15 @@ class PlateLayout:
         """The design (3 n, p): radial, tangential and axial of each centre."""
         table, cmm, _ = self.counts
         n, theta = len(self.row), self.problem.angles[self.ball_steps][self.ball]
-        cos, sin, one = np.cos(theta), np.sin(theta), np.ones(len(self.row))
+        cos, sin, unit = np.cos(theta), np.sin(theta), np.ones(len(self.row))
         d = [axis * table + self.at for axis in range(3)]
         c = [column + 3 * table for column in d]
         b = [6 * table + axis * cmm + self.cmm for axis in range(3)]
         a = [6 * table + 3 * cmm + 3 * self.ball + axis for axis in range(3)]
         entries = (  # B_-j = [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]
-            (0, d[0], cos), (0, d[1], sin), (0, b[0], one), (0, a[0], one),
-            (1, d[0], -sin), (1, d[1], cos), (1, c[2], one), (1, b[1], one), (1, a[1], one),
-            (2, d[2], one), (2, c[0], sin), (2, c[1], -cos), (2, b[2], one), (2, a[2], one),
+            (0, d[0], cos), (0, d[1], sin), (0, b[0], unit), (0, a[0], unit),
+            (1, d[0], -sin), (1, d[1], cos), (1, c[2], unit), (1, b[1], unit), (1, a[1], unit),
+            (2, d[2], unit), (2, c[0], sin), (2, c[1], -cos), (2, b[2], unit), (2, a[2], unit),
         )  # fmt: skip
         row = np.concatenate([3 * np.arange(n) + axis for axis, _, _ in entries])
         column = np.concatenate([each for _, each, _ in entries])
@@ -189,7 +189,7 @@ class PlateLayout:
         shift = np.zeros((ball, self.sides, 3, circles), dtype=np.int64)
         tied = np.zeros((ball, self.sides, 3, 3 * ball))
         each = np.arange(ball)
-        cos, sin, one = np.cos(theta), np.sin(theta), np.ones(ball)
+        cos, sin, unit = np.cos(theta), np.sin(theta), np.ones(ball)
         for side in range(self.sides):
 
             def of_table(number: int, side: int = side) -> Ints:
@@ -197,8 +197,8 @@ class PlateLayout:
 
             first = 6 * self.sides * self.groups
             for axis, number, value in (
-                (0, 0, cos), (0, 1, sin), (1, 0, -sin), (1, 1, cos), (1, 5, one),
-                (2, 2, one), (2, 3, sin), (2, 4, -cos),
+                (0, 0, cos), (0, 1, sin), (1, 0, -sin), (1, 1, cos), (1, 5, unit),
+                (2, 2, unit), (2, 3, sin), (2, 4, -cos),
             ):  # fmt: skip
                 sign[each, side, axis, of_table(number)] = value
                 shift[each, side, axis, of_table(number)] = -(self.ball_steps // self.groups)
