@@ -30,6 +30,8 @@ LARGEST_SHARE: Final = 1.0 / 3.0
 """Share of all unknowns that are in groups which the largest of them should not exceed."""
 NEARLY_AS_MANY: Final = 0.9
 """Share of the most rows that feel an unknown from which another is felt by as many."""
+MOST_WHOLE: Final = 2000
+"""Unknowns up to which normal equations are written out (32 MB)."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
 
@@ -132,6 +134,15 @@ class FewEach(Design):
         """The groups of ``few``; None where these do not fall into some."""
         known = self.groups
         return known if known is not None and known.fit(self.few) else Groups.of(self.few)
+
+    @cached_property
+    def rough_first(self) -> bool:  # type: ignore[override]
+        """Whether the normal equations are solved in less time than a wide border."""
+        (n, p), groups = self.shape, self.structure
+        if groups is None or p > MOST_WHOLE:
+            return False
+        border = len(groups.shared) + self.columns.shape[1]
+        return bool(p**3 < 4 * n * border**2)  # of which QR takes each row twice
 
     def kernel(self, weak: float = OPEN) -> Kernel | None:
         """Return the kernel by blocks; None where there are none, or most are not firm.

@@ -78,7 +78,8 @@ class Fit:
     def weighed_by(self, std: Floats) -> Fit:
         """Return the solution weighed by other ``std`` (n,), by the derivatives of this one."""
         weight = self.used / std
-        steps = _Steps.of(self.model, self.jacobian.weighted(weight))
+        design = self.jacobian.weighted(weight)
+        steps = _Steps(self.model, design, _by_form(self.model, design))
         step, _ = steps(self.residual * weight, self.x)
         residual = self.residual - self.jacobian.times(step)
         return Fit(
@@ -503,6 +504,29 @@ class _Steps:
         return np.asarray(x - fixing @ (rows @ x))
 
     def _by_normal_equations(self, white: Floats, x: Floats) -> tuple[Floats, float]:
+        if self._factor is None:
+            step = self._whole.solve(white)
+            felt = self.design.times(step)
+            if isinstance(self._whole, Defined):
+                step = self._whole.defined(x + step) - x
+            return step, float(felt @ felt)
+        (root, scale, open_), moving = self._factor, _moving(self.model, len(x))
+        along = lapack.dtrtrs(root, (self.design.adjoint(white) / scale)[moving], trans=1)[0]
+        step = np.zeros(len(scale))
+        step[moving] = lapack.dtrtrs(root, along)[0]
+        step /= scale
+        if self.model.definitions is not None and open_.shape[1]:
+            rows = np.pad(self.model.definitions, ((0, 0), (0, len(scale) - self.model.size[1])))
+            step -= fixed_by(rows, open_, scale)[0] @ (rows @ (x + step))
+        return step, float(along @ along)
+
+    @cached_property
+    def _whole(self) -> Kernel:
+        return _whole(self.model, self.design)
+
+    @cached_property
+    def _factor(self) -> tuple[Floats, Floats, Floats] | None:
+        """The root of the normal equations, their scale, and what is open; None: not firm."""
         model, design = self.model, self.design
         _require_told(model, design)
         squares = design.normal()
@@ -513,21 +537,7 @@ class _Steps:
         root, failed = lapack.dpotrf(squares)
         firm = not failed and lapack.dpocon(root, np.abs(squares).sum(axis=0).max())[0] >= FIRM**2
         open_ = _open(model, design, root, scale) if firm else None
-        if open_ is None:
-            whole = _whole(model, design)
-            step = whole.solve(white)
-            felt = design.times(step)
-            if isinstance(whole, Defined):
-                step = whole.defined(x + step) - x
-            return step, float(felt @ felt)
-        along = lapack.dtrtrs(root, (design.adjoint(white) / scale)[moving], trans=1)[0]
-        step = np.zeros(len(scale))
-        step[moving] = lapack.dtrtrs(root, along)[0]
-        step /= scale
-        if model.definitions is not None and open_.shape[1]:
-            rows = np.pad(model.definitions, ((0, 0), (0, len(scale) - model.size[1])))
-            step -= fixed_by(rows, open_, scale)[0] @ (rows @ (x + step))
-        return step, float(along @ along)
+        return None if open_ is None else (root, scale, open_)
 
 
 def _require_told(model: Model, design: Design) -> None:

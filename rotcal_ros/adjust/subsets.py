@@ -93,6 +93,6 @@ def distinct(*subsets: Bools) -> Bools:
     together = np.concatenate(subsets)
     if not len(together):
         return together
-    bits = np.packbits(together, axis=1)
+    bits = np.ascontiguousarray(np.packbits(together, axis=1))
     first = np.unique(bits.view(f"V{bits.shape[1]}").ravel(), return_index=True)[1]
     return np.asarray(together[np.sort(first)])

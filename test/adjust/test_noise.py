@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
+from rotcal_ros.adjust.causes import found_causes
+from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.model import Model, Words, linear
 from rotcal_ros.adjust.noise import PRIOR, NoiseEvidence, bent_squares, estimate_factors
 
 
@@ -51,3 +54,43 @@ def test_bent_squares_of_sound_residuals_keep_their_sum():
     bent = bent_squares(squares, redundancy, 1e-6)
     assert bent.sum() == pytest.approx(redundancy.sum(), rel=5e-3)
     assert bent_squares(np.array([1e6]), np.array([0.5]), 1e-6)[0] < 4.0
+
+
+@pytest.mark.parametrize(("places", "each", "noise", "apart", "seed"), [
+    (30, 4, 0.66, 0.1, 3), (60, 2, 0.66, 0.1, 0), (10, 3, 0.66, 0.35, 1), (30, 4, 1.0, 3.0, 0),
+])  # fmt: skip
+def test_the_estimate_is_where_restricted_likelihood_is_largest(places, each, noise, apart, seed):
+    """Places that are known beforehand to 1, about a mean; where they are apart by far less the
+    residuals show more of their noise than is expected, and steps by that go to and fro."""
+    rng = np.random.default_rng(seed)
+    read = np.repeat(apart * rng.standard_normal(places), each)
+    observed = np.append(read + noise * rng.standard_normal(len(read)), np.zeros(places))
+    design = np.vstack([np.repeat(np.eye(places), each, axis=0), np.eye(places)])
+    design = np.column_stack([design, np.append(np.ones(len(read)), np.zeros(places))])
+    component = np.append(np.zeros(len(read), int), np.ones(places, int))
+    model = Model(
+        blocks={"place": places, "mean": 1},
+        observed=observed,
+        std=np.ones(len(observed)),
+        equations=linear(design),
+        outputs=np.eye(places + 1)[-1:],
+        components=("readings", "places"),
+        component=component,
+        words=Words("readings", "a draught", "there", "it"),
+    )
+
+    def surprise(logs):
+        """-ln of restricted likelihood and prior, of y with the covariance of both."""
+        own, alike = np.exp(2.0 * logs)
+        whole = own * np.eye(len(read)) + alike * np.kron(np.eye(places), np.ones((each, each)))
+        inverse, ones = np.linalg.inv(whole), np.ones(len(read))
+        left = inverse - np.outer(inverse @ ones, ones @ inverse) / (ones @ inverse @ ones)
+        y = observed[: len(read)]
+        volume = np.linalg.slogdet(whole)[1] + np.log(ones @ inverse @ ones)
+        return 0.5 * (volume + y @ left @ y) + 0.5 * (logs @ logs) / PRIOR**2
+
+    best = optimize.minimize(surprise, np.zeros(2), method="Nelder-Mead",
+                             options={"xatol": 1e-7, "fatol": 1e-10})  # fmt: skip
+    found = found_causes(model, Limits()).noise
+    assert found.estimated is not None
+    assert np.log(found.factors) == pytest.approx(best.x, abs=0.01)

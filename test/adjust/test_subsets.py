@@ -31,3 +31,5 @@ def test_neighbourhoods_are_the_nearest():
 def test_distinct_keeps_each_once_in_order():
     a = np.array([[True, False, True], [False, True, True]])
     assert distinct(a, a[::-1]).tolist() == a.tolist()
+    by_columns = np.asfortranarray(np.array([[True, False, True]] * 2 + [[False, True, True]]))
+    assert distinct(by_columns).tolist() == a.tolist()
