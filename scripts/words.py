@@ -55,7 +55,8 @@ DATA = (
     "laser", "plate", "cmm", "rotary table",
     *(field.name.replace("_", " ") for field in fields(Instruments)),
     *effect_texts(INSTRUMENT, MOVED),
-    WORDS.elements, WORDS.contradicts, REFERENCE, AGAIN, RESULT, EVENT, WITHDRAWAL, *DOCUMENTS, *EVENTS,
+    WORDS.elements, WORDS.contradicts, REFERENCE, AGAIN, RESULT, EVENT, WITHDRAWAL, *DOCUMENTS,
+    *EVENTS,
 )  # fmt: skip
 """Words that come as data."""
 
