@@ -14,10 +14,12 @@ from racing import Row, race
 from scipy_tracer_six import SparseSix
 from six_scene import LENGTH_STD, TARGET_STD, scene
 
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.network import relax, rotation_vector
+from rotcal_ros.methods.tracer_six.solver.curves import rotation_vector
+from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
 from rotcal_ros.methods.tracer_six.solver.problem import lay_out
-from rotcal_ros.methods.tracer_six.solver.solution import find_start
+from rotcal_ros.methods.tracer_six.solver.start import find_start
 
 FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
 """With its own tolerance lsmr stops early, and least_squares takes four times as long."""
@@ -25,7 +27,8 @@ FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
 
 def joint() -> Row:
     """24 targets, 12 angles, 3 places; both from the same start. The answers are stations."""
-    problem = SixProblem(**scene(np.random.default_rng(1)).rows)
+    known = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
+    problem = SixProblem(**scene(np.random.default_rng(1)).rows, **known)
     layout, _ = lay_out(problem)
     start = find_start(layout)
     scipy = SparseSix(
@@ -35,11 +38,14 @@ def joint() -> Row:
     unmoved = np.zeros(scipy.sizes[-1])
     unmoved = scipy._turned(unmoved[: 3 * len(layout.angles)].reshape(-1, 3))
     turns = rotation_vector(start.rotation @ unmoved.swapaxes(1, 2))
-    parts = (turns, start.translation, start.places, start.zeros, start.targets)
+    parts = (turns, start.translation, start.places, start.zeros, problem.targets)
     flat = np.concatenate([part.ravel() for part in parts])
 
     def ours() -> np.ndarray:
-        return relax(layout.grid, layout, None, start).state.stations(layout)
+        lengths = SixLengths.of(problem, layout, start)
+        model = model_of(problem, lengths)
+        fit = fitted(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
+        return lengths.stands(fit.x)[0][np.unique(lengths.station, return_index=True)[1]]
 
     def opponent() -> np.ndarray:
         c, d, q, _, _ = scipy.split(scipy.solve(flat, **FORCING).x)

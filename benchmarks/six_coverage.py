@@ -7,8 +7,7 @@ import numpy as np
 from six_scene import good_targets, scene
 
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT
-from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.solution import adjust
+from rotcal_ros.methods.tracer_six.solver import SixProblem, adjust
 
 LEVELS = (0.5, 1.0, 2.0)
 KINDS = {"shifts": (6.5e-8, 0.0), "turns": (0.0, 4.3e-7), "both": (5.2e-8, 2.6e-7)}
@@ -55,16 +54,15 @@ def coverage(
         if slips:
             problem = slipped(problem, rng)
         if ignored:
-            sure = replace(problem.settings, test_significance=1e-30)
+            sure = replace(problem.settings, noise_significance=1e-30)
             problem = replace(problem, settings=sure)
         solution = adjust(problem)
-        found = solution.deviations()
-        error = np.array([found[name] for name in COMPONENTS]) - truth.truth
-        std = np.sqrt(np.einsum("ajaj->aj", solution.covariance))
+        error = solution.deviations() - truth.truth
+        std = solution.found.std.reshape(6, -1)
         inside.append((np.abs(error) < HALF_OF_95_PERCENT * std).mean(axis=1))
         errors.append((error**2).mean(axis=1))
         stds.append((std**2).mean(axis=1))
-        jumped += len(solution.evidence.jumps) > 0
+        jumped += any(e.effect.effect == "slip" for e in solution.found.found_effects)
     return Coverage(
         np.mean(inside, axis=0), np.sqrt(np.mean(errors, axis=0)), np.mean(np.sqrt(stds), axis=0),
         jumped / runs,
@@ -90,16 +88,12 @@ def sizes():
 
 
 def main():
-    from six_linear import Linear, linear_coverage
-
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", type=int, nargs="?", default=1000)
+    parser.add_argument("runs", type=int, nargs="?", default=100)
     parser.add_argument("--case", choices=CASES, action="append", help="default: all")
-    parser.add_argument("--whole", action="store_true", help="solve every measurement whole")
     parser.add_argument("--broken", action="store_true", help="the beam is broken on the way")
     parser.add_argument("--slips", action="store_true", help="the counter slips a fringe")
     parser.add_argument("--no-slip", action="store_true", help="it is known not to: slip_m is 0")
-    parser.add_argument("--angles", type=int, default=12, help="to first order only")
     parser.add_argument("--kind", choices=["none", *KINDS], action="append", help="default: all")
     chosen = parser.parse_args()
     options = {"slip": 0.0} if chosen.no_slip else {}
@@ -119,16 +113,10 @@ def main():
                 show(case, kind, 1.0, found)
                 print(f"found in {100 * found.jumped:.0f} %", flush=True)
             continue
-        network = (
-            None if chosen.whole else Linear(good_targets()[targets], arrivals, m=chosen.angles)
-        )
         for kind, level, size in sizes():
             if chosen.kind and kind not in chosen.kind:
                 continue
-            if network is None:
-                found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets, **options)
-            else:
-                found = linear_coverage(network, chosen.runs, size)
+            found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets, **options)
             show(case, kind, level, found)
 
 

@@ -8,7 +8,7 @@ remembered, and the difference it makes joins the covariance.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -33,6 +33,7 @@ from rotcal_ros.adjust.noise import (
     estimate_factors,
 )
 from rotcal_ros.adjust.robust_start import robust_start
+from rotcal_ros.adjust.scattering import FLOOR
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 
@@ -71,15 +72,40 @@ def _with_scatter(whole: Diagnosis, explained: Diagnosis | None) -> Diagnosis:
     ``explained`` so stays.
     """
     diagnosis = explained or whole
-    for _ in range(SCATTER_ROUNDS):
+    for judged in range(SCATTER_ROUNDS):
         fit, model = diagnosis.fit, diagnosis.model
         sizes = [fit.sizes[each].weighing for each in model.scatterings]
+        if not judged:
+            sizes = _least_sizes(diagnosis, sizes)
         now = [float(model.std[each.rows[0]]) for each in model.scatterings]
         if explained and np.allclose(sizes, now, rtol=SAME_SIZE):
             break
         again = replace(diagnosis, model=model.scattered(sizes), start=fit.x)
         diagnosis = explained = _explained(again)
     return diagnosis
+
+
+def _least_sizes(diagnosis: Diagnosis, sizes: Sequence[float]) -> list[float]:
+    """Return sizes of what scatters beside effects that scatter would hardly pass for.
+
+    These are asked for as if nothing scattered: else it would take up what they do.
+    """
+    fit, model, found = diagnosis.fit, diagnosis.model, list(sizes)
+    least = [FLOOR * fit.sizes[each].noticed for each in model.scatterings]
+    if np.allclose(sizes, least) or not model.effects:
+        return found
+    calm = replace(diagnosis, model=model.scattered(least))
+    limit = diagnosis.limits.of_each_effect(model)
+    look = Look(calm, calm.fitted(np.ones(len(model.components)), fit.x))
+    for best, *others in look.effects:
+        assert best.effect is not None
+        errors = np.where(fit.used[:, None], best.columns / fit.std[:, None], 0.0)
+        among = best.effect.at(fit.computed).shape[1] // best.effect.width if others else 1
+        for k, each in enumerate(model.scatterings):
+            chance, beside = each.beside(fit, errors)
+            if chance * among < limit:
+                found[k] = min(found[k], beside.weighing)
+    return found
 
 
 def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.special import erfc
+from scipy.special import chdtrc, erfc
 
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.error_motion import Correlated
@@ -43,6 +43,8 @@ LEVELS: Final = np.geomspace(0.03, 1e4, 128)
 """Sizes, of those that double the variance of a mean contrast, that are weighed."""
 SHOWN: Final = 1e-9
 """Share of what is known of a row that readings add, below which they show nothing of it."""
+SEEN: Final = 1e-3
+"""Share of the most that errors beside it do to contrasts, from which one counts."""
 RULED: Final = 1e-3
 """Share of the largest eigenvalue from which an axis counts in the mean."""
 MOST: Final = 1500
@@ -126,11 +128,35 @@ class Scattering(Correlated):
         if not self.asked:
             way = np.arange(self.ways)
             return Sizes(np.full(len(way), std), way, self.likely, 0, std)
-        value, root, known = _contrasts(fit, self.rows, std)
+        (value, *_), root, known = _contrasts(fit, self.rows, std)
         if root is None or not self.parts[0]:
-            each = [(known, value)]
-        else:
-            each = [_along(root @ way, value) for way in self.parts[0]]
+            return self._said_by(value, [(known, value)], std)
+        return self._said_by(value, [_along(root @ way, value) for way in self.parts[0]], std)
+
+    def beside(self, fit: Fit, errors: Floats) -> tuple[float, Sizes]:
+        """Return how probably scatter passes for whitened ``errors`` (n, k) as much as it does.
+
+        And what contrasts that these do not touch say of its size.
+        """
+        std = float(fit.std[self.rows[0]])
+        (value, *moved), root, known = _contrasts(fit, self.rows, std, errors)
+        if root is None:
+            return 1.0, fit.sizes[self]
+        spread = [root @ way for way in self.parts[0]] or [np.diag(np.sqrt(known))]
+        _, size, axes = np.linalg.svd(np.array(moved))
+        rank = int((size > SEEN * size.max(initial=0.0)).sum())
+        own, others = axes[:rank], axes[rank:]
+        along = [_along(others @ each, others @ value) for each in spread]
+        sizes, chance = self._said_by(others @ value, along, std), 0.0
+        for way, each in enumerate(spread):
+            mine, (d, u) = sizes.way == way, _along(own @ each, own @ value)
+            left = float(((own @ value) ** 2).sum() - u @ u)
+            squares = left + (u**2 / (1.0 + sizes.size[mine, None] ** 2 * d)).sum(axis=1)
+            chance += float(chdtrc(rank, squares) @ sizes.weight[mine])
+        return chance, sizes
+
+    def _said_by(self, value: Floats, each: list[tuple[Floats, Floats]], std: float) -> Sizes:
+        """Return what contrasts (q,) say: ``each`` way's eigenvalues, and these along its axes."""
         noticed = [_noticed(values) for values, _ in each]
         count = max(int((values > RULED * values.max(initial=0.0)).sum()) for values, _ in each)
         if not np.isfinite(min(noticed)):  # nothing shows it: as stated, or none
@@ -208,12 +234,17 @@ class Scattering(Correlated):
         return np.asarray(each[sizes.way].T * sizes.size**2)
 
 
-def _contrasts(fit: Fit, rows: Ints, std: float) -> tuple[Floats, Floats | None, Floats]:
-    """Return contrasts y (q,), L (q, k), None: diagonal, and the diagonal d (q,) of LL'.
+def _contrasts(
+    fit: Fit, rows: Ints, std: float, errors: Floats | None = None
+) -> tuple[Floats, Floats | None, Floats]:
+    """Return contrasts y (1 + b, q), L (q, k), None: diagonal, and the diagonal d (q,) of LL'.
 
     Of rows that are weighed by ``std``: that takes part in what is known of K x, and is taken off.
+    What was read first, then what whitened ``errors`` (n, b) do.
     """
-    value = -fit.residual[rows]
+    value = -fit.residual[rows, None]
+    if errors is not None:
+        value = np.hstack([value, -std * fit.left_of(errors)[rows]])
     if len(rows) > MOST:
         taken, axes = fit.kernel.leverage[rows], None
     else:
@@ -222,7 +253,7 @@ def _contrasts(fit: Fit, rows: Ints, std: float) -> tuple[Floats, Floats | None,
     shown = (1.0 - taken > SHOWN) & (taken > SHOWN)
     taken, value = taken[shown], value[shown]
     known = (1.0 / taken - 1.0) / std**2
-    value = value / (taken * std**2) / np.sqrt(known)
+    value = value.T / (taken * std**2 * np.sqrt(known))
     return value, None if axes is None else np.sqrt(known)[:, None] * axes[:, shown].T, known
 
 

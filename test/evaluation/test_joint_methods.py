@@ -29,8 +29,8 @@ from rotcal_ros.methods.tracer import solver as tracer
 from rotcal_ros.methods.tracer.solver import carried_lengths
 from rotcal_ros.methods.tracer.solver.solution import adjust as adjust_tracer
 from rotcal_ros.methods.tracer_six import solver as tracer_six
-from rotcal_ros.methods.tracer_six.solver import curve_model as six_model
-from rotcal_ros.methods.tracer_six.solver.solution import adjust as adjust_six
+from rotcal_ros.methods.tracer_six.solver import adjust as adjust_six
+from rotcal_ros.methods.tracer_six.solver.solve import curve_model as six_model
 
 ROUGH = 4.0 * POLYGON_NOISE
 MEAN = np.eye(GRID) - 1.0 / GRID
@@ -202,7 +202,7 @@ def test_several_places_are_their_result_where_no_zero_can_slip():
         scatter_rotation_std=0.0,
     )
     solution = adjust_six(problem)
-    six = JointInput("six", tracer_six.solve(problem), six_model.curve_model(solution))
+    six = JointInput("six", tracer_six.solve(problem), six_model(solution))
     together, after = solve_together([six]).result, combine([six.alone]).result
     for c in COMPONENTS:
         assert together.std[c] == pytest.approx(after.std[c], rel=1e-3)
@@ -218,7 +218,7 @@ def test_two_places_tell_what_they_can_however_wide_the_tilts_are_stated():
         problem = tracer_six.SixProblem(
             **seen.rows, slip=0.0, scatter_translation_std=0.0, scatter_rotation_std=0.0, **more
         )
-        model = six_model.curve_model(adjust_six(problem))
+        model = six_model(adjust_six(problem))
         return JointInput(name, tracer_six.solve(problem), model)
 
     whole = of(three, "three")

@@ -62,8 +62,13 @@ from rotcal_ros.methods.tracer_six.simulation import DISTURBANCES, CarriedTracer
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
-from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of
+from rotcal_ros.methods.tracer_six.solver.solve import (
+    SixSolution,
+    SixTrials,
+    adjust_at_equal_places,
+    curve_model,
+    result_of,
+)
 from rotcal_ros.planning.plan import Plan
 
 if TYPE_CHECKING:
@@ -93,8 +98,6 @@ def of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
     """Return what the lengths determine of the curves, to be solved with other instruments."""
-    from rotcal_ros.methods.tracer_six.solver.curve_model import curve_model
-
     solution = _at_equal_places(configuration, plan, observations).solution
     found = curve_model(solution)
     if not configuration.plan.bidirectional:

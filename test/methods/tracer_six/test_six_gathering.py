@@ -8,9 +8,7 @@ import pytest
 from six_scene import scene
 
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.methods.tracer.solver.screening import groups_of
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solver.solution import PLACE, _RigidView, adjust
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from gathered_worlds import chosen
@@ -57,26 +55,3 @@ def test_sound_lengths_are_not_touched():
         assert result.verdict == "ok"
         assert not result.rejected
         assert "one place" in {one.effect for one in result.protections}
-
-
-def test_groups_are_those_of_a_network_that_is_solved_anew():
-    """Cofactor and response by finite differences; the table scatters, which is adjusted too."""
-    _, rows, _ = disturbed(5, 0.0)
-    stated = {"scatter_translation_std": 1e-7, "scatter_rotation_std": 1e-6}
-    problem = SixProblem(**rows, **stated)
-    solution = adjust(problem)
-    view, fit = _RigidView(solution.fit), solution.fit
-    group = groups_of(solution.grid, fit, view, fit.residual, problem.measuring_order)[4]
-    size, row = 1e-9, 4 * N + 7
-    length = rows["length"].copy()
-    length[row] += size
-    other = adjust(SixProblem(**{**rows, "length": length}, **stated))
-    m = len(solution.layout.angles)
-    felt = group.response[:, 7, 0].reshape(2, m, 3) * size / 2e-7
-    moved = {name: other.deviations()[name] - solution.deviations()[name] for name in COMPONENTS}
-    for name, at in PLACE.items():
-        half, axis = divmod(at, 3)
-        scale = np.abs(moved[name]).max()
-        assert felt[half, :, axis] == pytest.approx(moved[name], abs=1e-2 * scale)
-    left = (other.fit.residual[4] - solution.fit.residual[4]) / size
-    assert group.cofactor[:, 0, 7, 0] == pytest.approx(left, abs=1e-2)

@@ -13,7 +13,6 @@ rigid table with several places adds, each module knowing those before it:
 
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.solution import SixTrials, adjust
-from rotcal_ros.methods.tracer_six.solver.solve import METHOD, solve
+from rotcal_ros.methods.tracer_six.solver.solve import METHOD, SixTrials, adjust, solve
 
 __all__ = ["METHOD", "SixProblem", "SixTrials", "TracerSixSolverSettings", "adjust", "solve"]

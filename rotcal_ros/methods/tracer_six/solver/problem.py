@@ -10,10 +10,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, TypeAlias, get_args
+from typing import Final, TypeAlias, get_args
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -24,7 +23,6 @@ from rotcal_ros.methods.tracer.solver.problem import (
     LengthProblem,
     TracerProblem,
     arrange,
-    share_gone,
 )
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
 
@@ -98,24 +96,6 @@ class SixProblem(LengthProblem):
         return np.lexsort((self.target, self.position, arrival, self.place)).argsort()
 
 
-@dataclass(frozen=True, eq=False)
-class NetworkTiming:
-    """Shares (V, n), 0 to 1, that had gone of all runs, and of the own run."""
-
-    whole: Floats
-    own: Floats
-
-
-def timing(problem: SixProblem, grid: Grid) -> NetworkTiming:
-    """Return when the lengths of ``grid`` were taken; see SixProblem.order."""
-    order = problem.measuring_order
-    own = np.zeros(len(order))
-    for place in np.unique(problem.place):
-        here = problem.place == place
-        own[here] = share_gone(order[here])
-    return NetworkTiming(grid.placed(share_gone(order)), grid.placed(own))
-
-
 IN_A_LINE: Final = 0.02
 """Places whose extent across their longest direction is below this share lie in a line."""
 
@@ -131,8 +111,7 @@ class StationLayout:
     are those in use; ``position_ids`` (m,), ``place_ids`` (p,): their indices in the problem.
     ``zero`` (V, n): which of ``n_zeros`` a length has, 0 where there is none; ``offset``
     (n_zeros,), m: by how much the lengths of each are longer here than in the problem, so that
-    those of a place differ by centimetres only. ``tilt_std``: prior of the table's tilts, rad, or
-    None; ``tilts`` (m, 2): what EAC and EBC are expected to be, rad, None: zero.
+    those of a place differ by centimetres only.
     """
 
     grid: Grid
@@ -144,8 +123,6 @@ class StationLayout:
     place_ids: Ints
     zero: Ints
     offset: Floats
-    tilt_std: float | None
-    tilts: Floats | None = None
 
     @property
     def n_zeros(self) -> int:
@@ -163,34 +140,9 @@ class StationLayout:
         return np.asarray(self.grid.used & (self.zero == commonest[:, None]))
 
     @cached_property
-    def by_position(self) -> Floats:
-        """Adds up stations by position, (m, V)."""
-        return _one_hot(self.position, len(self.angles))
-
-    @cached_property
     def by_place(self) -> Floats:
         """Adds up stations by place, (p, V)."""
-        return _one_hot(self.place, len(self.places))
-
-    @cached_property
-    def pairs(self) -> tuple[Ints, Ints, Any]:
-        """Stations and zeros that have lengths together, and what adds up lengths by them."""
-        station = np.repeat(np.arange(len(self.position)), self.zero.shape[1])
-        key = station * self.n_zeros + self.zero.ravel()
-        seen, inverse = np.unique(key, return_inverse=True)
-        return seen // self.n_zeros, seen % self.n_zeros, _sums(inverse, len(seen))
-
-    @cached_property
-    def by_zero_and_target(self) -> Any:
-        """Adds up lengths (V n,) by zero and target, (S n, V n)."""
-        n = self.zero.shape[1]
-        return _sums((self.zero * n + np.arange(n)).ravel(), self.n_zeros * n)
-
-    @property
-    def size(self) -> int:
-        """The number of unknowns beside the poses: targets, places, zeros, the tilts' frame."""
-        tilts = 0 if self.tilt_std is None else 4
-        return 3 * len(self.grid.targets) + 3 * len(self.places) + self.n_zeros + tilts
+        return np.asarray(self.place == np.arange(len(self.places))[:, None], dtype=np.float64)
 
     def station_name(self, station: int) -> str:
         """Return what a station is, for messages."""
@@ -198,18 +150,8 @@ class StationLayout:
         return f"place {place}, position {self.position_ids[self.position[station]]}"
 
     def named(self, text: str) -> str:
-        """Return a text of the tracer's with its stations called by their names."""
-        ids = self.grid.position_ids.tolist()
-        return renamed(text, {s: self.station_name(j) for j, s in enumerate(ids)})
-
-
-def _one_hot(index: Ints, size: int) -> Floats:
-    return np.asarray(index == np.arange(size)[:, None], dtype=np.float64)
-
-
-def _sums(index: Ints, size: int) -> Any:
-    ones = np.ones(len(index))
-    return csr_array((ones, (index, np.arange(len(index)))), shape=(size, len(index)))
+        """Return a text with the stations called by their names."""
+        return renamed(text, dict(enumerate(map(self.station_name, range(len(self.position))))))
 
 
 def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
@@ -241,7 +183,6 @@ def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
         place_ids=place_ids,
         zero=zero,
         offset=offset,
-        tilt_std=problem.tilt_std,
     )
     return layout, why
 
