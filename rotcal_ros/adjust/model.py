@@ -70,13 +70,15 @@ class Grouping(NamedTuple):
     ``number`` (n,): which one each belongs to, -1 for none. ``along`` (n,): a time or place along
     which neighbours are spoiled together. ``near`` (n, k): places with neighbours all round, unit
     vectors for directions, of which a sector closes round the circle. Of neither: only the whole
-    group is judged.
+    group is judged. ``frame`` (n, c, c): takes the c rows of each one's element, of one noise, to
+    the axes along which those of a group are off alike; None: that are the rows.
     """
 
     kind: str
     number: Ints
     along: Floats | None = None
     near: Floats | None = None
+    frame: Floats | None = None
 
     @property
     def gathers(self) -> bool:
@@ -85,8 +87,9 @@ class Grouping(NamedTuple):
 
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
-        along, near = (None if each is None else each[rows] for each in (self.along, self.near))
-        return Grouping(self.kind, self.number[rows], along, near)
+        known = (self.along, self.near, self.frame)
+        found = (None if each is None else each[rows] for each in known)
+        return Grouping(self.kind, self.number[rows], *found)
 
     def with_others(self, below: int, above: int = 0) -> Grouping:
         """Return the same beside further observations, below and above, that belong to none."""
@@ -96,6 +99,7 @@ class Grouping(NamedTuple):
             np.pad(self.number, rows, constant_values=-1),
             None if self.along is None else np.pad(self.along, rows),
             None if self.near is None else np.pad(self.near, (rows, (0, 0))),
+            None if self.frame is None else np.pad(self.frame, (rows, (0, 0), (0, 0))),
         )
 
 
@@ -188,7 +192,8 @@ class Disturbing:
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
     ``family`` has members of which at most one is there, in the order of time, each of so many
     columns as its :attr:`width`; other columns are there together. What ``stays`` does so from
-    its moment on until the run ends, as :class:`Steps` do.
+    its moment on until the run ends, as :class:`Steps` do. Where its moment is random, what may
+    stay unseen is told of this ``usual`` share of them, not of the worst.
     """
 
     effect: Effect
@@ -199,6 +204,7 @@ class Disturbing:
     family: bool = False
     of_each: int = 1
     stays: bool = False
+    usual: float = 1.0
 
     @property
     def width(self) -> int:
@@ -404,7 +410,8 @@ class Model:
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
     ``shared``: blocks that rows of many groups feel, where derivatives come as ``csr_array``.
-    ``unstated``: the noise is not known; ``std`` is a guess, no more than tenfold too large.
+    ``unstated``: the noise is not known, and ``std`` a guess; no standard deviation is held to be
+    below ``least``, as what the equations neglect.
     """
 
     blocks: Mapping[str, int]
@@ -430,6 +437,7 @@ class Model:
     closures: Sequence[KnownRelation] = ()
     shared: Sequence[str] = ()
     unstated: bool = False
+    least: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -533,6 +541,14 @@ class Model:
         if self.component is None:
             return np.zeros(len(self.observed), dtype=np.int64)
         return self.component
+
+    @cached_property
+    def least_factors(self) -> Floats:
+        """Factors (c,) of unstated noise that make the smallest of each component ``least``."""
+        number = self.of_component
+        guess = [self.std[number == k].min(initial=np.inf) for k in range(len(self.components))]
+        floor = np.maximum(self.least, np.finfo(np.float64).eps * np.abs(self.observed).max())
+        return np.asarray(np.minimum(floor / np.array(guess), 1.0))
 
     @cached_property
     def may_go(self) -> Bools:
