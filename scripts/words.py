@@ -34,6 +34,7 @@ from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.methods.angle_comparison.model import INSTRUMENT, MOVED, REFERENCE, WORDS
+from rotcal_ros.methods.ball_plate.solver.plate_model import AGAIN
 
 PACKAGE = Path(__file__).parents[1] / "rotcal_ros"
 PAGES = PACKAGE / "extensions" / "page" / "static"
@@ -54,7 +55,8 @@ DATA = (
     "laser", "plate", "cmm", "rotary table",
     *(field.name.replace("_", " ") for field in fields(Instruments)),
     *effect_texts(INSTRUMENT, MOVED),
-    WORDS.elements, WORDS.contradicts, REFERENCE, RESULT, EVENT, WITHDRAWAL, *DOCUMENTS, *EVENTS,
+    WORDS.elements, WORDS.contradicts, REFERENCE, AGAIN, RESULT, EVENT, WITHDRAWAL, *DOCUMENTS,
+    *EVENTS,
 )  # fmt: skip
 """Words that come as data."""
 

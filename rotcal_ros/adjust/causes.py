@@ -43,6 +43,8 @@ SCATTER_ROUNDS: Final = 3
 """Times that a scatter is estimated, and all is judged by it."""
 SAME_SIZE: Final = 0.05
 """Relative change of the size of a scatter that is no matter to what is judged."""
+MANY: Final = 0.25
+"""Part of a group from which on those that are left do not tell surely which ones are off."""
 FEW_EFFECTS: Final = 3
 """Effects that are taken up, one after the other, instead of larger noise."""
 GENEROUSLY: Final = 3.0
@@ -142,7 +144,8 @@ def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
 def _price(model: Model, rows: Ints) -> float:
     """Return the price of ``rows`` that explain themselves, by elements among all."""
     elements = len(np.unique(model.of_element[rows]))
-    return (len(rows) + 2 * elements) * float(np.log(len(model.observed)))
+    among = 2 * elements * np.log(max(model.rejectable, 1))
+    return float(len(rows) * np.log(len(model.observed)) + among)
 
 
 def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
@@ -237,12 +240,42 @@ def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
         best = _first(look.significant(), diagnosis)
         if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
+        elif (together := _together(diagnosis.solved(fit))) is not None:
+            diagnosis = together
         elif not bent:
             return diagnosis.solved(fit)
         elif noise.estimated is None and _as_stated(diagnosis, fit, bent=False):
             return diagnosis.solved(fit)  # whole squares show the same
         else:
             bent = False
+
+
+def _together(diagnosis: Diagnosis) -> Diagnosis | None:
+    """Return that what was left out of one group, one by one, is off together; None: it is not.
+
+    Which of them go first, noise decides: where they are many it is asked again, with all of them,
+    who is to blame.
+    """
+    model, alone = diagnosis.model, ~diagnosis.used
+    for case in diagnosis.gathering.blamed:
+        alone[model.rows_of(case.group.members[case.subset])] = False
+    for grouping in (g for g in model.groupings if g.gathers):
+        for number in np.unique(grouping.number[alone & (grouping.number >= 0)]).tolist():
+            back = np.flatnonzero(alone & (grouping.number == number))
+            whole = model.of_element[(grouping.number == number) & model.may_go]
+            gone, every = (len(np.unique(each)) for each in (model.of_element[back], whole))
+            if not max(2, MANY * every) <= gone <= 0.5 * every:
+                continue
+            why = {row: text for row, text in diagnosis.why.items() if row not in back}
+            price = diagnosis.price - _price(model, back)
+            before = replace(diagnosis, why=why, price=price)
+            found = Look(before, before.fit).together(f"{grouping.kind} {number}")
+            if found is None or not _bearable(before, found):
+                continue
+            other = before.holding(found)
+            if _improbability(other) <= _improbability(diagnosis):
+                return other
+    return None
 
 
 def _first(found: Iterable[Explanation], diagnosis: Diagnosis) -> Explanation | None:
@@ -265,9 +298,11 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     """Return the noise as stated, or estimated where that is contradicted, and the fit with it.
 
     ``bent``: large residuals count no more than some, while outliers are about. A component that
-    scatters less than any instrument is exact, made-up data: its statement stays.
+    scatters less than any instrument is exact, made-up data: its statement stays. Where nothing
+    is stated, it has the least noise that the model admits.
     """
-    ones = np.ones(len(diagnosis.model.components))
+    model, ones = diagnosis.model, np.ones(len(diagnosis.model.components))
+    least = model.least_factors if model.unstated else ones
     stated = diagnosis.fitted(ones, diagnosis.start)
     if _as_stated(diagnosis, stated, bent):
         return Noise(ones), stated
@@ -277,14 +312,15 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     if diagnosis.noise.estimated is not None:  # what was exact is so still
         held = evidence.present & np.isnan(diagnosis.noise.estimated.log_std)
     while True:
-        start = np.where(held, 1.0, factors)
+        start = np.where(held, least, factors)
         found, fit = _estimated_noise(diagnosis, fit, start, bent, held)
-        exact = ~held & (found.factors < LEAST_FACTOR * (1.0 + 1e-9))
+        lowest = least if model.unstated else LEAST_FACTOR
+        exact = ~held & (found.factors < lowest * (1.0 + 1e-9))
         if not exact.any():
             return Noise(found.factors, found), fit
         held, factors = held | exact, found.factors
         if held[checked].all():
-            return Noise(ones), stated
+            return Noise(least), diagnosis.fitted(least, stated.x) if model.unstated else stated
 
 
 def _alike(bent: Noise, whole: Noise) -> bool:
@@ -312,6 +348,7 @@ def _estimated_noise(
     end.
     """
     model = diagnosis.model
+    lowest = model.least_factors if model.unstated else np.full(len(held), LEAST_FACTOR)
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
         fit = before.weighed_by(model.std * factors[model.of_component])
@@ -319,7 +356,8 @@ def _estimated_noise(
         return replace(evidence, present=evidence.present & ~held), fit
 
     prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
-    found, fit = estimate_factors(at, near, start, prior, NEARLY_SETTLED if bent else SETTLED)
+    settled = NEARLY_SETTLED if bent else SETTLED
+    found, fit = estimate_factors(at, near, start, prior, settled, lowest)
     return found, diagnosis.fitted(found.factors, fit.x)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.kernels import Design, Kernel, Updated, dense
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -152,12 +152,14 @@ class Circular(Design):
     """A design (n, p + q) of the rows of ``turns``, each times its ``weight`` (n,).
 
     ``few`` (n, p): those rows, weighted; ``extra`` (n, q): columns of further unknowns, too.
+    ``groups``: into which rows and unknowns fall that are solved where too many are missing.
     """
 
     few: csr_array
     turns: Turns
     weight: Floats
     extra: Floats
+    groups: Groups | None = None
 
     divided = False
 
@@ -232,15 +234,18 @@ class Circular(Design):
         p = self.few.shape[1]
         return np.asarray(self.few[which] @ x[:p] + self.extra[which] @ x[p:])
 
-    def kernel(self) -> Updated | None:
-        """Return the kernel order by order; None where it is not firm.
+    def kernel(self) -> Kernel | None:
+        """Return the kernel order by order, or by groups; None where it is not firm.
 
-        Or where so many rows are missing that they are no low rank.
+        Order by order where so few rows are missing that they are of low rank.
         """
         share, usual, odd = self.turns.shares(self.weight)
         orders = ByOrder.of(self.turns, usual) if odd.sum() <= self.turns.few else None
         if orders is None:
-            return None
+            if self.groups is None:
+                return None
+            none = np.zeros((0, self.few.shape[1]))
+            return FewEach(self.few, none, self.extra, self.groups).kernel()
         changed = self.turns.rows_of(*np.nonzero(odd)), (share - usual[:, None])[odd]
         plain = replace(self, extra=self.extra[:, :0])
         return Updated.of(orders, plain, self.weight, changed, self.extra)

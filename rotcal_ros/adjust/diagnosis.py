@@ -25,12 +25,13 @@ class Limits:
 
     ``rejection``: probability that they lose any observation. ``significance``: of the test of
     the noise, of all groups and of all effects together. ``rejected_share``: of outliers that is
-    nothing unusual.
+    nothing unusual; ``gathered_share``: the same where they are of one group.
     """
 
     rejection: float = 0.01
     significance: float = 0.01
     rejected_share: float = 0.05
+    gathered_share: float = 0.05
 
     def outlier(self, model: Model) -> float:
         """Return the test value that no sound row exceeds, but for ``rejection``."""

@@ -330,10 +330,11 @@ def unseen_family(
     significance: float,
     power: float,
     dof: float = np.inf,
+    usual: float = 1.0,
 ) -> Unseen:
     """Return the worst that one member of a family does before the test of all finds it.
 
-    Arguments as of :func:`unseen`.
+    Arguments as of :func:`unseen`. ``usual``: the worst of this share of the members alone.
     """
     k, w = seen.score.shape
     if not k:
@@ -349,7 +350,7 @@ def unseen_family(
     hidden = largest * np.where(length > 0.0, silent / np.where(length > 0.0, length, 1.0), 0.0)
     shown, more, bound = worst_of(seen.moved, std, found_from, hidden, whole)
     error = np.minimum(shown + more, bound)
-    worst = int(np.argmax(error))
+    worst = int(np.argsort(-error, kind="stable")[k - max(int(np.ceil(usual * k)), 1)])
     known = seen.rank[worst] == w and shown[worst] <= bound[worst]
     return Unseen(float(error[worst]), bool(known), bool(seen.rank[worst] < w))
 

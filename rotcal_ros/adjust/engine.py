@@ -530,7 +530,7 @@ def _doubts(found: Adjusted) -> Iterator[str]:
         )
     yield from gathering.doubts(
         found.diagnosis.gathering,
-        GatheringLimits(limits.rejected_share, limits.significance),
+        GatheringLimits(limits.gathered_share, limits.significance),
         model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
     )
     yield from _open(found)
@@ -624,7 +624,7 @@ def _unseen(
 ) -> Unseen:
     size, limits = effect.largest, {"significance": significance, "power": POWER, "dof": dof}
     if isinstance(seen, SeenFamily):
-        return unseen_family(seen, std, size, **limits)
+        return unseen_family(seen, std, size, usual=effect.usual, **limits)
     return unseen(seen, std, size, **limits)
 
 

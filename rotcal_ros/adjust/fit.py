@@ -27,7 +27,7 @@ MAX_ITERATIONS: Final = 50
 CONVERGED: Final = 1e-14
 """Squared step, in standard deviations and per chi-squared, that does not matter."""
 NEARLY: Final = 1e-6
-"""Squared step from which on the solution is so near that no step has to be shortened."""
+"""The same from which on the solution is so near that no step has to be shortened."""
 FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
 the next one is so much smaller; and how much smaller it is where they hardly change at all."""
@@ -444,7 +444,8 @@ def fitted(
             step, left = steps(white, x)
         square = float(white @ white)
         # what no longer shrinks is the rounding of the observations
-        if left <= settled * max(square, 1.0) or 0.25 * before < left < NEARLY:
+        near = left < NEARLY * max(square, 1.0)
+        if left <= settled * max(square, 1.0) or (near and 0.25 * before < left):
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
@@ -453,7 +454,7 @@ def fitted(
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
             finite = np.isfinite(after).all() and jacobian.finite
-            if finite and (left < NEARLY or float(after @ after) <= square):
+            if finite and (near or float(after @ after) <= square):
                 break
             step = 0.5 * step
         else:

@@ -410,16 +410,12 @@ class Updated(Kernel):
 
     def variances_of(self, outputs: Outputs) -> Floats:
         """Return the variances (o,) of ``outputs``."""
-        if outputs.shape[1] > len(self.base.directions):
-            return super().variances_of(outputs)  # of further unknowns, too
-        low = outputs.times(self.columns)
-        return np.asarray(self.base.variances_of(outputs) + ((low @ self.core) * low).sum(axis=1))
+        low, own = outputs.times(self.columns), outputs.of_first(len(self.base.directions))
+        return np.asarray(self.base.variances_of(own) + ((low @ self.core) * low).sum(axis=1))
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
-        if outputs.shape[1] > len(self.base.directions):
-            return super().response(outputs, rows)
-        found = self.base.response(outputs, rows)
+        found = self.base.response(outputs.of_first(len(self.base.directions)), rows)
         found *= self.share[rows]
         if self.columns.shape[1]:
             low = self.design.some_times(rows, self.columns)

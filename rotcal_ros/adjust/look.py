@@ -25,6 +25,7 @@ from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
 from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
 RARER: Final = 3.0
@@ -176,6 +177,12 @@ class Look:
         tried = [self._together(judgement.groups[k]) for k in order.tolist()]
         return sorted((e for e in tried if e is not None), key=lambda e: -e.support)
 
+    def together(self, name: str) -> Explanation | None:
+        """Return that some of the group of this ``name`` are off together; None: not judged."""
+        judgement = self.diagnosis.gathering.judgement
+        groups = judgement.groups if judgement is not None else ()
+        return next((self._together(g) for g in groups if g.name == name), None)
+
     def _together(self, group: Group) -> Explanation | None:
         """Return that some members of a ``group`` are off together, those which probably are."""
         case, model = blame(group), self.before.model
@@ -184,7 +191,11 @@ class Look:
         members = case.group.members[case.subset]
         rows, column = model.rows_of(members), np.zeros((*self.fit.white.shape, case.size.size))
         by_axis = model.elements[members, : case.size.size]
-        column[by_axis, np.arange(case.size.size)] = 1.0
+        frame = next(g.frame for g in model.groupings if g.kind == case.group.kind)
+        if frame is None:
+            column[by_axis, np.arange(case.size.size)] = 1.0
+        else:
+            column[by_axis] = np.swapaxes(frame[by_axis[:, 0]], 1, 2)
         test = effect_test(seen_by(self.fit, column))
         e, k, listed = case.group.size, len(members), max(len(case.group.gathered), 1)
         any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
@@ -337,9 +348,21 @@ class Look:
         fit, gathered = self.fit, gathered_of(grouping, members)
         table = fit.model.elements[members]
         rows = table[:, : int((table[0] >= 0).sum())]
+        white, leverage = fit.white[rows], fit.kernel.among(rows.ravel())
+        frame = None if grouping.frame is None else grouping.frame[members]
+
+        def turned(values: Floats) -> Floats:
+            if frame is None:
+                return values
+            return np.asarray((frame @ values.reshape(*rows.shape, -1)).reshape(rows.size, -1))
+
+        def felt() -> Sensitivity:
+            found = fit.sensitivity(rows.ravel())
+            return replace(found, along=turned(found.along.T).T, own=turned(found.own.T).T)
+
         return Group.of(
-            grouping.kind, name, members, fit.white[rows], 1.0 / fit.std[rows],
-            fit.kernel.among(rows.ravel()), lambda: fit.sensitivity(rows.ravel()), gathered, lost,
+            grouping.kind, name, members, turned(white).reshape(rows.shape), 1.0 / fit.std[rows],
+            turned(turned(leverage).T), felt, gathered, lost,
         )  # fmt: skip
 
 

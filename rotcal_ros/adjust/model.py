@@ -70,13 +70,16 @@ class Grouping(NamedTuple):
     ``number`` (n,): which one each belongs to, -1 for none. ``along`` (n,): a time or place along
     which neighbours are spoiled together. ``near`` (n, k): places with neighbours all round, unit
     vectors for directions. ``closed``: ``along`` is a bearing, of which the last is followed by
-    the first. Of neither: only the whole group is judged.
+    the first. Of neither: only the whole group is judged. ``frame`` (n, c, c): takes the c rows of
+    each one's element, of one noise, to the axes along which those of a group are off alike; None:
+    that are the rows.
     """
 
     kind: str
     number: Ints
     along: Floats | None = None
     near: Floats | None = None
+    frame: Floats | None = None
     closed: bool = False
 
     @property
@@ -86,8 +89,9 @@ class Grouping(NamedTuple):
 
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
-        along, near = (None if each is None else each[rows] for each in (self.along, self.near))
-        return self._replace(number=self.number[rows], along=along, near=near)
+        known = (self.along, self.near, self.frame)
+        along, near, frame = (None if each is None else each[rows] for each in known)
+        return self._replace(number=self.number[rows], along=along, near=near, frame=frame)
 
     def with_others(self, below: int, above: int = 0) -> Grouping:
         """Return the same beside further observations, below and above, that belong to none."""
@@ -96,6 +100,7 @@ class Grouping(NamedTuple):
             number=np.pad(self.number, rows, constant_values=-1),
             along=None if self.along is None else np.pad(self.along, rows),
             near=None if self.near is None else np.pad(self.near, (rows, (0, 0))),
+            frame=None if self.frame is None else np.pad(self.frame, (rows, (0, 0), (0, 0))),
         )
 
 
@@ -188,7 +193,8 @@ class Disturbing:
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
     ``family`` has members of which at most one is there, in the order of time, each of so many
     columns as its :attr:`width`; other columns are there together. What ``stays`` does so from
-    its moment on until the run ends, as :class:`Steps` do.
+    its moment on until the run ends, as :class:`Steps` do. Where its moment is random, what may
+    stay unseen is told of this ``usual`` share of them, not of the worst.
     """
 
     effect: Effect
@@ -199,6 +205,7 @@ class Disturbing:
     family: bool = False
     of_each: int = 1
     stays: bool = False
+    usual: float = 1.0
 
     @property
     def width(self) -> int:
@@ -405,7 +412,8 @@ class Model:
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
     ``expected``: what may have happened unseen. ``closures``: relations that outputs should keep.
     ``shared``: blocks that rows of many groups feel, where derivatives come as ``csr_array``.
-    ``unstated``: the noise is not known; ``std`` is a guess, no more than tenfold too large.
+    ``unstated``: the noise is not known, and ``std`` a guess; no standard deviation is held to be
+    below ``least``, as what the equations neglect.
     """
 
     blocks: Mapping[str, int]
@@ -431,6 +439,7 @@ class Model:
     closures: Sequence[KnownRelation] = ()
     shared: Sequence[str] = ()
     unstated: bool = False
+    least: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -534,6 +543,14 @@ class Model:
         if self.component is None:
             return np.zeros(len(self.observed), dtype=np.int64)
         return self.component
+
+    @cached_property
+    def least_factors(self) -> Floats:
+        """Factors (c,) of unstated noise that make the smallest of each component ``least``."""
+        number = self.of_component
+        guess = [self.std[number == k].min(initial=np.inf) for k in range(len(self.components))]
+        floor = np.maximum(self.least, np.finfo(np.float64).eps * np.abs(self.observed).max())
+        return np.asarray(np.minimum(floor / np.array(guess), 1.0))
 
     @cached_property
     def may_go(self) -> Bools:
@@ -652,13 +669,15 @@ class Model:
         size: float | None,
         largest: float,
         ways: Sequence[tuple[float, Floats]] = (),
+        felt: float = 1.0,
     ) -> Model:
         """Return the model with what scatters by a ``size``; None: that is estimated.
 
         ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
         and roots (k, r) of its covariance per unit of size; none: of each row by itself. Sizes
         are told as what a row scatters by the first of them, in the mean of squares.
-        ``largest``: one that nobody would overlook.
+        ``largest``: one that nobody would overlook. ``felt``: how many times as much outputs feel
+        it, in their noise, as a mean contrast does.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
         k, unit = rows.shape[0], 1.0
@@ -668,7 +687,7 @@ class Model:
         known = self.knowing(what, rows, np.zeros(k), stated or largest)
         parts = (tuple(root / unit for _, root in ways),)
         each = np.arange(n, n + k)
-        scatter = Scattering(each, parts, what, likely / likely.sum(), stated)
+        scatter = Scattering(each, parts, what, likely / likely.sum(), stated, felt=felt)
         return replace(known, correlated=(*self.correlated, scatter))
 
     @property

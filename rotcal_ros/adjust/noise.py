@@ -128,24 +128,25 @@ def estimate_factors(
     factors: Floats,
     prior: Floats,
     settled: float = SETTLED,
+    lowest: Floats | float = LEAST_FACTOR,
 ) -> tuple[EstimatedFactors, Fit]:
     """Return the factors that fit the residuals best, and the adjustment with them.
 
     ``at(factors, fit)`` adjusts anew with the ``factors`` (c,), from a ``fit`` that is nearly the
     same. ``prior`` (c, c): information of the statements on ln s. ``settled``: squared last step
-    in standard deviations, see NEARLY_SETTLED.
+    in standard deviations, see NEARLY_SETTLED. No factor is found below the ``lowest``.
     """
     logs, fit = np.log(factors), start
     for _ in range(MAX_ITERATIONS):
         evidence, fit = at(np.exp(logs), fit)
         slope = evidence.squares - evidence.redundancy - prior @ logs
         known = 2.0 * evidence.information + prior
-        least = (logs <= np.log(LEAST_FACTOR)) & (slope < 0.0)  # these stay where they are
+        least = (logs <= np.log(lowest)) & (slope < 0.0)  # these stay where they are
         free = np.flatnonzero(evidence.present & ~least)
         step = np.zeros(len(logs))
         step[free] = np.linalg.solve(_steeper(known, evidence)[np.ix_(free, free)], slope[free])
         step *= min(1.0, LARGEST_STEP / float(np.abs(step).max(initial=LARGEST_STEP)))
-        step = np.maximum(logs + step, np.log(LEAST_FACTOR)) - logs
+        step = np.maximum(logs + step, np.log(lowest)) - logs
         if float(step @ known @ step) < settled:
             break
         logs = logs + step

@@ -109,6 +109,12 @@ class Outputs:
         column[there], value[there] = self.few.indices, self.few.data
         return column, value
 
+    def of_first(self, unknowns: int) -> Outputs:
+        """Return what they make of the first ``unknowns`` alone."""
+        if self.shape[1] <= unknowns:
+            return self
+        return Outputs(self.few[:, :unknowns], self.common[:, :unknowns], self.share)
+
     def part(self, which: slice) -> Outputs:
         """Return some of them."""
         share = self.share[which]

@@ -44,7 +44,7 @@ LEVELS: Final = np.geomspace(0.03, 1e4, 128)
 SHOWN: Final = 1e-9
 """Share of what is known of a row that readings add, below which they show nothing of it."""
 SEEN: Final = 1e-3
-"""Share of the most that errors beside it do to contrasts, from which one counts."""
+"""Share of the clearest trace in the contrasts from which a way, or an error beside it, counts."""
 RULED: Final = 1e-3
 """Share of the largest eigenvalue from which an axis counts in the mean."""
 MOST: Final = 1500
@@ -97,6 +97,8 @@ class Scattering(Correlated):
     ``parts`` holds one tuple: the ways, roots (k, r) of the covariance per unit of size; none:
     each row by itself. ``likely`` (w,): their probabilities beforehand. ``stated``: the size, in
     the unit of the rows; None: it is estimated. ``asked``: whether readings are there to say.
+    ``felt``: how many times as much outputs feel it as a mean contrast does: the prior is that of
+    sizes which matter to these.
     """
 
     what: str
@@ -104,6 +106,7 @@ class Scattering(Correlated):
     stated: float | None
     significance: float = 0.01
     asked: bool = True
+    felt: float = 1.0
 
     def below(self, count: int) -> Scattering:
         """Return the same below ``count`` further rows."""
@@ -200,11 +203,15 @@ class Scattering(Correlated):
         self, value: Floats, each: list[tuple[Floats, Floats]], noticed: list[float]
     ) -> Sizes:
         """Return the posterior of size and way."""
-        size, way, logs = [np.zeros(1)], [np.zeros(1, dtype=np.int64)], [np.log([ABSENT])]
-        x = LEVELS / NOTICED
+        size, way, logs = (
+            [np.zeros(1)],
+            [np.zeros(1, dtype=np.int64)],
+            [np.log([ABSENT / self.felt])],
+        )
+        x = LEVELS * self.felt / NOTICED
         prior = np.log(x**STEEPNESS / (1.0 + x**STEEPNESS) * np.gradient(np.log(LEVELS)))
         for k, ((d, u), unit) in enumerate(zip(each, noticed, strict=True)):
-            if np.isfinite(unit):
+            if unit <= min(noticed) / np.sqrt(SEEN):
                 size.append(LEVELS * unit)
                 way.append(np.full(len(LEVELS), k))
                 likely = np.log(self.likely[k]) + prior

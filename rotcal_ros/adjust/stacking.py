@@ -115,6 +115,7 @@ def stacked(
             for each in model.expected
         ],
         unstated=any(m.unstated for m in parts),
+        least=max(m.least for m in parts),
     )
 
 

@@ -23,7 +23,6 @@ True
 """
 
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem as Problem
-from rotcal_ros.methods.ball_plate.solver import select, solve
-from rotcal_ros.methods.ball_plate.solver.spectral import ClosedForm, closed_form
+from rotcal_ros.methods.ball_plate.solver import ClosedForm, closed_form, select, solve
 
 __all__ = ["ClosedForm", "Problem", "closed_form", "select", "solve"]

@@ -57,9 +57,9 @@ def test_a_table_of_centres_is_solved_with_the_file_of_its_plate(tmp_path):
     found = json.loads(result.stdout)
     assert found["method"] == "ball_plate"
     assert set(found["deviations"]) == {"EXC", "EYC", "EZC", "EAC", "EBC", "ECC"}
-    assert found["details"]["sigma_centre"] == pytest.approx(1e-7, rel=0.15)
+    assert found["residuals"]["std"] == pytest.approx([1e-7] * 144, rel=0.15)
     # closed form of the complete grid: variance of ECC (1 - 1/N) / N per unit sigma^2
-    expected = found["details"]["sigma_centre"] / 0.185 * np.sqrt((1 - 1 / 12) / 12)
+    expected = 1e-7 / 0.185 * np.sqrt((1 - 1 / 12) / 12)
     assert np.allclose(found["std"]["ECC"], expected, rtol=1e-9)
 
 
@@ -117,7 +117,7 @@ def test_a_table_may_hold_the_closing_rows_of_its_plan(tmp_path):
     assert result.exit_code == 0, result.stderr
     found = json.loads(result.stdout)
     assert (found["n_observations"], found["n_rejected"]) == (156, 0)
-    assert found["details"]["closure"][0]["n_balls"] == 12
+    assert len(found["details"]["closed"][0]["error"]) == 6
     assert "drift" in {p["effect"] for p in found["protections"]}
     table.write_text("\n".join([*rows, *first, first[3]]) + "\n")
     again = run("solve", str(table), "--setup", setup)

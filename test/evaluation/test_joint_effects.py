@@ -110,7 +110,7 @@ def test_a_plate_that_turned_between_two_positions_is_named_beside_readings():
     assert plate.result.verdict == "ok"
     found = solve_together([plate, rough_polygon(7)]).result
     named, sizes, std = only_effect(found)
-    assert named.startswith("in plate the plate moved on the table from x of row 60 ")
+    assert named.startswith("in plate the plate moved on the table from row 60 ")
     assert sizes == pytest.approx([3.0 * ARCSEC * RADIUS], abs=4.0 * std[0])
     assert is_right(found)
 
@@ -118,7 +118,7 @@ def test_a_plate_that_turned_between_two_positions_is_named_beside_readings():
 def test_a_plate_that_turned_among_the_balls_of_a_position_is_named():
     found = solve_together([plate_with(3, turn=ARCSEC, since=66), rough_polygon(7)]).result
     named, sizes, std = only_effect(found)
-    assert named.startswith("in plate the plate moved on the table from x of row 6")
+    assert named.startswith("in plate the plate moved on the table from row 6")
     assert sizes == pytest.approx([ARCSEC * RADIUS], abs=4.0 * std[0])
     assert is_right(found)
 

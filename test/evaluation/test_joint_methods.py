@@ -23,7 +23,6 @@ from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate
-from rotcal_ros.methods.ball_plate.solver import curve_model as plate_model
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.tracer import solver as tracer
 from rotcal_ros.methods.tracer.solver.carried_lengths import WORDS
@@ -38,7 +37,7 @@ MEAN = np.eye(GRID) - 1.0 / GRID
 
 
 def plate_of(problem, name="plate"):
-    model, _ = plate_model.curve_model(problem, problem.angles)
+    model, _ = ball_plate.of_curves(problem, problem.angles)
     try:
         return JointInput(name, ball_plate.solve(problem), model)
     except DataError:

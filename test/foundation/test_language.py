@@ -42,7 +42,8 @@ def test_a_list_of_phrases_is_said_part_by_part():
     ("english", "german"),
     [
         ("no light is used", "es wird kein Licht verwendet"),
-        ("3 of 40 centres were rejected", "3 von 40 Kugelmittelpunkten wurden verworfen"),
+        ("the budget holds 3 um over the run",
+         "das Messunsicherheitsbudget enthält 3 µm über die Dauer der Messung"),
         ("10 beam broken", "10 Strahl unterbrochen"),
         ("Error motion", "Bewegungsabweichung der Achse (Rundlauf)"),  # begins a caption
         ("ok (SIMULATED). Not tested for: drift, tilt",

@@ -94,11 +94,6 @@ def simulated(grid=72, balls=PAPER_PLATE, seed=0, noise=5e-8, **fields):
     return BallPlateProblem(grid, RADIUS, table, ball, centres, **fields), truth
 
 
-def solved(way, problem):
-    """The linear model alone, solved in one of its ways, a class."""
-    return way(problem).solve(problem.deviations)
-
-
 def in_cmm_order(problem):
     """Number the rows CMM position by CMM position, as the paper measures."""
     order = np.lexsort((problem.position, problem.cmm_index))

@@ -4,11 +4,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from dense_ball_plate import design_of
 from plate_data import simulated
 
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import select
-from rotcal_ros.methods.ball_plate.solver.model import design_matrix
 from rotcal_ros.methods.ball_plate.solver.separability import (
     require_separable,
     separability,
@@ -17,7 +17,7 @@ from rotcal_ros.methods.ball_plate.solver.separability import (
 
 
 def rank_deficit(problem):
-    design = design_matrix(problem)
+    design = design_of(problem)
     return design.shape[1] - 19 - np.linalg.matrix_rank(design, tol=1e-9)
 
 

@@ -76,30 +76,12 @@ def test_details_of_the_ball_plate():
     sizes = {"N": 24, "R": 6, "S": 24, "k": 144}
     details = ball_plate.solve(problem).details
     assert_documented(details, "ball_plate", sizes)
-    assert details["groups"][0]["way"] == "spectral"
     gap = problem.take(np.arange(144) != 7)
     details = ball_plate.solve(gap).details
     assert_documented(details, "ball_plate", {**sizes, "k": 143})
-    assert details["groups"][0]["way"] == "spectral with gaps"
     weighted = replace(problem, sigma=None, std=np.linspace(4e-8, 6e-8, 432).reshape(144, 3))
     details = ball_plate.solve(weighted).details
     assert_documented(details, "ball_plate", sizes)
-    assert details["groups"][0]["way"] == "general"
-
-
-def test_a_knock_has_its_own_details():
-    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], sigma=5e-8)
-    table = problem.angles[problem.position]
-    shift = np.column_stack([np.cos(table), np.sin(table), 0.0 * table]) * 2e-6
-    late = (problem.cmm_index >= 12)[:, None]
-    order = np.empty(144, dtype=int)
-    order[np.lexsort((problem.position, problem.cmm_index))] = np.arange(144)
-    result = ball_plate.solve(replace(problem, centres=problem.centres + late * shift, row=order))
-    knock = result.details["groups"][0]["knock"]
-    assert set(knock) == {"last_row", "first_row", "shift", "rotation"}
-    assert (knock["last_row"], knock["first_row"]) == (71, 72)
-    np.testing.assert_allclose(knock["shift"][:2], [2e-6, 0.0], atol=1e-7)
-    assert np.shape(knock["rotation"]) == (3,)
 
 
 @pytest.mark.parametrize("way", WAYS)

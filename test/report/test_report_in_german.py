@@ -82,9 +82,9 @@ def test_there_is_a_sample_of_every_method():
 @pytest.mark.usefixtures("without_figures")
 def test_warnings_and_reasons_are_german_and_an_unknown_one_is_marked_as_english():
     known = read_source(ROOT / "examples/data/result_ball_plate.json").result
-    warnings = ("3 of 40 centres were rejected", "the moon is full")
+    warnings = ("the budget holds 3 um over the run", "the moon is full")
     page = german(replace(known, verdict="suspect", warnings=warnings))
-    said = "3 von 40 Kugelmittelpunkten wurden verworfen"
+    said = "das Messunsicherheitsbudget enthält 3 µm über die Dauer der Messung"
     assert f"die Bewertung lautet „zweifelhaft“: {said}; the moon is full" in page
     page = german(replace(known, warnings=warnings))
     assert f"<li>{said}</li>" in page

@@ -16,9 +16,8 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
-from rotcal_ros.methods.ball_plate.solver.estimate import computed
-from rotcal_ros.methods.ball_plate.solver.model import PlateParameters
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 from rotcal_ros.methods.figures import style
 
 RADIUS: Final = 0.185
@@ -27,6 +26,9 @@ CENTRE_STD: Final = 0.05e-6
 """Noise of a ball centre along each axis, m: U = 0.1 um (k = 2), first paper, section 5."""
 MANUFACTURE_STD: Final = 5e-6
 MACHINE_STD: Final = 0.8e-6
+AXIS_TURN: Final = np.array([3.0, -2.0, 5.0]) * ARCSEC
+AXIS_SHIFT: Final = np.array([12.0, -7.0, 4.0]) * MICROMETRE
+"""How the axis stands in the frame of the machine: its tilt, with the turn of the plate, and m."""
 HARMONICS: Final[Mapping[str, Mapping[int, tuple[float, float]]]] = {
     "EXC": {2: (0.12, 35.0), 3: (0.08, -110.0), 5: (0.04, 15.0)},
     "EYC": {2: (0.10, -50.0), 3: (0.09, 15.0), 4: (0.05, 80.0)},
@@ -71,16 +73,15 @@ class PlateMeasurement:
         plate = MANUFACTURE_STD * rng.standard_normal((count, 3))
         machine = MACHINE_STD * rng.standard_normal((grid, 3))
         truth = true_deviations(nominal.angles)
-        found = PlateParameters(
-            plate=plate,
-            cmm=machine,
-            rotation=np.column_stack([truth[name] for name in ("EAC", "EBC", "ECC")]),
-            translation=np.column_stack([truth[name] for name in ("EXC", "EYC", "EZC")]),
-            axis_rotation=np.array([3.0, -2.0, 5.0]) * ARCSEC,
-            axis_shift=np.array([12.0, -7.0, 4.0]) * MICROMETRE,
-        )
-        own = np.searchsorted(nominal.balls, nominal.ball_step)
-        centres = computed(nominal, found, plate[own], machine[nominal.cmm_index])
+        at, own = nominal.position, np.searchsorted(nominal.balls, nominal.ball_step)
+        places = RADIUS * on_circle(nominal.angles[nominal.ball_step]) + plate[own]
+        lean = np.column_stack([truth["EAC"], truth["EBC"], np.zeros(grid)])
+        table = rotation_from_vector(lean) @ rotation_about_z(nominal.angles + truth["ECC"])
+        shift = np.column_stack([truth[name] for name in ("EXC", "EYC", "EZC")])
+        there = (table[at] @ (rotation_about_z(AXIS_TURN[2]) @ places.T).T[:, :, None])[:, :, 0]
+        there = there + shift[at] + machine[nominal.cmm_index]
+        tilt = rotation_from_vector(AXIS_TURN * [1.0, 1.0, 0.0])
+        centres = AXIS_SHIFT + there @ tilt.T
         noise = self.noisy * CENTRE_STD * rng.standard_normal(centres.shape)
         return replace(nominal, centres=centres + noise)
 

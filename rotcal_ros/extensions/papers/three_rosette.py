@@ -25,14 +25,9 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_o
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.solver import select, solve
-from rotcal_ros.methods.ball_plate.solver.model import (
-    TABLE_COMPONENTS,
-    constraint_matrix,
-    design_matrix,
-)
+from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 from rotcal_ros.methods.ball_plate.solver.separability import separability
-from rotcal_ros.methods.ball_plate.solver.spectral import SpectralFit
 from rotcal_ros.methods.figures import Figure, style
 
 GRID: Final = 72
@@ -69,10 +64,10 @@ def unit_uncertainty(balls: tuple[int, ...], grid: int = GRID) -> dict[str, floa
     """Return U (k = 2) of each component, rms over the angles, with the paper's noise, m, rad."""
     cmm, ball = (a.ravel() for a in np.meshgrid(np.arange(grid), balls, indexing="ij"))
     layout = BallPlateProblem.nominal(grid, RADIUS, (cmm - ball) % grid, ball)
-    std = SpectralFit(layout).unit_std
+    std = PlateLayout(layout).unit_std()
     return {
-        name: COVERAGE_FACTOR * CENTRE_STD * float(np.sqrt(np.mean(std.component(name) ** 2)))
-        for name in TABLE_COMPONENTS
+        name: COVERAGE_FACTOR * CENTRE_STD * float(np.sqrt(np.mean(own**2)))
+        for name, own in std.items()
     }
 
 
@@ -84,9 +79,9 @@ def _values(results: Mapping[str, Result]) -> dict[str, float]:
     ten_shift, ten_turn = largest_apart(new, ten)
     four_lost, four_all = counterexamples(4)
     five_lost, five_all = counterexamples(5)
-    layout = PlateMeasurement(GRID, PLATE, seed=2).problem()
-    design, constraints = design_matrix(layout), constraint_matrix(layout)
-    unknowns = design.shape[1]
+    layout = PlateLayout(PlateMeasurement(GRID, PLATE, seed=2).problem())
+    pose = 6  # of the axis, which Eq. 15 takes off what the machine has at its positions
+    unknowns = layout.unknowns + pose
     values = {
         "u_shift_um": whole["EXC"] / MICROMETRE,
         "u_tilt_urad": whole["EAC"] / MICRORADIAN,
@@ -95,8 +90,8 @@ def _values(results: Mapping[str, Result]) -> dict[str, float]:
         "six_tilt_ratio": best["EAC"] / whole["EAC"],
         "first_six_ratio": first["ECC"] / whole["ECC"],
         "first_six_tilt_ratio": first["EAC"] / whole["EAC"],
-        "null_directions": unknowns - np.linalg.matrix_rank(design),
-        "constraints": len(constraints),
+        "null_directions": unknowns - np.linalg.matrix_rank(layout.rows.toarray()),
+        "constraints": len(layout.definitions) + pose,
         "unknowns": unknowns,
         "effort": GRID / len(PLATE),
         "old_shift_um": shifts / MICROMETRE,

@@ -1,7 +1,7 @@
 """Figures of the ball plate method: plate, machine, and residuals by ball and position.
 
 Vectors are drawn radial, tangential (counter-clockwise) and along the axis at their place on
-the ball circle; that holds for all groups of table positions, whatever their frames.
+the ball circle.
 """
 
 from __future__ import annotations
@@ -69,13 +69,12 @@ def set_up(result: Result) -> str:
     """Draw the circle of the balls about the axis with the grid of table positions, to scale."""
     radius = float(result.details["radius"]) / MILLIMETRE
     (ax,) = style.grid(height=4.6)
-    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    turn, grid = np.linspace(0.0, 2.0 * np.pi, 181), int(result.details["grid"])
     ax.plot(radius * np.cos(turn), radius * np.sin(turn), color=style.GREY, linewidth=0.9)
     for number, group in enumerate(result.details["groups"]):
         steps = np.asarray(group["ball_steps"])
-        grid = _group_grid(result, group)
-        at = 2.0 * np.pi * steps / grid + group["turn"]
-        stops = 2.0 * np.pi * np.arange(grid) / grid + group["turn"]
+        at = 2.0 * np.pi * steps / grid
+        stops = 2.0 * np.pi * np.asarray(group["cmm_positions"]) / grid
         rays = np.array([0.25, 0.95]) * radius
         for angle in stops:
             ax.plot(rays * np.cos(angle), rays * np.sin(angle), color=style.MISSING, linewidth=0.8)
@@ -98,7 +97,7 @@ def plate_errors(result: Result) -> str:
     (ax,) = style.grid(height=3.0)
     for number, group in enumerate(result.details["groups"]):
         steps = np.asarray(group["ball_steps"])
-        angle = 2.0 * np.pi * steps / _group_grid(result, group)
+        angle = 2.0 * np.pi * steps / int(result.details["grid"])
         values = _local(np.asarray(group["plate_errors"]), angle) / MICROMETRE
         band = COVERAGE_FACTOR * _local_std(np.asarray(group["plate_errors_std"]), angle)
         place = np.arange(len(steps)) + number * (len(steps) + 1)
@@ -120,10 +119,10 @@ def machine_errors(result: Result) -> str:
     """Draw the machine's errors over the angle of the measuring position with k = 2 bands."""
     panels = style.grid(3, 1, height=1.7, sharex=True)
     for group in result.details["groups"]:
-        angle = 2.0 * np.pi * np.asarray(group["cmm_positions"]) / _group_grid(result, group)
+        angle = 2.0 * np.pi * np.asarray(group["cmm_positions"]) / int(result.details["grid"])
         values = _local(np.asarray(group["cmm_errors"]), angle) / MICROMETRE
         band = COVERAGE_FACTOR * _local_std(np.asarray(group["cmm_errors_std"]), angle)
-        place = (angle + group["turn"]) / DEGREE
+        place = angle / DEGREE
         for i, ax in enumerate(panels):
             style.curve_with_band(ax, place, values[:, i], band[:, i] / MICROMETRE, "")
             ax.set_ylabel(f"{_DIRECTIONS[i]} / µm")
@@ -197,11 +196,6 @@ def _draw_map(
         interpolation="nearest",
     )  # fmt: skip
     style.whole_numbers(ax.xaxis)
-
-
-def _group_grid(result: Result, group: Mapping[str, Any]) -> int:
-    """Return the number of table positions of one group, a turn in all."""
-    return int(result.details["grid"]) // len(result.details["groups"])
 
 
 def _local(vectors: Floats, angles: Floats) -> Floats:

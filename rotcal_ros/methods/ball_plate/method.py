@@ -96,14 +96,12 @@ def of_curves(
 
     None where an allowance is stated: that has no noise of its own.
     """
-    from rotcal_ros.methods.ball_plate.solver.curve_model import curve_model
-
     solver = configuration.solver
     if solver.drift_allowance_m or solver.group_allowance_m:
         return None
     arrivals = _arrivals(configuration, plan)
     chosen = _chosen(configuration, plan, observations)
-    found, positions = curve_model(chosen, arrivals.targets[arrivals.target])
+    found, positions = ball_plate.of_curves(chosen, arrivals.targets[arrivals.target])
     return mean_of_arrivals(found, arrivals.take(positions))
 
 
@@ -129,7 +127,7 @@ def trials(
     Raises ConfigurationError when neither the set-up nor the residuals give the noise.
     """
     solution = ball_plate.adjust(_chosen(configuration, plan, observations))
-    if not np.max(solution.noise.used * solution.problem.noise_unit) > 1e-12:
+    if not solution.noisy:
         raise ConfigurationError(
             f"{configuration.source}: exact centres show no noise; state solver.sigma_centre_m"
         )

@@ -22,8 +22,7 @@ from rotcal_ros.methods.ball_plate.settings import (
     checked,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import position_of
-from rotcal_ros.methods.ball_plate.solver.rejection import MOST_OPEN
-from rotcal_ros.methods.ball_plate.solver.result import METHOD
+from rotcal_ros.methods.ball_plate.solver.result import METHOD, MOST_OPEN
 from rotcal_ros.methods.ball_plate.solver.separability import MIN_BALLS, common_divisor
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.planning.plan import Plan, Point, Step

@@ -20,7 +20,7 @@ from rotcal_ros.extensions.design.ball_plate.ball_layout import (
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.measuring_order import spread_out
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.general_least_squares import GeneralFit
+from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 RADIUS = 0.185
@@ -37,8 +37,8 @@ def eliminated_variances(grid, balls):
     angle = 2 * np.pi * ((table + ball) % grid) / grid
     centres = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     problem = BallPlateProblem(grid, RADIUS, table, ball, centres)
-    std = GeneralFit(problem).solve(problem.deviations).unit_std
-    mean = {n: np.mean(std.component(n) ** 2) for n in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")}
+    std = PlateLayout(problem).unit_std()
+    mean = {n: np.mean(std[n] ** 2) for n in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")}
     return [
         mean["ECC"] * RADIUS**2,
         (mean["EXC"] + mean["EYC"]) / 2,

@@ -62,7 +62,8 @@ def test_the_predicted_uncertainty_is_that_of_the_solver_for_what_the_plan_measu
     assert plan.at_each_angle.min() >= 4
     assert plan.at_each_angle.sum() == 6 * len(plan.positions)
     found = measured(plan.configuration, CURVE, np.random.default_rng(1))
-    assert found.std["ECC"] == pytest.approx(plan.std, rel=1e-6)
+    assert found.std["ECC"] == pytest.approx(plan.std, rel=0.02)
+    assert (found.std["ECC"] <= plan.std).all()  # the first position once more tells a little
     assert found.angles == pytest.approx(plan.angles)
 
 

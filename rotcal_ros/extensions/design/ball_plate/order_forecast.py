@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.closures import Closed
+from rotcal_ros.adjust.distributions import noncentrality
+from rotcal_ros.adjust.effects import Seen, SeenFamily, unseen
+from rotcal_ros.adjust.engine import LIMITS
+from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.model import Disturbing
+from rotcal_ros.adjust.seen import seen_by
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
-from rotcal_ros.methods.ball_plate.solver.estimate import solved
-from rotcal_ros.methods.ball_plate.solver.growth import unit_growth
-from rotcal_ros.methods.ball_plate.solver.order_effects import (
-    DisplacementPatterns,
-    bad_moment,
-    drift_error,
-    found_size,
-    knock_error,
-    needed,
-    order_effects,
+from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
+from rotcal_ros.methods.ball_plate.solver.plate_model import (
+    LARGEST,
+    RANDOM_MOMENTS,
+    PlateRows,
+    drift_columns,
+    plate_model,
+    plate_motion,
 )
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 
-AXES = ("x", "y", "z")
+AXES: Final = ("x", "y", "z")
+MOMENTS: Final = 40
+"""Moments at which a knock is looked at, evenly over the run."""
 
 
 @dataclass(frozen=True)
@@ -66,61 +73,83 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     Raises ObservabilityError when the plan does not separate the errors.
     """
     row = np.arange(len(plan.position))
-    once, closing = closing_apart(
-        BallPlateProblem.nominal(plan.grid, radius, plan.position, plan.ball_step, row=row)
+    problem = BallPlateProblem.nominal(
+        plan.grid, radius, plan.position, plan.ball_step, row=row, sigma=sigma
     )
-    linear, solution = solved(once)
-    std, dof = solution.unit_std.curves(), solution.dof
-    effects = order_effects(once, closing)
-    closure = needed(6, dof)
-    drifts = [
-        _effect("drift", a, [effects.drift], np.eye(3)[a], 1.0, std, needed(3, dof), closure)
-        for a in range(3)
-    ]
-    unit, fit = np.eye(6), needed(6, dof, len(effects.knocks))
+    layout = PlateLayout(problem)
+    model, rows = plate_model(layout), PlateRows(layout)
+    fit = fitted(model, np.ones(len(model.observed), dtype=np.bool_), model.std, model.first)
+    std, significance = fit.counting(fit.noise_std), LIMITS.of_each_effect(model)
+    closed = [Closed(fit, relation, 1.0, np.inf) for relation in model.closures]
+
+    def seen_of(displacements: Floats) -> Seen:
+        columns = rows.of(displacements)
+        seen: Seen | SeenFamily = seen_by(fit, columns)
+        for each in closed:
+            seen = each.beside(Disturbing("drift", "", columns, LARGEST), seen)
+        assert isinstance(seen, Seen)
+        return seen
+
+    drift = seen_of(drift_columns(rows.time, 1))
+    motion = plate_motion(problem)[layout.row]
+    moments = np.unique(np.ceil((np.arange(MOMENTS) + 0.5) / MOMENTS * len(row)))
     knocks = [
-        _effect(kind, a, effects.knocks, unit[start + a], length, std, fit, closure)
-        for kind, start, length in (("shift", 0, 1.0), ("turn", 3, radius))
-        for a in range(3)
+        seen_of(motion * (np.arange(len(row)) >= moment)[:, None, None]) for moment in moments
     ]
-    tests = 1 if closing is None else 2  # the closing rows have a test of their own
-    growing = needed(1, dof, tests)
-    grown = unit_growth(once, linear, closing)
-    growth = _effect("growth", None, [grown], np.ones(1), 1.0, std, growing, growing)
-    # sizes were found for unit noise
-    *units, growth = (
-        replace(e, found_from=sigma * e.found_from) for e in (*drifts, *knocks, growth)
-    )
+    places = radius * on_circle(problem.angles[problem.cmm_index[layout.row]])
+    growth = seen_of((rows.time[:, None] * places)[:, :, None])
+    single = len(moments) * 6
+    drifts = [_effect(fit, "drift", a, a, [drift], 1.0, significance) for a in range(3)]
+    moves = [
+        _effect(fit, kind, axis, first + axis, knocks, length, significance / single)
+        for kind, first, length in (("shift", 0, 1.0), ("turn", 3, radius))
+        for axis in range(3)
+    ]
+    errors = [
+        unseen(each, std, LARGEST, significance=significance / len(moments), power=POWER).error
+        for each in knocks
+    ]
     return OrderForecast(
-        effects=tuple(units),
-        growth=growth,
-        drift_unseen=drift_error(effects, std, dof),
-        knock_unseen=knock_error(effects, std, dof),
+        effects=(*drifts, *moves),
+        growth=_effect(fit, "growth", None, 0, [growth], 1.0, significance),
+        drift_unseen=unseen(drift, std, LARGEST, significance=significance, power=POWER).error,
+        knock_unseen=errors[_bad_moment(np.array(errors))],
     )
+
+
+def _bad_moment(errors: Floats) -> int:
+    """Return the moment whose error all but the worst moments do not exceed."""
+    return int(np.argsort(errors)[int(np.ceil(RANDOM_MOMENTS * len(errors))) - 1])
 
 
 def _effect(
+    fit: Fit,
     kind: str,
     axis: int | None,
-    patterns: Sequence[DisplacementPatterns],
-    amount: Floats,
+    column: int,
+    each: list[Seen],
     length: float,
-    std: Floats,
-    fit: float,
-    closure: float,
+    significance: float,
 ) -> UnitEffect:
-    """Return the effect of ``amount`` (m,), worth ``length`` m per unit, at a bad moment."""
-    errors = [np.abs(p.response @ amount) for p in patterns]
-    sizes = np.array([found_size(p, amount, fit, closure) for p in patterns])
-    relative = np.array([np.max(error / std) for error in errors])
+    """Return a ``column`` of effects, worth ``length`` m per unit, at a bad moment of several."""
+    count = len(fit.model.outputs)
+    moved = np.abs([seen.moved[:][column, :count] for seen in each])
+    shown = np.array([seen.information[column, column] for seen in each])
+    whole = np.array([seen.whole[column] for seen in each])
+    needed = np.sqrt(noncentrality(significance, POWER, 1, np.inf))
+    checked = shown > 1e-9 * whole
+    sizes = np.where(checked, needed / np.sqrt(np.where(checked, shown, 1.0)), np.inf)
+    relative = (moved / fit.noise_std[:count]).max(axis=1)
     # a size may be infinite: where nothing is in error 0 inf would not be a number
-    unseen = np.where(relative > 0.0, relative * np.where(relative > 0.0, sizes, 0.0), 0.0)
-    moment = bad_moment(unseen)
-    largest = length * errors[moment].max(axis=1)
+    hidden = np.where(
+        relative > 1e-9 / LARGEST, relative * np.where(relative > 0.0, sizes, 0.0), 0.0
+    )
+    moment = _bad_moment(hidden)
+    largest = length * moved[moment].reshape(len(COMPONENTS), -1).max(axis=1)
     return UnitEffect(
         kind=kind,
         axis="" if axis is None else AXES[axis],
         error=dict(zip(COMPONENTS, largest.tolist(), strict=True)),
         found_from=float(sizes[moment]) / length,
-        unseen=float(unseen[moment]),
+        unseen=float(hidden[moment]),
     )

@@ -7,9 +7,8 @@ stands, when it was measured, and how far it was found from its nominal place.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from hashlib import sha256
 from typing import Any, Final
 
 import numpy as np
@@ -139,19 +138,9 @@ class BallPlateProblem:
         return stops
 
     @cached_property
-    def noise_unit(self) -> Floats:
-        """What the noise of each coordinate is counted in, (n, 3): its ``std``, or 1 m."""
-        return np.broadcast_to(1.0, self.centres.shape) if self.std is None else self.std
-
-    @cached_property
     def weighed_alike(self) -> bool:
         """Whether all rows have the same standard deviations of x, y, z, or none of their own."""
         return self.std is None or not np.ptp(self.std, axis=0).any()
-
-    @cached_property
-    def weights(self) -> Floats:
-        """Weights of the coordinates, (n, 3)."""
-        return self.noise_unit if self.std is None else np.asarray(self.std**-2)
 
     @cached_property
     def balls(self) -> Ints:
@@ -203,27 +192,6 @@ class BallPlateProblem:
             return self
         columns = {name: getattr(self, name) for name in COLUMNS}
         return replace(self, **{n: c[keep] for n, c in columns.items() if c is not None})
-
-
-@dataclass(frozen=True)
-class RowLayout:
-    """What of a problem does not depend on the measured values, to remember by.
-
-    ``key`` distinguishes layouts; ``problem`` is one of this layout, whichever was met first.
-    """
-
-    key: tuple[object, ...]
-    problem: BallPlateProblem = field(compare=False)
-
-    @classmethod
-    def of(cls, problem: BallPlateProblem) -> RowLayout:
-        """Return the layout of a problem."""
-        columns = (problem.position, problem.ball_step, problem.rows, problem.run_time)
-        held = (
-            None if c is None else sha256(c.tobytes()).digest() for c in (*columns, problem.std)
-        )
-        stated = (problem.grid, problem.radius, problem.drift, problem.bidirectional)
-        return cls((*stated, *held), problem)
 
 
 def select(
@@ -296,12 +264,6 @@ def grid_angles(grid: int) -> Floats:
 def on_circle(angle: Floats) -> Floats:
     """Return the points (n, 3) of the unit circle at ``angle`` (n,), rad from +x."""
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-
-
-def places_of(wanted: Ints, column: Ints) -> Ints:
-    """Return where in a ``column`` each of the ``wanted`` values stands first; all must occur."""
-    order = np.argsort(column, kind="stable")
-    return order[np.searchsorted(column, wanted, sorter=order)]
 
 
 def _check_statements(problem: BallPlateProblem) -> None:

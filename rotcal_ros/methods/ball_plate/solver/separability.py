@@ -12,12 +12,12 @@ from math import gcd
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Complexes, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate.solver import model
+from rotcal_ros.methods.ball_plate.solver.harmonics import normal_matrices, phases
+from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.spectral import normal_matrices, phases
 
 MIN_BALLS = 3
 """Balls that a table position needs: two leave the rotation about their line open."""
@@ -97,7 +97,7 @@ def separability_of(problem: BallPlateProblem) -> Separability:
     ``MAX_DENSE`` unknowns only the layout of the balls is judged.
     """
     layout = separability(problem.grid, problem.balls)
-    if problem.complete or model.n_unknowns(problem) > MAX_DENSE:
+    if problem.complete or PlateLayout(problem).unknowns > MAX_DENSE:
         return layout
     lost, deficit = _lost_of_dense(problem)
     return replace(layout, deficit=deficit, lost=lost, weak={} if deficit else layout.weak)
@@ -154,14 +154,15 @@ def _by_component(grid: int, chosen: Bools, vectors: Complexes) -> dict[str, tup
 
 def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]], int]:
     """Return the harmonics in the null space of model and constraints, and its dimension."""
-    stacked = np.vstack([model.design_matrix(problem), model.constraint_matrix(problem)])
+    layout = PlateLayout(problem)
+    stacked = np.vstack([layout.rows.toarray(), layout.definitions])
     values, vectors = np.linalg.eigh(stacked.T @ stacked)
     null = vectors[:, values < TOLERANCE * values[-1]]
+    every = (layout.curves() @ null).reshape(6, layout.counts[0], null.shape[1])
     found: dict[str, tuple[int, ...]] = {}
-    for name in COMPONENTS:
-        own = model.component_places(problem, name)[0]
-        sequences: Floats = null[own][: problem.grid]  # of both sides the first
-        share = np.abs(np.fft.rfft(sequences, axis=0)).max(axis=1, initial=0.0)
+    for name, sequences in zip(COMPONENTS, every, strict=True):
+        # of both sides the first
+        share = np.abs(np.fft.rfft(sequences[: problem.grid], axis=0)).max(axis=1, initial=0.0)
         present = np.flatnonzero(share > 1e-6 * np.sqrt(problem.grid))
         if len(present):
             found[name] = tuple(int(q) for q in present)
