@@ -387,7 +387,8 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
     scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
     beyond, information = _slope(solution.posed, found.fit)
     if not information or found.fit.dof < 2:
-        return replace(solution, reported=ReportedPlaces(1.0, 0.0, scatter, 0.0))
+        near = solution.supposed.weight
+        return replace(solution, reported=ReportedPlaces(near, 0.0, scatter, 0.0))
     squares = max(found.fit.chi2 - information * beyond**2, 0.0) / (found.fit.dof - 1)
     std = sqrt(max(squares, 1e-2) / information)
     weight = solution.supposed.weight + beyond
