@@ -79,6 +79,11 @@ class Sizes:
         """The size that rows are best weighed by: the median, which is never nothing."""
         return max(self.quantile(0.5), FLOOR * self.noticed)
 
+    @property
+    def squares(self) -> Floats:
+        """Squared sizes (k,) times weights; those beyond CLIPPED count in an interval only."""
+        return np.asarray(np.minimum(self.size, self.quantile(CLIPPED)) ** 2 * self.weight)
+
     def quantile(self, share: float) -> float:
         """Return the size that is not exceeded with the probability ``share``."""
         order = np.argsort(self.size)
@@ -224,12 +229,11 @@ class Scattering(Correlated):
         believed, but for sizes beyond CLIPPED: :func:`enlargement` makes up for these.
         """
         sizes, unit = fit.sizes[self], felt / fit.std[self.rows[0]]
-        square = np.minimum(sizes.size, sizes.quantile(CLIPPED)) ** 2 * sizes.weight
         if not self.parts[0]:
-            return np.asarray(unit * np.sqrt(square.sum()))
+            return np.asarray(unit * np.sqrt(sizes.squares.sum()))
         mean = np.zeros(2 * [len(self.rows)])
         for way, root in enumerate(self.parts[0]):
-            mean += square[sizes.way == way].sum() * (root @ root.T)
+            mean += sizes.squares[sizes.way == way].sum() * (root @ root.T)
         values, axes = np.linalg.eigh(mean)
         return np.asarray(unit @ (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
 

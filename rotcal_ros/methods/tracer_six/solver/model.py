@@ -38,8 +38,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import MICROMETRE, TURN
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.tracer.solver.protections import LARGEST_MOVE, LARGEST_RATIO
-from rotcal_ros.methods.tracer.solver.screening import WORDS
+from rotcal_ros.methods.tracer.solver.carried_lengths import LARGEST_MOVE, LARGEST_RATIO, WORDS
 from rotcal_ros.methods.tracer_six.solver.curves import gauge_design, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout
 from rotcal_ros.methods.tracer_six.solver.start import StartPoses
