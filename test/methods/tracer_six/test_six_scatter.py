@@ -48,7 +48,7 @@ def test_intervals_hold_whatever_scatters(kind):
 @pytest.mark.slow
 def test_intervals_hold_with_two_arrivals():
     options = {"arrivals": 2, "chosen": TWELVE, "slip": 0.0}
-    found = coverage(40 if LONG else 12, KINDS["turns"], seed=9, **options)
+    found = coverage(40 if LONG else 24, KINDS["turns"], seed=9, **options)
     assert (found.share > LEAST).all()
 
 
