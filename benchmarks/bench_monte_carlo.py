@@ -13,7 +13,6 @@ import numpy as np
 from racing import Row
 
 from rotcal_ros.methods.ball_plate import solver as ball_plate
-from rotcal_ros.methods.tracer import solver as tracer
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "evaluation"))
@@ -43,25 +42,7 @@ def race(name: str, model: Model, plain: Callable[[], np.ndarray]) -> Row:
 # Problems without noise of their own: a trial then carries the noise of one measurement, and the
 # solver rejects nothing that the trials keep.
 EXACT = one_table.Instruments(1e-15, 1e-15, 1e-15, motion=0.0, tilt=0.0)
-LENGTH, TARGET, CENTRE = 0.2e-6, 1e-6, 0.1e-6
-
-
-def laser_tracer(variant: str) -> Row:
-    """12 stations, 48 targets."""
-    rng = np.random.default_rng(0)
-    exact = one_table.by_tracer(one_table.table_deviations(12, rng, EXACT), rng, 1, EXACT)
-    task = replace(exact, variant=variant, length_std=LENGTH, target_std=TARGET)
-    trials = tracer.trials_about(tracer.adjust(task))
-    length, targets, _ = trials.draw(np.random.default_rng(1), LOOPS)
-
-    def plain() -> np.ndarray:
-        problems = (
-            replace(task, length=a.ravel(), targets=b)
-            for a, b in zip(length, targets, strict=True)
-        )
-        return np.array([tracer.solve(problem).deviations["ECC"] for problem in problems])
-
-    return race(f"laser tracer, {variant}", trials, plain)
+CENTRE = 0.1e-6
 
 
 def plate() -> Row:
@@ -81,8 +62,6 @@ def plate() -> Row:
 
 def rows() -> Iterator[Row]:
     """Run everything, one row after the other."""
-    yield laser_tracer("station")
-    yield laser_tracer("joint")
     yield plate()
 
 

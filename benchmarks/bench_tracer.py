@@ -21,11 +21,12 @@ import numpy as np
 from racing import Row, race
 from scipy_tracer import DenseNetwork, SparseNetwork, locate_station, locate_stations_batched
 
+from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations, locate_stations
-from rotcal_ros.methods.tracer.solver.joint import align, relax
+from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed
 from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.start import find_start
+from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 
 LENGTH_STD, TARGET_STD = 2e-7, 1e-6
 
@@ -76,16 +77,21 @@ def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Iterator[R
 
 def joint(datum: str, m: int = 6, n: int = 108) -> Iterator[Row]:
     """Stations, distances and targets together, both from the station by station solution."""
-    grid, _ = arrange(problem(m, n, 60.0, variant="joint", datum=datum))
-    begin = adjust_stations(grid, find_start(grid, None)[0]).state
+    # an error motion of 10 mm says nothing of where stations are
+    task = problem(m, n, 60.0, variant="joint", datum=datum, error_motion_std=1e-2)
+    grid, absent = arrange(task)
+    begin = find_start(grid, None)[0]
+    begin = locate_stations(grid.targets, grid.length, grid.weights, begin)[0]
     flat = np.concatenate([begin.ravel(), grid.targets.ravel()])
+    posed = Posed.at(task, grid, absent, begin)
+    model, lengths = posed.model(Supposed()), posed.lengths
+    every, first = np.ones(model.size[0], dtype=np.bool_), lengths.first
 
     def ours() -> np.ndarray:
-        network = relax(grid, begin, grid.targets)
-        state, targets = network.state, network.targets
-        if datum == "free":
-            state, targets = align(state, targets, grid.targets)
-        return np.concatenate([state.ravel(), targets.ravel()])
+        x = fitted(model, every, model.std, model.first).x
+        zeros = lengths.zeros + x[first["zero"] : first["target"]]
+        targets = grid.targets.ravel() + x[first["target"] : first["frame"]]
+        return np.append(np.column_stack([lengths.standing(x), zeros]).ravel(), targets)
 
     stations = ours()[: 4 * m].reshape(m, 4)[:, :3]
     radius = np.sqrt(((stations - stations.mean(axis=0)) ** 2).sum() / m)

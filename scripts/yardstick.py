@@ -191,10 +191,10 @@ def claims(compared: Comparison) -> Iterator[Found]:
 
 
 def _same(old: list[Any], new: list[Any]) -> bool:
-    """Whether two claims agree, numbers to a thousandth."""
+    """Whether two claims agree, numbers to a thousandth or to rounding."""
     if None in (old[-1], new[-1]):
         return old == new
-    return old[:-1] == new[:-1] and bool(np.isclose(old[-1], new[-1], rtol=1e-3, atol=0.0))
+    return old[:-1] == new[:-1] and bool(np.isclose(old[-1], new[-1], rtol=1e-3, atol=1e-12))
 
 
 SECTIONS: Final = (

@@ -1,7 +1,6 @@
 """How often the stated intervals hold the truth when the tracer's zero is shared, breaks or slips.
 
     python scripts/zero_coverage.py [RUNS] [--plan NAME] [--case NAME]
-    python scripts/zero_coverage.py --best          # what the best test of slips could find
 
 Simulated runs with an own generator: a table with deviations of a few arcsec, a tracer 65 mm off
 its axis; targets low around it, in the paper's block above it, each measured from everywhere, or a
@@ -18,19 +17,13 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy import logaddexp
-from scipy.special import logsumexp
 
 from rotcal_ros.extensions.design.settings import TracerDesignSettings
 from rotcal_ros.extensions.design.tracer.ordering import ordered_design
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.solver import TracerProblem
-from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
-from rotcal_ros.methods.tracer.solver.network import NetworkGain
-from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
-from rotcal_ros.methods.tracer.solver.verdict import judge
-from rotcal_ros.methods.tracer.solver.zeros import Shifts, shift_search
+from rotcal_ros.methods.tracer.solver.solution import adjust
 
 LENGTH_STD, TARGET_STD = 0.2e-6, 1e-6
 FRINGE = 632.8e-9 / 2
@@ -122,75 +115,15 @@ def row(runs: int, case: str, order: str, where: Places) -> str:
     for seed in range(runs):
         problem, truth = measured(case, order, where, seed)
         solution = adjust(problem)
-        verdict, _ = judge(solution.evidence, problem.settings)
-        std, error = solution.angles.std, solution.motion.cumulative - truth
+        std, error = solution.std, solution.deviations - truth
         hits.append(np.mean(np.abs(error)[1:] <= 1.96 * std[1:]))
         spread.append(np.sqrt(np.mean(error[1:] ** 2)) / ARCSEC)
-        found += bool(solution.evidence.jumps)
-        good += verdict == "ok"
+        found += any(e.effect.effect == "slip" for e in solution.found.found_effects)
+        good += solution.found.verdict == "ok"
     return (
         f"{100 * np.mean(hits):.1f} % | {np.mean(spread):.2f} "
         f"| {100 * found / runs:.0f} % | {100 * good / runs:.0f} %"
     )
-
-
-def best(order: str, where: Places, runs: int) -> str:
-    """Return how many slips of a fringe, at any moment, two tests find at FALSE_ALARM.
-
-    The largest score of any size, as the solver does, and the mean of the likelihood ratios of all
-    slips of a fringe: no test finds more of them (Neyman and Pearson). Their scores are drawn.
-    """
-    solution = adjust(measured(CASES[1], order, where, 0)[0])
-    search = shift_search(solution.grid, solution.fit, solution.problem.measuring_order)
-    shifts = search.at(np.flatnonzero(search.moments.side > 0))
-    apart = FRINGE * np.sqrt(shifts.information)
-    alike = correlation(solution, shifts)
-    values, axes = np.linalg.eigh(alike)
-    root = axes * np.sqrt(np.maximum(values, 0.0))
-    rng = np.random.default_rng(0)
-    none = rng.standard_normal((runs, len(apart))) @ root.T
-    at = rng.integers(0, len(apart), runs)
-    slipped = rng.standard_normal((runs, len(apart))) @ root.T + apart[at, None] * alike[at]
-
-    def free(score: Floats) -> Floats:
-        return np.asarray(np.abs(score[:, shifts.enough]).max(axis=1))
-
-    def known(score: Floats) -> Floats:
-        ratio = logaddexp(score * apart, -score * apart) - 0.5 * apart**2
-        return np.asarray(logsumexp(ratio, axis=1))
-
-    power = [
-        float(np.mean(test(slipped) > np.quantile(test(none), 1.0 - FALSE_ALARM)))
-        for test in (free, known)
-    ]
-    felt = np.abs(FRINGE * shifts.moved @ bearing_of(solution).T)[:, 1:]
-    return (
-        f"{np.median(apart):.1f} | {100 * power[0]:.0f} % | {100 * power[1]:.0f} % "
-        f"| {np.median((felt / solution.angles.std[1:]).max(axis=1)):.2f} "
-        f"| {(felt / solution.angles.std[1:]).max():.2f}"
-    )
-
-
-def correlation(solution: TracerSolution, shifts: Shifts) -> Floats:
-    """Return the correlations (t, t) of the scores of all shifts."""
-    grid, network = solution.grid, solution.fit.network
-    assert network is not None
-    later = shifts.moments.later(grid, shifts.at)
-    pull = network.weights * later
-    by_strip = np.einsum("tpi,pia->tpa", pull, network.rows)
-    by_target = -np.einsum("tpi,pia->tia", pull, network.rows[:, :, :3])
-    x, y = NetworkGain.of(network).step(by_strip, by_target)
-    count = len(later)
-    shared = pull.reshape(count, -1) @ later.reshape(count, -1).T
-    shared -= by_strip.reshape(count, -1) @ x.reshape(count, -1).T
-    shared -= by_target.reshape(count, -1) @ y.reshape(count, -1).T
-    size = np.sqrt(shared.diagonal())
-    return np.asarray(0.5 * (shared + shared.T) / size / size[:, None], dtype=np.float64)
-
-
-def bearing_of(solution: TracerSolution) -> Floats:
-    """Return what moves of the stations (3 m) do to the deviations (m,), rad/m."""
-    return bearing_slopes(solution.fit.stations, solution.motion).from_first.dense()
 
 
 def main() -> None:
@@ -201,7 +134,6 @@ def main() -> None:
     parser.add_argument("--targets", type=int, default=64)
     parser.add_argument("--plan", action="append", choices=PLANS)
     parser.add_argument("--case", action="append", choices=CASES)
-    parser.add_argument("--best", action="store_true", help="what tests of slips can find")
     given = parser.parse_args()
     for line in table(given):
         print(line, flush=True)
@@ -210,13 +142,6 @@ def main() -> None:
 def table(given: argparse.Namespace) -> Iterator[str]:
     """Yield the lines of the table that was asked for."""
     both = [(plan, order) for plan in given.plan or PLANS for order in ORDERS]
-    if given.best:
-        yield "| plan | order | median d | any size | best test | median effect | largest |"
-        yield "| --- | --- | --- | --- | --- | --- | --- |"
-        for plan, order in both:
-            where = places(plan, given.positions, given.targets)
-            yield f"| {plan} | {order} | {best(order, where, 20 * given.runs)} |"
-        return
     yield "| plan | order | zero | coverage | error/arcsec | jump found | ok |"
     yield "| --- | --- | --- | --- | --- | --- | --- |"
     for plan, order in both:

@@ -394,7 +394,7 @@ class Bordered(Kernel):
         By way of the border all feel them, else those of their own groups.
         """
         groups = self.groups
-        if (rows >= len(groups.place)).any() or outputs.common.any():
+        if (rows >= len(groups.place)).any():
             return super().sensitivity(outputs, rows)
         group, at = np.divmod(groups.place[rows], groups.depth)
         felt = (self.inverse[group] @ self.basis[group, at][:, :, None])[:, :, 0]  # (k, s)
@@ -402,13 +402,13 @@ class Bordered(Kernel):
         error = np.broadcast_to(np.arange(len(rows))[:, None], real.shape)
         shape = outputs.few.shape[1], len(rows)
         own = csr_array(coo_array((felt[real], (unknown[real], error[real])), shape=shape))
+        along = np.concatenate([self._low_rank(rows), np.asarray((own.T @ outputs.common.T).T)])
         own = csr_array(outputs.few @ own)
         touched = np.flatnonzero(np.diff(own.indptr))
         if self._carried.get("of") is not outputs:
-            self._carried.update({"of": outputs, "by": outputs.times(self._carriers)})
-        return Sensitivity(
-            self._low_rank(rows), self._carried["by"], touched, own[touched].toarray()
-        )
+            by = np.hstack([outputs.times(self._carriers), outputs.share])
+            self._carried.update({"of": outputs, "by": by})
+        return Sensitivity(along, self._carried["by"], touched, own[touched].toarray())
 
     @cached_property
     def _carried(self) -> dict[str, Any]:

@@ -102,6 +102,8 @@ def _least_sizes(diagnosis: Diagnosis, sizes: Sequence[float]) -> list[float]:
         errors = np.where(fit.used[:, None], best.columns / fit.std[:, None], 0.0)
         among = best.effect.at(fit.computed).shape[1] // best.effect.width if others else 1
         for k, each in enumerate(model.scatterings):
+            if each.stated is not None:
+                continue  # it is weighed as stated, and what contradicts that is not an effect yet
             chance, beside = each.beside(fit, errors)
             if chance * among < limit:
                 found[k] = min(found[k], beside.weighing)

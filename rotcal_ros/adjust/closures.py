@@ -7,6 +7,7 @@ that an effect A, which makes K B A of it, is told by both: S = A'RA + (KBA)'V^-
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -59,22 +60,31 @@ def closures(
     reversal.
     """
     found = []
+    for first, last in coming_again(angles, upward):
+        variance = float(covariance.between(np.array([first]), np.array([last]))[0])
+        found.append(
+            Closure(
+                first=int(position_ids[first]),
+                last=int(position_ids[last]),
+                error=float(deviations[last] - deviations[first]),
+                std=float(np.sqrt(max(variance, 0.0))),
+            )
+        )
+    return tuple(found)
+
+
+def coming_again(angles: Floats, upward: Bools | None = None) -> Iterator[tuple[int, int]]:
+    """Yield which of the ``angles`` (m,), rad, comes first, and which is the same again.
+
+    ``upward`` (m,): from which side each is reached; None: that is no matter.
+    """
     for last in range(1, len(angles)):
         apart = angles[last] - angles[:last]
         meets = np.abs(apart - TURN * np.round(apart / TURN)) < MISSED
         if upward is not None:
             meets &= upward[:last] == upward[last]
         for first in np.flatnonzero(meets)[:1].tolist():
-            variance = float(covariance.between(np.array([first]), np.array([last]))[0])
-            found.append(
-                Closure(
-                    first=int(position_ids[first]),
-                    last=int(position_ids[last]),
-                    error=float(deviations[last] - deviations[first]),
-                    std=float(np.sqrt(max(variance, 0.0))),
-                )
-            )
-    return tuple(found)
+            yield first, last
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +108,7 @@ class Closed:
     @cached_property
     def response(self) -> Floats:
         """What whitened errors do to that, (k, n)."""
-        rows, fit = self.relation.rows, self.fit
-        at = np.flatnonzero(rows.any(axis=0))
-        outputs = fit.model.output_rows.some(at)
-        asked = np.zeros((len(rows), len(fit.x)))
-        asked[:, : outputs.shape[1]] = rows[:, at] @ outputs
-        felt = fit.kernel.adjusted(asked.T).T
-        for mine, spread in fit.in_common():
-            felt[:, mine] = rows @ spread[: rows.shape[1]]
-        return np.asarray(felt)
+        return self.fit.response_to(self.relation.rows)
 
     @cached_property
     def _root(self) -> Floats:

@@ -172,15 +172,14 @@ class Adjusted:
         Degrees of freedom after Satterthwaite, from how well the factors of the noise are known. A
         component that nothing checks was not estimated: its statement stands.
         """
-        estimated, model = self.diagnosis.noise.estimated, self.model
+        estimated = self.diagnosis.noise.estimated
         if estimated is None:
             return self.fit.enlargement
         checked = estimated.log_std < UNCHECKED * PRIOR  # NaN, absent, is none
         known = np.where(checked, estimated.log_std, 0.0)
         if known.max(initial=0.0) < SURE:
             return self.fit.enlargement
-        part = model.of_component == np.arange(len(model.components))[:, None]
-        variance = self.fit.variance_from(part)  # (o, c)
+        variance = self.fit.variance_by_component
         spread = 2.0 * (variance**2 * known**2).sum(axis=1)
         safe = np.maximum(spread, np.finfo(np.float64).tiny)
         dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)
@@ -340,7 +339,7 @@ class Adjusted:
             warnings=(*doubts, *self.doubts),
             protections=ordered(every.values()),
             residuals=self._residuals(places, coordinates),
-            raw_data=RawData(influence=self._influence(components, len(places[0]), coordinates)),
+            raw_data=RawData(influence=self.influence(components, len(places[0]), coordinates)),
             details={**self.details(), **(details or {})},
         ).counted_from(counts_from)
 
@@ -373,7 +372,7 @@ class Adjusted:
             "rad" if self.model.unit.angular else "m",
         )
 
-    def _influence(
+    def influence(
         self, components: Mapping[str, slice], measured: int, coordinates: int
     ) -> Influence | None:
         """Return what standard errors of what is used do to the deviations; None of too many."""
@@ -547,8 +546,9 @@ def _doubts(found: Adjusted) -> Iterator[str]:
 
 def _open(found: Adjusted) -> Iterator[str]:
     """Yield what outputs do not keep, and effects that it shows where residuals alone do not."""
-    limits, unit = found.diagnosis.limits, found.model.unit
+    limits = found.diagnosis.limits
     for closed in found.closed:
+        unit = closed.relation.unit or found.model.unit
         if closed.probability < limits.significance / len(found.closed):
             pairs = zip(closed.error.tolist(), closed.std.tolist(), strict=True)
             each = ", ".join(f"{e / unit.si:.3g} ± {2.0 * u / unit.si:.2g}" for e, u in pairs)

@@ -32,6 +32,14 @@ FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
 the next one is so much smaller; and how much smaller it is where they hardly change at all."""
 HALVINGS: Final = 20
+MOST_DAMPED: Final = 200
+"""Damped steps on the way to a minimum: many, for long bent valleys."""
+LEAST_DAMPING, STIFF = 1e-12, 1e12
+"""Damping that is none, and from which on nothing moves, as shares of the squares."""
+BEND: Final = 0.1
+"""Share of a step by which it is asked how equations bend along it."""
+FLAT: Final = 1e-6
+"""Fall of chi-squared, per chi-squared, that is no more matter; and damping that is hardly any."""
 FEW: Final = 2_000_000
 """Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
 SAME: Final = 0.01
@@ -227,6 +235,20 @@ class Fit:
         variances, weight = joined(every, np.random.default_rng(0))
         return enlargement(np.maximum(fixed, 0.0), self.variance, variances, weight)
 
+    def response_to(self, asked: Floats) -> Floats:
+        """Return what whitened errors do to combinations ``asked`` (k, o) of the outputs, (k, n).
+
+        Correlated ones as independent.
+        """
+        at = np.flatnonzero(asked.any(axis=0))
+        outputs = self.model.output_rows.some(at)
+        rows = np.zeros((len(asked), len(self.x)))
+        rows[:, : outputs.shape[1]] = asked[:, at] @ outputs
+        felt = self.kernel.adjusted(rows.T).T
+        for mine, spread in self.in_common():
+            felt[:, mine] = asked @ spread[: asked.shape[1]]
+        return np.asarray(felt)
+
     def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).
 
@@ -289,6 +311,12 @@ class Fit:
         for rows in np.array_split(every, len(every) // AT_ONCE + 1):
             found += self.response_of(rows) ** 2 @ part[:, rows].T.astype(np.float64)
         return found
+
+    @cached_property
+    def variance_by_component(self) -> Floats:
+        """Variances (o + a, c) of the outputs by the noise of each component of it."""
+        every = np.arange(len(self.model.components))
+        return self.variance_from(self.model.of_component == every[:, None])
 
     @cached_property
     def output_std(self) -> Floats:
@@ -432,7 +460,52 @@ def fitted(
         else:
             break  # no step makes it better
         x = x + step
-    raise _unsettled()
+    found = _damped(model, x, weight, extra)
+    if found is None:
+        raise _unsettled()
+    computed, jacobian = _computed(model, found, extra)
+    form = _Steps.of(model, jacobian.weighted(weight)).by_form
+    return Fit(model, found, model.observed - computed, std, used, jacobian, form)
+
+
+def _damped(model: Model, x: Floats, weight: Floats, extra: Floats) -> Floats | None:
+    """Return the unknowns (p + q,) where damped steps from ``x`` end; None where they do not.
+
+    After Levenberg and Marquardt, for long bent valleys, which steps follow (Transtrum and Sethna,
+    arXiv:1201.5885): whole ones leave them, and shortened ones creep. Where a valley is flat, any
+    place of it will do.
+    """
+    computed, jacobian = _computed(model, x, extra)
+    white = (model.observed - computed) * weight
+    square, damping = float(white @ white), 1e-3
+    for _ in range(MOST_DAMPED):
+        design = jacobian.weighted(weight)
+        if design.large or not (np.isfinite(square) and jacobian.finite):
+            return None
+        squares, pull = design.normal(), design.adjoint(white)
+        along = np.where(squares.diagonal() > 0.0, squares.diagonal(), 1.0)
+        firm = squares + damping * np.diag(along)
+        step: Floats = np.asarray(np.linalg.solve(firm, pull), dtype=np.float64)
+        near = (model.observed - _computed(model, x + BEND * step, extra)[0]) * weight
+        bend: Floats = np.asarray(2.0 / BEND * ((white - near) / BEND - design.times(step)))
+        bent = np.linalg.solve(firm, design.adjoint(-0.5 * bend))
+        if np.isfinite(bent).all() and bent @ (along * bent) <= step @ (along * step):
+            step = step + bent
+        computed, ahead = _computed(model, x + step, extra)
+        after = (model.observed - computed) * weight
+        if not (ahead.finite and float(after @ after) <= square):
+            if float(pull @ step) <= FLAT * max(square, 1.0):
+                return x  # what is left to gain drowns in rounding
+            damping *= 10.0
+            if damping > STIFF:
+                return None
+            continue
+        gained = square - float(after @ after)
+        x, white, square, jacobian = x + step, after, float(after @ after), ahead
+        damping = max(0.1 * damping, LEAST_DAMPING)
+        if gained <= FLAT * max(square, 1.0) and damping <= FLAT:
+            return x
+    return None
 
 
 def _unsettled() -> DataError:

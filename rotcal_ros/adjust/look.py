@@ -34,6 +34,8 @@ ALL_BUT_NOTHING: Final = 1.0 - 1e-12
 """Share of chi-squared, at most, that is said to be explained."""
 NOTHING: Final = 1e-300
 """Chi-squared of exact observations, by which may be divided."""
+EXACT: Final = 1e-6
+"""Chi-squared per degree of freedom of made-up observations, whose residuals are rounding."""
 MOST_RIVALS: Final = 12
 """Other causes that are compared with the best of a kind."""
 LARGEST_GROUP: Final = 720
@@ -58,7 +60,9 @@ class Look:
     @property
     def rest(self) -> tuple[float, float] | None:
         """Chi-squared and degrees of freedom where the noise was estimated; None: it is known."""
-        return (self.fit.chi2, float(self.fit.dof)) if self.before.noise.estimated else None
+        if not self.before.noise.estimated:
+            return None
+        return max(self.fit.chi2, EXACT * self.fit.dof), float(self.fit.dof)
 
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""

@@ -19,6 +19,7 @@ import numpy as np
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
 
@@ -39,9 +40,34 @@ class MappedFit(Fit):
         """All outputs (o,)."""
         return self.found
 
-    def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
+    def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o, k)."""
         return self.by[:, rows]
+
+    @cached_property
+    def response(self) -> Floats:
+        """The same of all, correlated ones as independent, (o, n)."""
+        found = self.by
+        if self.model.correlated:
+            found = found.copy()
+            for rows, spread in self.in_common():
+                found[:, rows] = spread
+        return found
+
+    def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
+        """Return the same of some ``rows`` (k,)."""
+        return self.response[:, rows]
+
+    def response_to(self, asked: Floats) -> Floats:
+        """Return what whitened errors do to combinations ``asked`` (k, o) of the outputs, (k, n).
+
+        Correlated ones as independent.
+        """
+        return np.asarray(asked @ self.response[: asked.shape[1]])
+
+    def sensitivity(self, rows: Ints) -> Sensitivity:
+        """Return the same in parts that are few."""
+        return Sensitivity.whole(self.by[:, rows])
 
     def moved(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) do to the outputs."""
@@ -53,13 +79,18 @@ class MappedFit(Fit):
 
     def covariance(self, part: slice) -> Floats:
         """Return the covariance (k, k) of a ``part`` of the outputs."""
-        by, left = self.by[part], self.left_out[part]
+        by, left = self.response[part], self.left_out[part]
         return np.asarray(by @ by.T + np.outer(left, left))
 
     @cached_property
     def variance(self) -> Floats:
         """Variances (o,) of the outputs."""
-        return np.asarray((self.by**2).sum(axis=1) + self.left_out**2)
+        return np.asarray((self.response**2).sum(axis=1) + self.left_out**2)
+
+    @property
+    def output_std(self) -> Floats:
+        """Standard deviations (o,) of the outputs, those that nothing correlates."""
+        return self.counting(np.sqrt((self.by**2).sum(axis=1) + self.left_out**2))
 
 
 def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
@@ -76,6 +107,11 @@ def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
     if len(known):
         white[:, ~model.may_go] = -beyond @ np.linalg.pinv(known)
         beyond = beyond + white[:, ~model.may_go] @ known
-    own = {f.name: getattr(fit, f.name) for f in fields(Fit)}
-    other = MappedFit(**own, found=value, by=white, left_out=beyond @ fit.x[: model.size[1]])
+    return replaced(found, value, white, beyond @ fit.x[: model.size[1]])
+
+
+def replaced(found: Adjusted, value: Floats, by: Floats, left_out: Floats) -> Adjusted:
+    """Return a solution whose outputs are those of a map that is known: see :class:`MappedFit`."""
+    own = {f.name: getattr(found.fit, f.name) for f in fields(Fit)}
+    other = MappedFit(**own, found=value, by=by, left_out=left_out)
     return replace(found, fit=other)

@@ -69,9 +69,10 @@ class Grouping(NamedTuple):
 
     ``number`` (n,): which one each belongs to, -1 for none. ``along`` (n,): a time or place along
     which neighbours are spoiled together. ``near`` (n, k): places with neighbours all round, unit
-    vectors for directions, of which a sector closes round the circle. Of neither: only the whole
-    group is judged. ``frame`` (n, c, c): takes the c rows of each one's element, of one noise, to
-    the axes along which those of a group are off alike; None: that are the rows.
+    vectors for directions. ``closed``: ``along`` is a bearing, of which the last is followed by
+    the first. Of neither: only the whole group is judged. ``frame`` (n, c, c): takes the c rows of
+    each one's element, of one noise, to the axes along which those of a group are off alike; None:
+    that are the rows.
     """
 
     kind: str
@@ -79,6 +80,7 @@ class Grouping(NamedTuple):
     along: Floats | None = None
     near: Floats | None = None
     frame: Floats | None = None
+    closed: bool = False
 
     @property
     def gathers(self) -> bool:
@@ -88,18 +90,17 @@ class Grouping(NamedTuple):
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
         known = (self.along, self.near, self.frame)
-        found = (None if each is None else each[rows] for each in known)
-        return Grouping(self.kind, self.number[rows], *found)
+        along, near, frame = (None if each is None else each[rows] for each in known)
+        return self._replace(number=self.number[rows], along=along, near=near, frame=frame)
 
     def with_others(self, below: int, above: int = 0) -> Grouping:
         """Return the same beside further observations, below and above, that belong to none."""
         rows = (above, below)
-        return Grouping(
-            self.kind,
-            np.pad(self.number, rows, constant_values=-1),
-            None if self.along is None else np.pad(self.along, rows),
-            None if self.near is None else np.pad(self.near, (rows, (0, 0))),
-            None if self.frame is None else np.pad(self.frame, (rows, (0, 0), (0, 0))),
+        return self._replace(
+            number=np.pad(self.number, rows, constant_values=-1),
+            along=None if self.along is None else np.pad(self.along, rows),
+            near=None if self.near is None else np.pad(self.near, (rows, (0, 0))),
+            frame=None if self.frame is None else np.pad(self.frame, (rows, (0, 0), (0, 0))),
         )
 
 
@@ -266,12 +267,13 @@ class KnownRelation(NamedTuple):
 
     But for a scatter of ``std``: as steps round a circle add up to nothing, or a table comes to
     an angle again. ``what`` people are told, as in "*the deviation at 0 deg differs when it is
-    measured again*, by 5 ± 1 arcsec".
+    measured again*, by 5 ± 1 arcsec", in the ``unit`` of the outputs; None: of the model.
     """
 
     what: str
     rows: Floats
     std: float = 0.0
+    unit: Unit | None = None
 
 
 def linear(design: Derivatives) -> Equations:
@@ -667,13 +669,15 @@ class Model:
         size: float | None,
         largest: float,
         ways: Sequence[tuple[float, Floats]] = (),
+        felt: float = 1.0,
     ) -> Model:
         """Return the model with what scatters by a ``size``; None: that is estimated.
 
         ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
         and roots (k, r) of its covariance per unit of size; none: of each row by itself. Sizes
         are told as what a row scatters by the first of them, in the mean of squares.
-        ``largest``: one that nobody would overlook.
+        ``largest``: one that nobody would overlook. ``felt``: how many times as much outputs feel
+        it, in their noise, as a mean contrast does.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
         k, unit = rows.shape[0], 1.0
@@ -683,7 +687,7 @@ class Model:
         known = self.knowing(what, rows, np.zeros(k), stated or largest)
         parts = (tuple(root / unit for _, root in ways),)
         each = np.arange(n, n + k)
-        scatter = Scattering(each, parts, what, likely / likely.sum(), stated)
+        scatter = Scattering(each, parts, what, likely / likely.sum(), stated, felt=felt)
         return replace(known, correlated=(*self.correlated, scatter))
 
     @property
@@ -842,7 +846,7 @@ def gathered_of(grouping: Grouping, members: Ints) -> Bools:
     """Return which members (e,) of a group lie together, (q, e); none where nothing says so."""
     found = [np.zeros((0, len(members)), dtype=np.bool_)]
     if grouping.along is not None:
-        found.append(runs(grouping.along[members]))
+        found.append(runs(grouping.along[members], grouping.closed))
     if grouping.near is not None:
         found.append(neighbourhoods(grouping.near[members]))
     return distinct(*found)

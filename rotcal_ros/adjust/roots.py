@@ -62,11 +62,15 @@ def root_between(
 
 def _interpolated(
     before: float, here: float, opposite: float, f_before: float, f_here: float, f_opposite: float
-) -> float:
-    """Return the step to the zero of the line or the inverse parabola through the points."""
+) -> float | None:
+    """Return the step to the zero of the line or the inverse parabola through the points.
+
+    None where their differences are too small for a number.
+    """
     if before == opposite:
         return -f_here * (here - before) / (f_here - f_before)
     first = (f_before - f_here) / (before - here)
     second = (f_opposite - f_here) / (opposite - here)
     slope = f_opposite * second - f_before * first
-    return -f_here * slope / (second * first * (f_opposite - f_before))
+    bent = second * first * (f_opposite - f_before)
+    return -f_here * slope / bent if bent else None

@@ -44,7 +44,7 @@ LEVELS: Final = np.geomspace(0.03, 1e4, 128)
 SHOWN: Final = 1e-9
 """Share of what is known of a row that readings add, below which they show nothing of it."""
 SEEN: Final = 1e-3
-"""Share of the most that errors beside it do to contrasts, from which one counts."""
+"""Share of the clearest trace in the contrasts from which a way, or an error beside it, counts."""
 RULED: Final = 1e-3
 """Share of the largest eigenvalue from which an axis counts in the mean."""
 MOST: Final = 1500
@@ -79,6 +79,11 @@ class Sizes:
         """The size that rows are best weighed by: the median, which is never nothing."""
         return max(self.quantile(0.5), FLOOR * self.noticed)
 
+    @property
+    def squares(self) -> Floats:
+        """Squared sizes (k,) times weights; those beyond CLIPPED count in an interval only."""
+        return np.asarray(np.minimum(self.size, self.quantile(CLIPPED)) ** 2 * self.weight)
+
     def quantile(self, share: float) -> float:
         """Return the size that is not exceeded with the probability ``share``."""
         order = np.argsort(self.size)
@@ -92,6 +97,8 @@ class Scattering(Correlated):
     ``parts`` holds one tuple: the ways, roots (k, r) of the covariance per unit of size; none:
     each row by itself. ``likely`` (w,): their probabilities beforehand. ``stated``: the size, in
     the unit of the rows; None: it is estimated. ``asked``: whether readings are there to say.
+    ``felt``: how many times as much outputs feel it as a mean contrast does: the prior is that of
+    sizes which matter to these.
     """
 
     what: str
@@ -99,6 +106,7 @@ class Scattering(Correlated):
     stated: float | None
     significance: float = 0.01
     asked: bool = True
+    felt: float = 1.0
 
     def below(self, count: int) -> Scattering:
         """Return the same below ``count`` further rows."""
@@ -195,11 +203,15 @@ class Scattering(Correlated):
         self, value: Floats, each: list[tuple[Floats, Floats]], noticed: list[float]
     ) -> Sizes:
         """Return the posterior of size and way."""
-        size, way, logs = [np.zeros(1)], [np.zeros(1, dtype=np.int64)], [np.log([ABSENT])]
-        x = LEVELS / NOTICED
+        size, way, logs = (
+            [np.zeros(1)],
+            [np.zeros(1, dtype=np.int64)],
+            [np.log([ABSENT / self.felt])],
+        )
+        x = LEVELS * self.felt / NOTICED
         prior = np.log(x**STEEPNESS / (1.0 + x**STEEPNESS) * np.gradient(np.log(LEVELS)))
         for k, ((d, u), unit) in enumerate(zip(each, noticed, strict=True)):
-            if np.isfinite(unit):
+            if unit <= min(noticed) / np.sqrt(SEEN):
                 size.append(LEVELS * unit)
                 way.append(np.full(len(LEVELS), k))
                 likely = np.log(self.likely[k]) + prior
@@ -217,12 +229,11 @@ class Scattering(Correlated):
         believed, but for sizes beyond CLIPPED: :func:`enlargement` makes up for these.
         """
         sizes, unit = fit.sizes[self], felt / fit.std[self.rows[0]]
-        square = np.minimum(sizes.size, sizes.quantile(CLIPPED)) ** 2 * sizes.weight
         if not self.parts[0]:
-            return np.asarray(unit * np.sqrt(square.sum()))
+            return np.asarray(unit * np.sqrt(sizes.squares.sum()))
         mean = np.zeros(2 * [len(self.rows)])
         for way, root in enumerate(self.parts[0]):
-            mean += square[sizes.way == way].sum() * (root @ root.T)
+            mean += sizes.squares[sizes.way == way].sum() * (root @ root.T)
         values, axes = np.linalg.eigh(mean)
         return np.asarray(unit @ (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
 

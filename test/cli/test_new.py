@@ -73,7 +73,8 @@ def test_a_plain_table_is_solved_with_it_and_counts_as_measured(here):
     known = rc.read_table(DATA / "lengths.csv", DATA / "tracer.yaml").solve()
     result = rc.read_table("lengths.csv", "own.yaml").solve()
     assert not result.simulated
-    assert abs(result.deviations["ECC"] - known.deviations["ECC"]).max() < 1e-7  # rad
+    apart = abs(result.deviations["ECC"] - known.deviations["ECC"])
+    assert apart.max() < 0.5 * known.std["ECC"].max()  # of one the error motion is estimated
 
 
 def test_what_is_not_given_is_asked_for_until_it_can_be(here):

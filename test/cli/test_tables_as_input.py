@@ -140,9 +140,8 @@ def test_a_set_up_without_a_plan_is_refused(lengths, tmp_path):
 
 def test_changes_reach_tables_and_bags(lengths):
     quiet = solved(lengths, "--setup", TRACER)
-    assert quiet["details"]["noise"][0]["stated"] == pytest.approx(1.2e-7)
-    loud = solved(lengths, "--setup", TRACER, "--set", "solver.length_std_m=2e-7")
-    assert loud["details"]["noise"][0]["stated"] == pytest.approx(2e-7)
+    loud = solved(lengths, "--setup", TRACER, "--set", "solver.length_std_m=2.4e-7")
+    assert loud["sigma0"] < quiet["sigma0"]
     bag = DATA / "ball_plate_bag"
     as_recorded, changed = solved(bag), solved(bag, "--set", "solver.sigma_centre_m=2e-7")
     assert changed["sigma0"] == pytest.approx(as_recorded["sigma0"] / 2.0)

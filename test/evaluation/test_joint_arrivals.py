@@ -19,9 +19,8 @@ from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.arrivals import arrivals_of, mean_of_arrivals, mean_of_runs
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.tracer import solver as tracer
-from rotcal_ros.methods.tracer.solver import carried_lengths
-from rotcal_ros.methods.tracer.solver.joined_runs import RepeatedLengths, Runs, adjust_joined
 from rotcal_ros.methods.tracer.solver.solution import adjust as adjust_tracer
+from rotcal_ros.methods.tracer.solver.solution import curve_model
 
 ROOT = Path(__file__).parents[2]
 SCATTER = 0.3 * ARCSEC
@@ -39,7 +38,7 @@ def test_lengths_of_several_arrivals_and_readings_are_one_least_squares(runs, bi
         5, ecc, ANGLES[arrivals.target], keep=lambda position, target: (position + target) % 2 == 0
     )
     assert problem.error_motion_std == MOTION_STD
-    model = carried_lengths.curve_model(problem, adjust_tracer(problem))
+    model = curve_model(problem, adjust_tracer(problem))
     lengths = JointInput(
         "tracer",
         mean_of_runs(tracer.solve(problem), arrivals),
@@ -140,15 +139,23 @@ def test_joined_runs_and_readings_are_one_least_squares():
     rng = np.random.default_rng(9)
     noise = rng.standard_normal((2, len(row)))
     true = problem.length[row] - LENGTH_STD * noise[0]  # of which the first reading is off by that
-    later, std = true + jump + LENGTH_STD * noise[1], np.full(3, LENGTH_STD)
-    again = RepeatedLengths(1, row, later, std, np.zeros((3, 3)))
+    later = true + jump + LENGTH_STD * noise[1]
     broken = replace(problem, length=problem.length + jump * run)
-    joined = adjust_joined(Runs(broken, run, np.zeros((len(run), 3)), [again]))
-    model = carried_lengths.curve_model(
-        joined.solution.problem, joined.solution, joined.trials.zeros
+    columns = ("position", "target", "length_std", "distance_std")
+    more = {c: np.append(getattr(broken, c), getattr(broken, c)[row]) for c in columns}
+    when = np.lexsort((broken.target, broken.position, run)).argsort()
+    asked = replace(
+        broken,
+        **more,
+        length=np.append(broken.length, later),
+        run=np.append(run, np.ones(3, int)),
+        again=np.append(0 * run, np.ones(3, int)),
+        order=np.append(when, len(run) + np.arange(3)),
     )
+    solution = adjust_tracer(asked)
+    model = curve_model(asked, solution)
     measured = polygon(ALTERNATING, np.random.default_rng(9), noise=ROUGH)
-    both = [JointInput("tracer", joined.result(), model), instrument("polygon", measured)]
+    both = [JointInput("tracer", tracer.solve(asked), model), instrument("polygon", measured)]
     found = solve_together(both).result
 
     dense, (rows, values) = DenseTracer(broken), dense_polygon(measured, GRID)
@@ -158,7 +165,7 @@ def test_joined_runs_and_readings_are_one_least_squares():
         own, zero = x[:size], x[size]
         lengths = dense.misfit(own)
         lengths[: len(run)] += run * zero / LENGTH_STD
-        first = lengths[row] + (broken.length[row] - again.length + zero) / LENGTH_STD
+        first = lengths[row] + (broken.length[row] - later + zero) / LENGTH_STD
         seen = rows @ np.append(x[:GRID], x[size + 1 :]) - values
         return np.concatenate([lengths, first, seen])
 

@@ -17,7 +17,7 @@ def prepared(method):
     rng = np.random.default_rng(2)
     if method == "tracer":
         problem = one_table.by_tracer(one_table.table_deviations(8, rng), rng)
-        return tracer.solve(problem), tracer.trials_about(tracer.adjust(problem))
+        return tracer.solve(problem), tracer.adjust(problem).trials
     if method == "plate":
         table = one_table.table_deviations(12, rng)
         problem = one_table.by_ball_plate(table, rng, (0, 1, 3, 7))

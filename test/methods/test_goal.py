@@ -14,7 +14,7 @@ from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_config
 from rotcal_ros.methods.goal import goal_standing
 from rotcal_ros.methods.tracer.goal_policy import compare, papers_plan
 from rotcal_ros.methods.tracer.method import problem
-from rotcal_ros.methods.tracer.solver.trials import predicted
+from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.planning.choices import Choice, Standing
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -33,7 +33,7 @@ def solver_says(configuration, plan, length_std):
     given = changed(configuration, [f"solver.length_std_m={length_std}"])
     exact = [step.observed((0.0,)) for step in plan.steps]
     stations = stations_of(plan)
-    covariance = predicted(problem(given, plan, exact), stations).angles.covariance
+    covariance = predicted(problem(given, plan, exact), stations).covariance
     m = len(covariance)
     mean_free = covariance - covariance.mean(axis=0) - covariance.mean(axis=1)[:, None]
     return 2.0 * sqrt(np.trace(mean_free + covariance.mean()) / m)

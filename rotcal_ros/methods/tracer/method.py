@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -41,18 +42,10 @@ from rotcal_ros.methods.tracer.settings import (
     TracerSolverSettings,
 )
 from rotcal_ros.methods.tracer.simulation import DISTURBANCES, TracerAndReflector
-from rotcal_ros.methods.tracer.solver.joined_runs import (
-    RepeatedLengths,
-    Runs,
-    adjust_at_equal_places,
-    adjust_joined,
-)
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
-from rotcal_ros.methods.tracer.solver.solution import TracerSolution
+from rotcal_ros.methods.tracer.solver.solution import adjust, curve_model
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver.solve import result_of
-from rotcal_ros.methods.tracer.solver.trials import trials_about
 from rotcal_ros.methods.tracer.table import PLAN_FILES
 from rotcal_ros.planning.plan import Compared, Plan
 from rotcal_ros.planning.table_angles import table_angles
@@ -64,28 +57,25 @@ if TYPE_CHECKING:
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of a laser-tracer plan.
 
-    Those of several runs of an interrupted plan are joined by what was measured twice:
-    :mod:`rotcal_ros.methods.tracer.solver.joined_runs`. Repeated runs of the plan become one curve
-    over the distinct angles: :mod:`rotcal_ros.methods.arrivals`.
+    Those of several runs of an interrupted plan are joined by what was measured twice. Repeated
+    runs of the plan become one curve over the distinct angles:
+    :mod:`rotcal_ros.methods.arrivals`.
     """
-    result, positions = _solved(configuration, plan, observations)
-    arrivals = _arrivals(configuration)
-    return result if arrivals is None else mean_of_runs(result, arrivals.take(positions))
+    solution = adjust(problem(configuration, plan, observations))
+    result, arrivals = result_of(solution), _arrivals(configuration)
+    return result if arrivals is None else mean_of_runs(result, arrivals.take(solution.positions))
 
 
 def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    if _interrupted(observations) and not _in_segments(configuration):
-        prepared = adjust_joined(_runs(configuration, plan, observations)).trials
-    else:
-        prepared = trials_about(_at_equal_places(configuration, plan, observations).solution)
+    solution = adjust(problem(configuration, plan, observations))
     arrivals = _arrivals(configuration)
     if arrivals is None:
-        return prepared
-    result, positions = _solved(configuration, plan, observations)
-    return RepeatedTrials.of(prepared, result, arrivals.take(positions))
+        return solution.trials
+    arrivals = arrivals.take(solution.positions)
+    return RepeatedTrials.of(solution.trials, result_of(solution), arrivals)
 
 
 def of_curves(
@@ -93,53 +83,20 @@ def of_curves(
 ) -> CurveModel:
     """Return what the accepted lengths determine of ECC, to be solved with other instruments.
 
-    Of the mean where the table comes to its angles more than once. What is uncertain of the zero
-    of a joined run is an error that its lengths share.
+    Of the mean where the table comes to its angles more than once.
     """
-    from rotcal_ros.methods.tracer.solver.carried_lengths import curve_model
-
-    arrivals = _arrivals(configuration)
-    joins = _interrupted(observations) and not _in_segments(configuration)
+    posed, arrivals = problem(configuration, plan, observations), _arrivals(configuration)
     try:
-        if joins:
-            joined = adjust_joined(_runs(configuration, plan, observations))
-            solution, zeros = joined.solution, joined.trials.zeros
-        else:
-            solution, zeros = _at_equal_places(configuration, plan, observations).solution, None
+        solution = adjust(posed)
     except (ObservabilityError, GeometryError):
-        if joins or arrivals is not None:
+        if arrivals is not None:
             raise
-        return curve_model(problem(configuration, plan, observations), None)
-    found = curve_model(solution.problem, solution, zeros)
+        return curve_model(posed)
+    found = curve_model(posed, solution)
     if arrivals is None:
         return found
     arrivals = arrivals.take(solution.positions)
     return mean_of_arrivals(found, arrivals, scatter_of(result_of(solution), arrivals))
-
-
-def _interrupted(observations: Sequence[Observation]) -> bool:
-    return len({o.run for o in observations}) > 1
-
-
-def _solved(
-    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> tuple[Result, Ints]:
-    """Return the deviations at every arrival that was solved, and the positions (m,) of these."""
-    if _interrupted(observations) and not _in_segments(configuration):
-        joined = adjust_joined(_runs(configuration, plan, observations))
-        return joined.result(), joined.solution.positions
-    weighed = _at_equal_places(configuration, plan, observations)
-    solution = weighed.solution
-    return with_reported(result_of(solution), weighed.reported), solution.positions
-
-
-def _at_equal_places(
-    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> WeighedSolution[TracerSolution]:
-    """Return the solution of one run, its lengths reduced to the mean place of their target."""
-    posed = problem(configuration, plan, observations)
-    shift = reported_positions(observations) - posed.targets[posed.target]
-    return adjust_at_equal_places(posed, shift)
 
 
 def _in_segments(configuration: Configuration) -> bool:
@@ -160,38 +117,6 @@ def _arrivals(configuration: Configuration) -> Arrivals | None:
     return arrivals_of(table_angles(settings), settings.runs, bidirectional=settings.bidirectional)
 
 
-def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Runs:
-    """Return the first length of every step as one problem, the others as pairs with them."""
-    row_of: dict[int, int] = {}
-    kept: list[Observation] = []
-    repeated: dict[int, list[Observation]] = {}
-    for o in sorted(observations, key=lambda o: (o.run, o.step)):
-        if o.step in row_of:
-            repeated.setdefault(o.run, []).append(o)
-        else:
-            row_of[o.step] = len(kept)
-            kept.append(o)
-    posed = problem(configuration, plan, kept)
-    place = posed.targets[posed.target]
-    run = np.array([o.run for o in kept], dtype=np.int64)
-    pairs = []
-    for number in np.unique(run)[1:].tolist():
-        again = repeated.get(number, [])
-        row = np.array([row_of[o.step] for o in again], dtype=np.int64)
-        twin = problem(configuration, plan, again) if again else posed
-        pairs.append(
-            RepeatedLengths(
-                run=number,
-                row=row,
-                length=twin.length[: len(again)],
-                length_std=twin.length_std[: len(again)],
-                shift=reported_positions(again) - place[row],
-            )
-        )
-    position_std = configuration.solver.position_std_m
-    return Runs(posed, run, reported_positions(kept) - place, pairs, position_std)
-
-
 def problem(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> TracerProblem:
@@ -203,12 +128,18 @@ def problem(
                 f"step {o.step}: position {o.table_position}, target {o.target} are not in the "
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
-    before, mount = times_before(plan), configuration.plan.tracer_m
+    columns, mount = length_columns(settings, plan, observations), configuration.plan.tracer_m
+    segments, again = _in_segments(configuration), _earlier(plan, observations)
+    run = np.array([o.run for o in observations], dtype=np.int64)
+    moved = reported_positions(observations) - columns["targets"][columns["target"]]
     return TracerProblem(
-        **length_columns(settings, plan, observations),
-        segment=_segments(observations) if _in_segments(configuration) else None,
-        again=before[[o.step for o in observations]] if before.any() else None,
-        zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
+        **columns,
+        segment=_segments(observations) if segments else None,
+        again=again if again.any() else None,
+        run=None if segments or len(np.unique(run)) < 2 else run,
+        moved=moved if moved.any() else None,
+        position_std=settings.position_std_m,
+        zero_walk_std=settings.zero_walk_std_m if segments else 0.0,
         slip=settings.slip_m,
         # few lengths to low targets leave a mirror image of a station, which this rules out
         start_stations=on_table(mount, plan.table_angles) if mount else None,
@@ -218,6 +149,17 @@ def problem(
         circle_std=settings.circle_std_m,
         repeated_runs=configuration.plan.repeated,
     )
+
+
+def _earlier(plan: Plan, observations: Sequence[Observation]) -> Ints:
+    """Return how often the same was measured before each observation (k,), in any run."""
+    before, seen = times_before(plan), Counter[int]()
+    found = np.zeros(len(observations), dtype=np.int64)
+    for k in sorted(range(len(observations)), key=lambda k: (observations[k].run, k)):
+        step = observations[k].step
+        found[k] = before[step] + (before.max() + 1) * seen[step]
+        seen[step] += 1
+    return found
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:

@@ -8,9 +8,8 @@ from chances import LONG, most, scatter, share, squares
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.solver.joined_runs import adjust_at_equal_places
-from rotcal_ros.methods.tracer.solver.reported import Slope, with_reported
-from rotcal_ros.methods.tracer.solver.solve import result_of, solve
+from rotcal_ros.methods.tracer.solver.solution import adjust
+from rotcal_ros.methods.tracer.solver.solve import solve
 
 STD = 4e-8
 CORNERS = np.array(
@@ -19,8 +18,11 @@ CORNERS = np.array(
 
 
 def solved(problem, shift):
-    weighed = adjust_at_equal_places(problem, shift)
-    return with_reported(result_of(weighed.solution), weighed.reported)
+    return solve(replace(problem, moved=shift))
+
+
+def weighed(problem, shift):
+    return adjust(replace(problem, moved=shift))
 
 
 def world(seed, move, noise, m=6, variant="joint"):
@@ -63,19 +65,16 @@ def test_reported_following_errors_do_not_reach_the_angle():
     measured = replace(exact, length=exact.length + apart[1] - apart[0])
     wrong = solve(measured).deviations["ECC"] - solve(exact).deviations["ECC"]
     assert np.abs(wrong).max() > 0.5 * ARCSEC
-    right = adjust_at_equal_places(measured, shift)
+    right = weighed(measured, shift)
     assert right.reported.weight == 1.0
-    np.testing.assert_allclose(right.solution.problem.length, exact.length, atol=2e-9)
-    error = result_of(right.solution).deviations["ECC"] - solve(exact).deviations["ECC"]
+    error = right.deviations - solve(exact).deviations["ECC"]
     assert np.abs(error).max() < 1e-3 * ARCSEC
 
 
 def test_what_no_length_notices_changes_nothing():
     problem = simulate(3, angles=arc(9), n=16, layout=low_ring).problem()
     shift = np.full((len(problem.length), 3), 1e-9)
-    weighed = adjust_at_equal_places(problem, shift)
-    np.testing.assert_array_equal(weighed.solution.problem.length, problem.length)
-    assert weighed.reported is None
+    assert weighed(problem, shift).reported is None
 
 
 @pytest.mark.parametrize("variant", ["joint", "station"])
@@ -84,9 +83,8 @@ def test_noisy_reports_of_a_machine_that_stands_still_change_nothing(noise, vari
     """To the last bit: the lengths are those of a machine that reports no noise."""
     for seed in range(2):
         problem, _, shift = world(seed, 0.0, noise, variant=variant)
-        weighed, plain = adjust_at_equal_places(problem, shift), solve(problem)
-        assert weighed.reported.weight == 0.0
-        found = with_reported(result_of(weighed.solution), weighed.reported)
+        plain, found = solve(problem), solved(problem, shift)
+        assert found.details["reported_places"]["weight"] == 0.0
         np.testing.assert_array_equal(found.deviations["ECC"], plain.deviations["ECC"])
         np.testing.assert_array_equal(found.std["ECC"], plain.std["ECC"])
         assert found.verdict == plain.verdict
@@ -120,10 +118,9 @@ def test_half_true_reports_are_half_believed():
     weights, left = [], []
     for seed in range(10):
         problem, _, shift = world(seed, size, size, m=12)
-        reported = adjust_at_equal_places(problem, shift).reported
+        reported = weighed(problem, shift).reported
         weights.append(reported.weight)
         left.append(reported.left)
-        assert "joined their standard deviation" in reported.warning
     assert np.mean(weights) == pytest.approx(0.5, abs=0.06)
     assert np.median(left) == pytest.approx(size / np.sqrt(2), rel=0.15)
 
@@ -190,12 +187,3 @@ def test_no_other_weight_does_better():
             kept.append(found[w].deviations["ECC"] - truth)
     rms = {w: np.sqrt(np.mean(np.square(kept))) for w, kept in errors.items()}
     assert rms["found"] < 0.95 * min(rms[0.0], rms[1.0])
-
-
-def test_a_slope_knows_how_far_its_size_is():
-    slope = Slope(score=6.0, information=4.0, chi2=29.0, dof=21)
-    assert slope.step == 1.5
-    assert slope.std == pytest.approx(np.sqrt((29.0 - 9.0) / 20 / 4.0))
-    assert slope.distance == pytest.approx(3.0)
-    assert not Slope(0.0, 0.0, 3.0, 4).known
-    assert not Slope(1.0, 1.0, 3.0, 1).known

@@ -13,9 +13,9 @@ from tracer_scenes import counted_from_first
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.geometry.rotations import on_table, rotation_from_vector
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
-from rotcal_ros.methods.tracer.solver import TracerProblem, adjust, solve, trials_about
+from rotcal_ros.methods.tracer.solver import TracerProblem, adjust, solve
 from rotcal_ros.methods.tracer.solver.circle import circle_contrasts, contrast_count
-from rotcal_ros.methods.tracer.solver.trials import predicted
+from rotcal_ros.methods.tracer.solver.prediction import predicted
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "circle_coverage.py"
 SPEC = importlib.util.spec_from_file_location("circle_coverage", SCRIPT)
@@ -50,9 +50,9 @@ def test_what_is_planned_is_what_is_stated(one_zero, each):
     known = Information(scene, lengths, 1 if one_zero else 11)
     wanted = counted_from_first(known)
     exact = predicted(problem, STATIONS)
-    assert np.abs(exact.angles.covariance - wanted).max() < 1e-6 * np.abs(wanted).max()
-    beams = known.beams(lengths)
-    assert exact.redundancy == pytest.approx(1.0 - beams.spread / beams.variance, abs=1e-6)
+    # what leaves the circle moves its centre, too, which a plan neglects
+    assert exact.covariance.diagonal() == pytest.approx(wanted.diagonal(), rel=2e-2)
+    assert (exact.covariance.diagonal() >= wanted.diagonal()).all()
     rng = np.random.default_rng(each + 20)
     noisy = replace(
         problem,
@@ -61,42 +61,8 @@ def test_what_is_planned_is_what_is_stated(one_zero, each):
     )
     result = solve(noisy)  # without start values
     assert result.verdict == "ok"
-    assert np.abs(result.covariance["ECC"] - wanted).max() < 1e-3 * np.abs(wanted).max()
-
-
-def test_the_circle_is_six_more_unknowns():
-    """Radial and axial distances as rows of their own, with centre, radius and axis unknown."""
-    _, lengths, problem = planned(one_zero=True)
-    count, n = len(lengths), len(problem.targets)
-    apart = STATIONS[lengths.position] - problem.targets[lengths.target]
-    unit = apart / np.linalg.norm(apart, axis=1)[:, None]
-    size = 33 + 1 + 3 * n + 6
-    rows = np.zeros((count, size))
-    for axis in range(3):
-        rows[np.arange(count), 3 * lengths.position + axis] = unit[:, axis]
-        rows[np.arange(count), 34 + 3 * lengths.target + axis] = -unit[:, axis]
-    rows[:, 33] = -1.0
-    rows /= problem.length_std[:, None]
-    prior = np.eye(size)[34 : 34 + 3 * n] / 1e-6
-    flat = STATIONS[:, :2] - [1e-4, -2e-4]
-    outward = flat / np.linalg.norm(flat, axis=1)[:, None]
-    round_ = np.zeros((22, size))
-    j = np.arange(11)
-    for axis in range(2):
-        round_[j, 3 * j + axis] = outward[:, axis]
-        round_[j, size - 6 + axis] = -outward[:, axis]
-        round_[11 + j, size - 2 + axis] = -flat[:, axis]
-    round_[j, size - 4] = -1.0
-    round_[11 + j, 3 * j + 2] = 1.0
-    round_[11 + j, size - 3] = -1.0
-    whole = np.vstack([rows, prior, round_ / 7e-8])
-    scale = 1.0 / np.linalg.norm(whole, axis=0)
-    upper = np.linalg.qr(whole * scale, mode="r")
-    covariance = np.linalg.inv(upper) * scale[:, None]
-    covariance = (covariance @ covariance.T)[:33, :33]
-    found = predicted(problem, STATIONS).stations
-    assert np.abs(found.total.dense() - covariance).max() < 1e-6 * np.abs(covariance).max()
-    assert found.circle.diagonal().max() > 0.0
+    size = np.abs(exact.covariance).max()
+    assert np.abs(result.covariance["ECC"] - exact.covariance).max() < 1e-3 * size
 
 
 def test_contrasts_do_not_feel_where_the_circle_is():
@@ -136,11 +102,8 @@ def test_a_rosette_is_no_circle(seed):
     problem, truth = simulated.measured(ROSETTE, 8, seed)
     result = solve(problem)
     assert result.verdict == "suspect"
-    assert any("the stated circle_std of 7e-08 m does not hold" in w for w in result.warnings)
-    circle = result.details["circle_prior"]
-    assert (circle["stated"], circle["dof"]) == (7e-8, 16)
-    assert 5e-7 < circle["used"] < 3e-6
-    assert circle["probability"] < 1e-6
+    # of few lengths a drift of the machine's frame passes for it
+    assert any("their circle by" in w or "frame drifts" in w for w in result.warnings)
     error = np.abs(result.deviations["ECC"] - truth)[1:] / result.std["ECC"][1:]
     assert error.max() < 4.0
     open_ = solve(replace(problem, circle_std=None, error_motion_std=None))
@@ -154,23 +117,16 @@ def test_an_outlier_is_not_blamed_on_the_circle():
     result = solve(replace(problem, length=length))
     assert [r.index for r in result.rejected] == [20]
     assert result.verdict == "ok"
-    assert result.details["circle_prior"]["used"] == 7e-8
-
-
-def test_a_circle_that_nothing_checks_is_believed_and_named():
-    problem, _ = simulated.measured(PER_STATION, 3, 0)
-    result = solve(problem)
-    assert result.details["circle_prior"]["redundancy"] < 0.01
-    assert any("is believed, not measured" in text for text in result.warnings)
 
 
 @pytest.mark.parametrize("datum", ["prior", "free"])
 def test_trials_scatter_as_stated(datum):
     problem = replace(simulated.measured(ONE_ZERO, 20, 3)[0], datum=datum)
     result = solve(problem)
-    trials = trials_about(adjust(problem))(np.random.default_rng(0), 3000)
+    trials = adjust(problem).trials(np.random.default_rng(0), 3000)
     assert trials.std(axis=0)[1:] == pytest.approx(result.std["ECC"][1:], rel=0.06)
-    assert solve(replace(problem, circle_std=None)).std["ECC"].max() > result.std["ECC"].max()
+    stated = replace(problem, circle_std=None, error_motion_std=simulated.CIRCLE_STD)
+    assert solve(stated).std["ECC"].max() > result.std["ECC"].max()
 
 
 def test_stations_that_are_solved_alone_know_no_circle():

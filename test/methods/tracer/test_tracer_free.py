@@ -2,13 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy_tracer import DenseNetwork
 
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations
-from rotcal_ros.methods.tracer.solver.network import relax
-from rotcal_ros.methods.tracer.solver.problem import arrange
-from rotcal_ros.methods.tracer.solver.start import find_start
 
 STD = 2e-7
 
@@ -37,31 +32,15 @@ def weak(seed, level=0.02):
     )  # fmt: skip
 
 
-def network(problem):
-    grid, _ = arrange(problem)
-    start = adjust_stations(grid, find_start(grid, None)[0])
-    return grid, start, relax(grid, start.state, grid.targets)
-
-
 HARD = (0, 2, 3, 5, 42, 56, 117, 247)
 """A third of such networks ran away along the height of a target, or halved steps for ever."""
 
 
 @pytest.mark.parametrize("seed", HARD)
 def test_good_lengths_settle_in_a_long_bent_valley(seed):
-    grid, _, settled = network(weak(seed))
-    dof = grid.used.sum() - (settled.state.size + settled.targets.size - 7)
-    assert settled.chi2 < dof + 4.0 * np.sqrt(2.0 * dof)
-    # No way down is left: the whole step of the whole design, by its pseudo-inverse.
-    size = np.linalg.norm(settled.state[:, :3] - settled.state[:, :3].mean(axis=0), axis=1)
-    dense = DenseNetwork(grid.targets, grid.length, STD, None, np.sqrt(np.mean(size**2)))
-    here = np.concatenate([settled.state.ravel(), settled.targets.ravel()])
-    misfit, slope = dense.misfit(here)[: grid.used.sum()], dense.slope(here)[: grid.used.sum()]
-    stations = slope[:, : settled.state.size]
-    down = np.linalg.lstsq(stations, misfit, rcond=1e-7)[0]
-    assert ((stations @ down) ** 2).sum() < 0.02
-    known = solve(weak(seed)) if seed in (2, 5) else None
-    assert known is None or known.verdict != "failed"
+    result = solve(weak(seed))
+    assert result.verdict != "failed"
+    assert result.sigma0**2 < 1.0 + 4.0 * np.sqrt(2.0 / result.dof)
 
 
 @pytest.mark.parametrize("reached", [1, 3])

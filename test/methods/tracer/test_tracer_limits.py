@@ -5,18 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import DataError, GeometryError, RotcalError
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.tracer.solver import solve
-from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations, locate_stations
 from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.observability import or_prior
 from rotcal_ros.methods.tracer.solver.problem import arrange
-from rotcal_ros.methods.tracer.solver.screening import reject, rejection_limit
-from rotcal_ros.methods.tracer.solver.start import find_start
+from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 
 M, N = 9, 24
 
@@ -128,37 +125,6 @@ def test_a_station_stands_within_a_tenth_of_a_radian_of_its_command(off, sign):
     )
     with pytest.raises(DataError, match=text):
         solve(problem)
-
-
-@pytest.mark.parametrize("size", [0.98, 1.02])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_length_is_rejected_beyond_the_critical_value(size, sign):
-    """Of good lengths one is moved until its own normalised residual is at the limit."""
-    good = scene(length_std=0.0)
-    problem = good.problem()
-    grid, _ = arrange(problem)
-    start, _ = find_start(grid, None)
-    redundancy = adjust_stations(grid, start).redundancy[2, 9]
-    limit = rejection_limit(grid, 0.01)
-    assert limit == pytest.approx(norm.isf(0.005 / (M * N + 3 * N)))
-    moved = sign * size * limit * 2e-7 / np.sqrt(redundancy)
-    length = grid.length.copy()
-    length[2, 9] += moved
-    kept, why = reject(adjust_stations, replace(grid, length=length), start, 0.01)
-    fit = adjust_stations(kept, start)
-    assert kept.used[2, 9] == (size < 1.0)
-    assert kept.used.sum() == M * N - (size > 1.0)
-    if size > 1.0:
-        value = sign * size * limit
-        residual = moved * redundancy
-        assert why == {
-            2 * N + 9: (
-                f"station 2, target 9: test value {value:+.1f} beyond {limit:.2f} (residual "
-                f"{residual:+.3g} m)"
-            )
-        }
-        assert fit.residual[2, 9] == pytest.approx(moved, rel=1e-4)
-        assert fit.redundancy[2, 9] == 0.0
 
 
 @pytest.mark.parametrize("far", [0.03, 0.3, 1.0])

@@ -95,13 +95,13 @@ def run(case, variant, seed):
     """
     problem, deviation, _ = measured(seed, variant=variant, **CASES[case])
     solution = adjust(problem)
-    found = solution.motion.cumulative - deviation
+    found = solution.deviations - deviation
     bare = np.nan
     if seed < BARE:
         plain = adjust(measured(seed, variant=variant, settings=KEEP_ALL, **CASES[case])[0])
-        bare = np.mean((plain.motion.cumulative - deviation) ** 2)
-    hits = (np.abs(found) <= 1.96 * solution.angles.std)[1:]
-    return hits, np.mean(found**2), bare, squares(found[1:], solution.angles.covariance[1:, 1:])
+        bare = np.mean((plain.deviations - deviation) ** 2)
+    hits = (np.abs(found) <= 1.96 * solution.std)[1:]
+    return hits, np.mean(found**2), bare, squares(found[1:], solution.covariance[1:, 1:])
 
 
 @pytest.mark.long  # statistics
@@ -121,8 +121,8 @@ def test_95_percent_intervals_hold_whatever_was_stated(case, variant):
 @pytest.mark.parametrize(
     ("truth", "words", "factor"),
     [
-        ({"target": (3.1e-6, 1e-6, 1e-6)}, "the targets' x is", 3.1),
-        ({"target": (1e-6, 1e-6, 5e-6)}, "the targets' z is", 5.0),
+        ({"target": (3.1e-6, 1e-6, 1e-6)}, "the scatter of the targets' x is", 3.1),
+        ({"target": (1e-6, 1e-6, 5e-6)}, "the scatter of the targets' z is", 5.0),
         ({"length": 4e-7}, "the scatter of the lengths is", 2.0),
     ],
 )
@@ -131,32 +131,11 @@ def test_what_is_larger_than_stated_is_named_with_how_much(variant, truth, words
     problem, _, _ = measured(7, table, variant=variant, **truth)
     result = solve(problem)
     assert result.verdict == "suspect"
-    (text,) = result.warnings
-    assert text.startswith(words)
+    text = next(w for w in result.warnings if w.startswith(words))
     found = float(text.removeprefix(words).split()[0])
     assert found == pytest.approx(factor, rel=0.25)
-    assert "its stated" in text
+    assert "times as stated: the estimate is used" in text
     assert not result.rejected
-
-
-def test_the_part_that_grows_with_the_distance_is_told_from_the_rest():
-    table = Table(12, 80, 30.0)
-    rng = np.random.default_rng(3)
-    problem, deviation, _ = measured(3, table, length=1e-7)
-    far = np.linalg.norm(problem.targets, axis=1)[problem.target]
-    grown = problem.length + 1.5e-6 * far**3 * rng.standard_normal(len(far))
-    stated = 3e-7 * far**3
-    problem, deviation, _ = measured(
-        3, table, length=1e-7, variant="joint",
-        length_std=np.hypot(1e-7, stated), distance_std=stated,
-    )  # fmt: skip
-    problem = TracerProblem(**{**vars(problem), "length": grown})
-    result = solve(problem)
-    noise = {entry["component"]: entry for entry in result.details["noise"]}
-    assert noise["distance"]["factor"] == pytest.approx(5.0, rel=0.15)
-    assert noise["lengths"]["factor"] == pytest.approx(1.0, rel=0.3)
-    assert any("grows with the distance is" in text for text in result.warnings)
-    assert np.mean(inside(result, deviation)) > 0.7
 
 
 def test_good_data_are_left_alone_to_the_last_bit():
@@ -173,29 +152,13 @@ def test_good_data_are_left_alone_to_the_last_bit():
 
 
 @pytest.mark.parametrize("variant", ["joint", "station"])
-def test_outliers_are_found_and_a_target_stays_common(variant):
-    """Single outliers in ``station`` would take its target's error out of what cancels."""
+def test_outliers_are_found_and_nothing_else(variant):
     problem, deviation, off = measured(11, PAPER, share=0.01, variant=variant)
     result = solve(problem)
-    rows = {r.index for r in result.rejected if "left out with" not in r.why}
-    assert rows == set(np.flatnonzero(off).tolist())
-    used = result.residuals.used.reshape(11, 64)
-    if variant == "station":
-        assert (used.all(axis=0) | ~used.any(axis=0)).all()
-    else:
-        assert used.sum() == 704 - off.sum()
+    assert {r.index for r in result.rejected} == set(np.flatnonzero(off).tolist())
+    assert result.residuals.used.sum() == 704 - off.sum()
     assert result.verdict == "ok"
     assert np.mean(inside(result, deviation)) >= 0.8
-
-
-@pytest.mark.slow
-def test_single_lengths_go_alone_where_whole_targets_would_cost_more():
-    """An exact machine: nothing has to cancel, and a target is worth keeping."""
-    problem, _, off = measured(
-        4, PAPER, share=0.02, target=2e-8, target_std=2e-8, variant="station"
-    )
-    result = solve(problem)
-    assert {r.index for r in result.rejected} == set(np.flatnonzero(off).tolist())
 
 
 def test_a_machine_that_is_far_off_fails():
@@ -207,5 +170,5 @@ def test_a_machine_that_is_far_off_fails():
 def test_lengths_without_any_noise_are_made_up_and_the_statements_stay(variant):
     problem, _, _ = measured(1, length=0.0, target=0.0, variant=variant)
     result = solve(problem)
-    assert [noise["factor"] for noise in result.details["noise"]] == [1.0] * 4
+    assert set(result.details["noise"].values()) == {1.0}
     assert result.warnings == ()

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from rotcal_ros.methods.tracer.solver.adjustment import contract, locate_damped, locate_stations
+from rotcal_ros.methods.tracer.solver.station_by_station import (
+    contract,
+    locate_damped,
+    locate_stations,
+)
 
 EXACT = {"method": "lm", "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
 

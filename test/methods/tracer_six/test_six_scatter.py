@@ -33,7 +33,7 @@ def test_intervals_hold_where_the_estimate_has_nothing_to_find():
     runs = 60 if LONG else 6
     found = coverage(runs, (0.0, 0.0), seed=6, slip=0.0)
     assert (found.share > (0.94 if LONG else 0.88)).all()
-    assert (found.std < 1.22 * 0.5e-6 * np.array([0.078, 0.080, 0.072, 0.650, 0.653, 0.554])).all()
+    assert (found.std < 1.3 * 0.5e-6 * np.array([0.078, 0.080, 0.072, 0.650, 0.653, 0.554])).all()
     found = coverage(4, (0.0, 0.0), arrivals=2, chosen=TWELVE, seed=7, slip=0.0)
     assert (found.std < 1.06 * 0.5e-6 * np.array([0.076, 0.082, 0.072, 0.653, 0.652, 0.555])).all()
 
@@ -48,7 +48,7 @@ def test_intervals_hold_whatever_scatters(kind):
 @pytest.mark.slow
 def test_intervals_hold_with_two_arrivals():
     options = {"arrivals": 2, "chosen": TWELVE, "slip": 0.0}
-    found = coverage(40 if LONG else 12, KINDS["turns"], seed=9, **options)
+    found = coverage(40 if LONG else 24, KINDS["turns"], seed=9, **options)
     assert (found.share > LEAST).all()
 
 

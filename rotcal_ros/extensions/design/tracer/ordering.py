@@ -36,10 +36,9 @@ from rotcal_ros.methods.tracer.policy.sequence import (
     measuring_orders,
     ranks,
 )
+from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.methods.tracer.solver.trials import predicted
-from rotcal_ros.methods.tracer.solver.verdict import judge
 from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, stated_time
 
 LOOKS: Final = (400, 1000, 2500)
@@ -210,9 +209,9 @@ def _stated(problem: TracerProblem) -> tuple[float, float]:
         solution = adjust(problem)
     except RotcalError:
         return np.inf, np.inf
-    if judge(solution.evidence, problem.settings)[0] != "ok":
+    if solution.found.verdict != "ok":
         return np.inf, np.inf
-    found = expanded(solution.angles.covariance)
+    found = expanded(solution.covariance)
     return float(np.sqrt((found**2).mean())), float(found.max())
 
 
@@ -392,5 +391,5 @@ def _in_order(design: TracerDesign) -> OrderedDesign:
     order = least_hidden(ways, settings.max_unseen)
     posed = replace(problem, targets=scene.targets, order=ranks(order.order))
     promise = promised(posed, scene, settings.goal, settings.confidence, seed=settings.seed)
-    stated = variances_about_mean(predicted(posed, scene.stations).angles.covariance)
+    stated = variances_about_mean(predicted(posed, scene.stations).covariance)
     return OrderedDesign(design, order, stated, promise, ways[0])

@@ -41,8 +41,8 @@ from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene, noisy_problem
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
+from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem, station_minimum
-from rotcal_ros.methods.tracer.solver.trials import predicted
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.readings import time_order
 
@@ -463,7 +463,7 @@ class LengthExperiment:
             return self.planned(measured, noise, coverage_factor, further)
         problem = self.posed(measured, noise, further)
         try:
-            covariance = predicted(problem, self.scene.stations).angles.covariance
+            covariance = predicted(problem, self.scene.stations).covariance
         except ObservabilityError:
             return np.inf  # enough lengths, in directions too much alike
         return coverage_factor * rms_about_mean(covariance)

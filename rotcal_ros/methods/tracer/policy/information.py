@@ -4,7 +4,7 @@ A plan starts from a :class:`Scene`: stations, possible targets, how well all is
 is a pair of table position and target, measured within a segment: as long as the beam is not
 broken, all lengths share one unknown zero.
 
-The linear model of the joint network (:mod:`rotcal_ros.methods.tracer.solver.joint`) at the
+The linear model of the joint network (:mod:`rotcal_ros.methods.tracer.solver.posed`) at the
 nominal geometry: unknown are the stations (3 m), a zero per segment (q), and the targets with the
 machine's prior. A length moves with u (dP - dA) - dz; with weights w and variances v its
 information is
@@ -42,7 +42,6 @@ from rotcal_ros.methods.tracer.solver.circle import (
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_spread
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""
@@ -113,8 +112,9 @@ class Scene:
     @cached_property
     def error_motion_angles(self) -> Floats:
         """What the error motion adds to the covariance (m, m) of the zero-mean angles, rad^2."""
-        motion = error_motion_spread(self.motion, self.error_motion_std or 0.0).dense()
-        return np.asarray(self.turning @ motion @ self.turning.T, dtype=np.float64)
+        turning = self.turning.reshape(len(self.turning), -1, 3) @ self.motion.plane.basis().T
+        felt = (self.error_motion_std or 0.0) * turning.reshape(len(turning), -1)
+        return np.asarray(felt @ felt.T, dtype=np.float64)
 
     def beams(self, position: Ints, target: Ints) -> tuple[Floats, Floats]:
         """Return unit vectors (k, 3) from targets to stations and variances (k,) of lengths."""

@@ -6,9 +6,8 @@ share of the lengths of every position: what drifts is then at each position at 
 times alike. A *closed* single sweep keeps half of the first position for its end. The quickest of
 those that are protected is taken.
 
-Protected is what the solver's own statement says (:mod:`~..solver.protections`) at the nominal
-geometry: a plan is solved once with lengths that have the stated noise, and judged for as many
-orders as wanted. Exact lengths would be taken for a quieter instrument.
+Protected is what the solver's own statement says at the nominal geometry: a plan is predicted
+once, and judged for as many orders as wanted.
 
 An order is an open travelling-salesman path over the pairs (table position, target). The times are
 not symmetric, because a table that comes from above passes its angle and returns. A path is
@@ -20,7 +19,7 @@ and improved again.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import inf, isfinite
 from typing import Final
@@ -28,12 +27,12 @@ from typing import Final
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
+from rotcal_ros.methods.tracer.solver.prediction import Prediction, predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.protections import of_the_order
-from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.planning.sequence_time import duration
 
 Blocks = Callable[[Ints], Ints]
@@ -90,21 +89,18 @@ class Forecast:
 
 
 class SequenceForecast:
-    """Judges orders of the lengths of one plan; ``problem`` holds lengths with the stated noise.
+    """Judges orders of the lengths of one plan; ``problem`` has the stations to start from.
 
     Raises ObservabilityError when the plan cannot determine the angle at all.
     """
 
     def __init__(self, problem: TracerProblem) -> None:
-        self._solution: TracerSolution = adjust(problem)
+        self._known: Prediction = predicted(problem, problem.start_stations)
 
     def __call__(self, order: Ints) -> Forecast:
         """Return the forecast for ``order`` (k,): rows of the problem as they are measured."""
-        problem = replace(self._solution.problem, order=ranks(order))
-        solution = replace(self._solution, problem=problem)
-        drift, knock = (
-            _unseen(effect.treatment, effect.error) for effect in of_the_order(solution)
-        )
+        hides = self._known.hides(ranks(order))
+        drift, knock = (_unseen(hides[effect]) for effect in ("drift", "knock"))
         return Forecast(drift=drift, knock=knock)
 
 
@@ -115,11 +111,9 @@ def ranks(order: Ints) -> Ints:
     return rank
 
 
-def _unseen(treatment: str, error: float | None) -> float:
+def _unseen(worst: Unseen) -> float:
     """Return the error of a statement: none where it is harmless, any where it cannot be seen."""
-    if error is not None:
-        return error
-    return 0.0 if treatment == "harmless" else inf
+    return {"harmless": 0.0, "not protected": inf, "tested": worst.error}.get(worst.treatment, inf)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,59 +6,64 @@ changes of the start values. What is stated beforehand, such as the coordinates 
 among the observations, never to be left out. Slips that would not be found are errors that
 lengths have in common.
 
-The other instruments may determine what these lengths alone do not.
+Every length feels its position, its target, and few that all share. So the derivatives are given
+by their entries, and stations or targets fall into groups (:mod:`rotcal_ros.adjust.bordered`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array, vstack
 
-from rotcal_ros.adjust.designs import Derivatives
-from rotcal_ros.adjust.error_motion import WHITE, Spectrum
+from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
-    CurveModel,
     Disturbing,
     Grouping,
     Model,
     Steps,
     Unit,
-    block_rows,
     drifts,
+    recurring,
 )
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.tracer.solver.circle import table_motion
-from rotcal_ros.methods.tracer.solver.network import KNOWN
-from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem, arrange
-from rotcal_ros.methods.tracer.solver.protections import LARGEST_MOVE, LARGEST_RATIO
-from rotcal_ros.methods.tracer.solver.screening import WORDS
-from rotcal_ros.methods.tracer.solver.solution import FREE_CIRCLE, TracerSolution
-from rotcal_ros.methods.tracer.solver.start import find_any_start
-from rotcal_ros.methods.tracer.solver.zeros import SLIPPED, Slips
+from rotcal_ros.planning.readings import passes
 
-CIRCLE: Final = 5
-"""Stations from which on their plane gives the direction of the axis."""
 SMALL: Final = 1e-3
 """Variance, as a share of that of the lengths, that is too small to matter."""
-
-ROUNDING: Final = 1e-9
-"""Share of its variance by which an error motion is another at every angle at least."""
+KNOWN: Final = 1e-9
+"""Standard deviation (m) of a coordinate that is called known, where others have errors."""
+DATUM: Final = 1e-6
+"""Standard deviation (m) of what is defined: any will do, for no length contradicts it."""
+FIRM: Final = 1e-9
+"""Share below which a turn of targets in one line is none."""
+LARGEST_MOVE: Final = 1e-4
+"""Drift or knock (m) that could not be overlooked."""
+LARGEST_RATIO: Final = 1e-3
+"""Error of the scale, or of the air's index per metre of height, that could not be missed."""
+MOMENTS: Final = 64
+"""Moments at which the instrument may move: one between two is seen nearly as well."""
+PLACES: Final = 4_000_000
+"""Numbers in what is tried of an effect, 32 MB: of very many lengths fewer moments."""
 UM: Final = Unit("um", MICROMETRE)
 PPM: Final = Unit("um/m", 1e-6)
+WORDS: Final = Words(
+    "lengths", "warm air, a person or an obstacle", "in the beams", "in its beams"
+)
 
 
 class KnownBeforehand(NamedTuple):
     """What is known of unknowns: ``rows`` (b, p) times them is 0 +- ``std`` (b,)."""
 
     what: str
-    rows: Floats
+    rows: csr_array
     std: Floats
 
 
@@ -68,9 +73,13 @@ class CarriedLengths:
 
     ``position``, ``place``, ``target``, ``zero`` (k,): indices into ``angles`` (m,) rad,
     ``places`` (p, 3), ``targets`` (n, 3) and ``zeros`` (s,), m. ``row``, ``order`` (k,): of the
-    problem, and when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``common`` (k, r), m: independent
-    errors that lengths share, each of its standard deviation. ``tilts``: whether the table's are
-    unknown; one place feels nothing of them that is no shift.
+    problem, and when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``beam`` (k,): which unbroken beam
+    each length is of; None: zeros are those. ``unbroken``: lengths of several stations are of one,
+    whose counter may slip. ``tilts``: whether the table's are unknown; one place feels nothing of
+    them that is no shift. ``later`` (k,): which of the
+    ``later_zeros`` joins the zero of a length, -1 for none. ``called``: numbers (m,) and (n,) by
+    which people call positions and targets; None: as they are. ``more``: blocks of further
+    unknowns, which lengths do not feel.
     """
 
     observed: Floats
@@ -87,8 +96,13 @@ class CarriedLengths:
     zeros: Floats
     axes: Floats
     origin: Floats
-    common: Floats
     tilts: bool = False
+    beam: Ints | None = None
+    unbroken: bool = False
+    later: Ints | None = None
+    later_zeros: int = 0
+    called: tuple[Ints, Ints] | None = None
+    more: Mapping[str, int] = field(default_factory=dict)
 
     @cached_property
     def blocks(self) -> dict[str, int]:
@@ -96,120 +110,254 @@ class CarriedLengths:
         m = len(self.angles)
         return {
             "shift": 3 * m,
-            "turn": 3 * m if self.tilts else m,
-            "place": self.places.size,
+            "turn": self.turns * m,
+            "place": self.ways.shape[1] * len(self.places),
             "zero": len(self.zeros),
             "target": self.targets.size,
             "frame": 4 if self.tilts else 2,
+            **({"zero of a later run": self.later_zeros} if self.later_zeros else {}),
+            **self.more,
         }
+
+    @cached_property
+    def first(self) -> dict[str, int]:
+        """Where each block begins among the unknowns."""
+        sizes = list(self.blocks.values())
+        return dict(zip(self.blocks, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are."""
+        return sum(self.blocks.values())
 
     @property
     def turns(self) -> int:
         """How many turns of the table are unknown at each angle: about z, or all three."""
         return 3 if self.tilts else 1
 
-    def rows_of(self, block: str, number: Sequence[int] | slice = slice(None)) -> Floats:
-        """Return rows that take unknowns of a block out of all."""
-        return block_rows(self.blocks, block)[number]
+    @cached_property
+    def ways(self) -> Floats:
+        """Unit vectors (p, w, 3) along which each place is unknown.
 
-    def computed(self, x: Floats) -> tuple[Floats, Floats]:
+        Out from the axis; along and up it is a shift of all, unless the table's tilts are unknown.
+        """
+        if self.tilts:
+            return np.broadcast_to(np.eye(3), (len(self.places), 3, 3))
+        flat = self.places * [1.0, 1.0, 0.0]
+        return np.asarray((flat / np.linalg.norm(flat, axis=1)[:, None])[:, None])
+
+    def rows_of(self, block: str, number: Sequence[int] | Ints | slice = slice(None)) -> csr_array:
+        """Return rows that take unknowns of a block out of all, by their entries."""
+        unknown = self.first[block] + np.arange(self.blocks[block])[number]
+        count = len(unknown)
+        entries = np.ones(count), unknown, np.arange(count + 1)
+        return csr_array(entries, shape=(count, self.size))
+
+    @cached_property
+    def _entries(self) -> tuple[Ints, Ints]:
+        """Columns of what each length feels, and where those of each begin (k + 1,)."""
+        first, t, w = self.first, self.turns, self.ways.shape[1]
+        every = [
+            first["shift"] + 3 * self.position[:, None] + np.arange(3),
+            first["turn"] + t * self.position[:, None] + np.arange(t),
+            first["place"] + w * self.place[:, None] + np.arange(w),
+            first["zero"] + self.zero[:, None],
+            first["target"] + 3 * self.target[:, None] + np.arange(3),
+        ]
+        if self.later_zeros:
+            assert self.later is not None
+            every.append(first["zero of a later run"] + np.maximum(self.later, 0)[:, None])
+        column = np.concatenate(every, axis=1)
+        return column.ravel(), column.shape[1] * np.arange(len(column) + 1)
+
+    def standing(self, x: Floats) -> Floats:
+        """Return where the instrument stands (m, 3) at its first place, at the unknowns, m."""
+        every = np.arange(len(self.angles))
+        return self._stands(x, every, np.zeros_like(every))[0]
+
+    def _stands(self, x: Floats, position: Ints, place: Ints) -> tuple[Floats, Floats, Floats]:
+        """Return where it stands (k, 3), its arms (k, 3) as turned, and turns (m, 3)."""
+        m, first = len(self.angles), self.first
+        shift, turn = x[: 3 * m].reshape(m, 3), x[3 * m : first["place"]]
+        vector = np.zeros_like(shift)
+        vector[:, 3 - self.turns :] = turn.reshape(m, -1)
+        carry = rotation_from_vector(vector) @ rotation_about_z(self.angles)
+        along = x[first["place"] : first["zero"]].reshape(len(self.places), -1)
+        moved = np.einsum("pw,pwi->pi", along, self.ways)
+        arm = np.einsum("kij,kj->ki", carry[position], (self.places + moved)[place])
+        return self.origin + (shift[position] + arm) @ self.axes.T, arm, vector
+
+    def computed(self, x: Floats) -> tuple[Floats, csr_array]:
         """Return the lengths (k,) and their derivatives (k, p) at the unknowns."""
-        ends = np.cumsum(list(self.blocks.values()))[:-1]
-        shift, turn, place, zero, target, _ = np.split(x, ends)
-        vector = np.zeros_like(shift).reshape(-1, 3)
-        vector[:, 3 - self.turns :] = turn.reshape(-1, self.turns)
-        tilt, about = rotation_from_vector(vector), rotation_about_z(self.angles)
-        carry = (tilt @ about)[self.position]
-        arm = np.einsum("kij,kj->ki", carry, (self.places + place.reshape(-1, 3))[self.place])
-        stands = self.origin + (shift.reshape(-1, 3)[self.position] + arm) @ self.axes.T
-        away = stands - (self.targets + target.reshape(-1, 3))[self.target]
+        first = self.first
+        stands, arm, vector = self._stands(x, self.position, self.place)
+        target = x[first["target"] : first["frame"]].reshape(-1, 3)
+        away = stands - (self.targets + target)[self.target]
         distance = np.linalg.norm(away, axis=1)
         unit = away / distance[:, None]
         felt = unit @ self.axes
         slope = np.eye(3) + 0.5 * cross_matrix(vector)  # of R(c), to the first order of c
         turned = np.einsum("ki,kij->kj", np.cross(arm, felt), slope[self.position])
-        moved = np.einsum("ki,kij->kj", felt, carry)
-        design = np.zeros((len(distance), len(x)))
-        first = dict(zip(self.blocks, [0, *ends.tolist()], strict=True))
-        each = np.arange(len(distance))[:, None]
-        for block, index, rows in (
-            ("shift", self.position, felt),
-            ("turn", self.position, turned[:, 3 - self.turns :]),
-            ("place", self.place, moved),
-            ("target", self.target, -unit),
-        ):
-            width = rows.shape[1]
-            design[each, first[block] + width * index[:, None] + np.arange(width)] = rows
-        design[each[:, 0], first["zero"] + self.zero] = -1.0
-        return distance - (self.zeros + zero)[self.zero], design
+        carry = rotation_from_vector(vector) @ rotation_about_z(self.angles)
+        carried = np.einsum("ki,kij->kj", felt, carry[self.position])
+        moved = np.einsum("kj,kwj->kw", carried, self.ways[self.place])
+        values = [felt, turned[:, 3 - self.turns :], moved, np.full((len(felt), 1), -1.0), -unit]
+        zero = (self.zeros + x[first["zero"] : first["target"]])[self.zero]
+        if self.later_zeros:
+            assert self.later is not None
+            later = (self.later >= 0).astype(np.float64)
+            begin = first["zero of a later run"]
+            zero = zero + later * x[begin : begin + self.later_zeros][np.maximum(self.later, 0)]
+            values.append(-later[:, None])
+        column, begins = self._entries
+        entries = np.concatenate(values, axis=1).ravel(), column, begins
+        return distance - zero, csr_array(entries, shape=(len(distance), self.size))
+
+    @cached_property
+    def beams(self) -> Floats:
+        """From where each length was taken to its target at the start values, (k, 3), m."""
+        stands = self._stands(np.zeros(self.size), self.position, self.place)[0]
+        return np.asarray(self.targets[self.target] - stands)
 
     @cached_property
     def effects(self) -> tuple[Disturbing, ...]:
-        """What could spoil the lengths; of moves, what each length feels at the start values."""
-        design = self.computed(np.zeros(sum(self.blocks.values())))[1]
-
-        def felt(block: str) -> Floats:
-            """Return what each length (k, 3) feels of what all unknowns of a block do alike."""
-            own = design @ self.rows_of(block).T
-            return np.asarray(own.reshape(len(design), -1, 3).sum(axis=1))
-
-        once, when = np.zeros(len(design), dtype=np.int64), self.order.astype(np.float64)
-        gone, read = drifts(once, when), drifts(self.zero, when)
-        moves = np.einsum("kij,kj->ki", _about_axis(self.places)[self.place], felt("place"))
-        moved, shifted = Steps(self.place, when, moves), Steps(self.zero, when)
-        distance = self.computed(np.zeros(design.shape[1]))[0] + self.zeros[self.zero]
-        return (
-            Disturbing("drift", "the machine drifts", gone * felt("target"), LARGEST_MOVE, UM),
+        """What could spoil the lengths, as they feel it at the start values."""
+        once, when = np.zeros(len(self.observed), dtype=np.int64), self.order.astype(np.float64)
+        beam = self.zero if self.beam is None else self.beam
+        distance = np.linalg.norm(self.beams, axis=1)
+        toward = self.beams / distance[:, None]
+        arms = self.targets - self.origin
+        reach = float(np.linalg.norm(arms, axis=1).max())
+        spin = (cross_matrix(self.axes[None, :, 2])[0] @ arms.T).T[self.target] / reach
+        turning = (toward * spin).sum(axis=1)[:, None]
+        machine = np.hstack([toward, turning])
+        again = passes(self.place, self.position, self.order)
+        returning = np.hstack([machine * shape[:, None] for shape in recurring(again, when).T])
+        gone = drifts(once, when)
+        # the index at the mean height of a beam is that along it, for it grows linearly
+        height = self.targets[self.target, 2] - 0.5 * self.beams[:, 2]
+        layered = distance * (height - height.mean())
+        frame = "the machine's frame drifts"
+        effects = [
+            Disturbing("drift", frame, gone * toward, LARGEST_MOVE, UM),
+            Disturbing("drift", "the machine's frame turns", gone * turning, LARGEST_MOVE, UM),
             Disturbing("drift", "all lengths drift", gone, LARGEST_MOVE, UM),
-            Disturbing("drift", "lengths drift", read, LARGEST_MOVE, UM, family=True),
-            Disturbing(
-                "knock", "the tracer moved on the table", moved, LARGEST_MOVE, UM, family=True
-            ),
-            Disturbing("slip", "lengths shifted", shifted, LARGEST_MOVE, UM, family=True),
-            Disturbing(
-                "scale", "the scale of the lengths is wrong", distance[:, None], LARGEST_RATIO, PPM
-            ),
+            Disturbing("recurring drift", f"{frame} or turns in each turn of the table alike",
+                       returning, LARGEST_MOVE, UM),
+            Disturbing("knock", "the tracer moved on the table", self._knocks, LARGEST_MOVE, UM,
+                       family=True, of_each=3, stays=True),
+            Disturbing("refraction", "air lies in layers", layered[:, None], LARGEST_RATIO, PPM),
+            Disturbing("scale", "the scale of the lengths is wrong", distance[:, None],
+                       LARGEST_RATIO, PPM),
+        ]  # fmt: skip
+        if self.unbroken:
+            effects.insert(5, self._slipping(beam, when))
+        if 1 < len(np.unique(beam)) <= PLACES // len(beam):
+            read = drifts(beam, when)
+            effects.insert(
+                3, Disturbing("drift", "lengths drift", read, LARGEST_MOVE, UM, family=True)
+            )
+        return tuple(effects)
+
+    def _slipping(self, beam: Ints, when: Floats) -> Disturbing:
+        """Return that a zero jumps within an unbroken beam."""
+        shifts = Steps(beam, when)
+        return Disturbing(
+            "slip", "lengths shifted", shifts, LARGEST_MOVE, UM, family=True, stays=True
         )
 
-    def model(self, curves: Mapping[str, Floats], stated: Sequence[KnownBeforehand]) -> CurveModel:
-        """Return the lengths, with what is ``stated``, over the deviations ``curves``."""
-        k, size = len(self.observed), sum(self.blocks.values())
-        parts = [s for s in stated if len(s.rows)]
-        known = np.concatenate([np.zeros((0, size)), *(s.rows for s in parts)])
+    @cached_property
+    def _knocks(self) -> Floats:
+        """Moves of each place by a metre out, along and up, from some moments on, (k, 3 t)."""
+        toward = self.beams / np.linalg.norm(self.beams, axis=1)[:, None]
+        out = np.hypot(*self.places[:, :2].T)[:, None]
+        outward = self.places * [1.0, 1.0, 0.0] / np.where(out > 0.0, out, 1.0)
+        up = np.broadcast_to([0.0, 0.0, 1.0], outward.shape)
+        ways = np.stack([outward, np.cross(up, outward), up], axis=1)[self.place]
+        carried = rotation_about_z(self.angles)[self.position]
+        moved = np.einsum("kwj,kij->kwi", ways, carried) @ self.axes.T
+        felt = -np.einsum("kwi,ki->kw", moved, toward)
+        steps = Steps(self.place, self.order.astype(np.float64))
+        most = max(1, min(MOMENTS, PLACES // (3 * len(felt))))
+        some = steps.whole(slice(None, None, max(1, -(-steps.shape[1] // most))))
+        return np.asarray((some[:, :, None] * felt[:, None]).reshape(len(felt), -1))
 
-        def equations(x: Floats) -> tuple[Floats, Derivatives]:
+    def groupings(self, beyond: Ints) -> list[Grouping]:
+        """Return what may be spoiled together, none of what is ``beyond`` the lengths."""
+        position, target = self.called or (
+            np.arange(len(self.angles)),
+            np.arange(len(self.targets)),
+        )
+        round_ = np.append(np.arctan2(self.beams[:, 1], self.beams[:, 0]), np.zeros(len(beyond)))
+        toward = self.beams / np.linalg.norm(self.beams, axis=1)[:, None]
+        toward = np.pad(toward, ((0, len(beyond)), (0, 0)))
+        station = Grouping(
+            "station", np.append(position[self.position], beyond), round_, toward, closed=True
+        )
+        found = [station, Grouping("target", np.append(target[self.target], beyond))]
+        if len(self.places) > 1:
+            found.insert(0, Grouping("place", np.append(self.place, beyond)))
+        rank = np.argsort(np.argsort(self.order, kind="stable"), kind="stable")
+        arrivals = 1 + int((np.diff(self.position[np.argsort(rank)]) != 0).sum())
+        if arrivals > len(self.angles):  # else stretches of time are the stations
+            size = max(len(rank) // len(self.angles), 8)
+            time = np.append(rank.astype(np.float64), np.zeros(len(beyond)))
+            found.append(Grouping("stretch of time", np.append(rank // size, beyond), time))
+        return found
+
+    def over(self, outputs: Outputs, stated: Sequence[KnownBeforehand]) -> Model:
+        """Return the lengths, with what is ``stated``, and the ``outputs`` that are asked for."""
+        k, parts = len(self.observed), [s for s in stated if len(s.std)]
+        none = csr_array((0, self.size))
+        known = csr_array(vstack([none, *(s.rows for s in parts)], format="csr"))
+
+        def equations(x: Floats) -> tuple[Floats, csr_array]:
             computed, design = self.computed(x)
-            return np.append(computed, known @ x), np.concatenate([design, known])
+            data = np.append(design.data, known.data), np.append(design.indices, known.indices)
+            begins = np.append(design.indptr, design.indptr[-1] + known.indptr[1:])
+            whole = csr_array((*data, begins), shape=(k + known.shape[0], self.size))
+            return np.append(computed, known @ x), whole
 
-        counts = [k, *(len(s.rows) for s in parts)]
-        beyond = np.full(len(known), -1)
+        counts, names = (
+            [k, *(len(s.std) for s in parts)],
+            ["the lengths", *(s.what for s in parts)],
+        )
+        components = list(dict.fromkeys(names))
+        component = [components.index(name) for name in names]
+        beyond = np.full(known.shape[0], -1)
 
-        def below(columns: Floats) -> Floats:
-            return np.pad(columns, ((0, len(known)), (0, 0)))
-
-        model = Model(
+        return Model(
             blocks=self.blocks,
-            observed=np.append(self.observed, np.zeros(len(known))),
+            observed=np.append(self.observed, np.zeros(len(beyond))),
             std=np.concatenate([self.std, *(s.std for s in parts)]),
             equations=equations,
-            outputs=np.zeros((0, size)),
+            outputs=outputs,
             words=WORDS,
             unit=UM,
-            components=["the lengths", *(s.what for s in parts)],
-            component=np.repeat(np.arange(len(counts)), counts),
-            judged=np.arange(k + len(known)) < k,
-            groupings=[
-                Grouping("place", np.append(self.place, beyond)),
-                Grouping("position", np.append(self.position, beyond)),
-                Grouping("target", np.append(self.target, beyond)),
-            ],
-            effects=[e.beside(len(known)) for e in self.effects],
-            row_names=[
-                *(f"length {row}" for row in self.row.tolist()),
-                *(f"value {i} of {s.what}" for s in parts for i in range(len(s.rows))),
-            ],
+            components=components,
+            component=np.repeat(component, counts),
+            judged=np.arange(k + len(beyond)) < k,
+            groupings=self.groupings(beyond),
+            effects=[e.beside(len(beyond)) for e in self.effects],
+            row_names=self._names
+            + [f"value {i} of {s.what}" for s in parts for i in range(len(s.std))],
         )
-        return CurveModel(model.sharing(below(self.common)), self.angles, curves)
+
+    @property
+    def _names(self) -> list[str]:
+        position, target = self.called or (
+            np.arange(len(self.angles)),
+            np.arange(len(self.targets)),
+        )
+        pairs = zip(
+            self.place.tolist(), position[self.position].tolist(), target[self.target].tolist(),
+            strict=True,
+        )  # fmt: skip
+        several = len(self.places) > 1
+        return [
+            f"place {q}, station {j}, target {i}" if several else f"station {j}, target {i}"
+            for q, j, i in pairs
+        ]
 
 
 def taken(row: Ints, order: Ints) -> tuple[Ints, Ints, Ints]:
@@ -223,17 +371,29 @@ def taken(row: Ints, order: Ints) -> tuple[Ints, Ints, Ints]:
     return station[first], target[first], when[first]
 
 
-def _about_axis(places: Floats) -> Floats:
-    """Return unit vectors (p, 3, 3): rows from the axis out to each place, around it, and up."""
-    out = places * [1.0, 1.0, 0.0] / np.hypot(*places[:, :2].T)[:, None]
-    up = np.broadcast_to([0.0, 0.0, 1.0], out.shape)
-    return np.stack([out, np.cross(up, out), up], axis=1)
+def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBeforehand]:
+    """Return what is stated of the targets: ``std`` (n, 3), m, of each coordinate.
 
-
-def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> KnownBeforehand:
-    """Return what is stated of the targets: ``std`` (n, 3), m, of each coordinate; or nothing."""
-    rows = lengths.rows_of("target", slice(0, 0) if free else slice(None))
-    return KnownBeforehand("the targets", rows, np.maximum(std.ravel(), KNOWN)[: len(rows)])
+    Or where they are ``free``, that they have not moved, turned or grown as a whole: it defines
+    what lengths leave open, and nothing else.
+    """
+    if free:
+        about = lengths.targets - lengths.targets.mean(axis=0)
+        ways = np.zeros((lengths.targets.size, 7))
+        ways[:, :3] = np.tile(np.eye(3), (len(about), 1))
+        ways[:, 3:6] = -cross_matrix(about).reshape(-1, 3)
+        ways[:, 6] = about.ravel()
+        axes, size, _ = np.linalg.svd(ways / np.linalg.norm(ways, axis=0), full_matrices=False)
+        rows = csr_array(csr_array(axes[:, size > FIRM].T) @ lengths.rows_of("target"))
+        return [KnownBeforehand("the datum", rows, np.full(rows.shape[0], DATUM))]
+    return [
+        KnownBeforehand(
+            f"the targets' {axis}",
+            lengths.rows_of("target", slice(a, None, 3)),
+            np.maximum(std[:, a], KNOWN),
+        )
+        for a, axis in enumerate("xyz")
+    ]
 
 
 def slips_of(zero: Ints, order: Ints, step_std: float, std: float) -> Floats:
@@ -253,123 +413,3 @@ def slips_of(zero: Ints, order: Ints, step_std: float, std: float) -> Floats:
         columns[rows] = ways[:, large] * np.sqrt(size[large])
         found.append(columns)
     return np.hstack(found)
-
-
-def step_of(slip: float, slips: Slips | None, lengths: int) -> float:
-    """Return the standard deviation, m, of a zero from one length to the next by unseen slips."""
-    return slip * float(np.sqrt(SLIPPED / lengths * (1.0 if slips is None else 1.0 - slips.found)))
-
-
-def curve_model(
-    problem: TracerProblem, solution: TracerSolution | None, joined: Floats | None = None
-) -> CurveModel:
-    """Return the lengths of one place over ECC at its positions.
-
-    Noise of lengths and targets is that of the lengths alone. Shifts of the table in the plane are
-    stated: the error motion, about a centre that is not known. ``solution`` of the lengths alone,
-    None where there is none: then ObservabilityError if no error motion is stated.
-    ``joined`` (r, p, n), m: what errors in the zeros of joined runs do to the lengths.
-    """
-    if solution is None:
-        grid = arrange(_on_a_circle(problem))[0]
-        given, angles = problem.start_stations, problem.table_angles[grid.position_ids]
-        given = None if given is None else given[grid.position_ids]
-        state = find_any_start(grid, given, angles)[0]
-        stations, distances = state[grid.first_strip, :3], state[:, 3]
-    else:
-        problem, grid, angles = solution.problem, solution.grid, solution.table_angles
-        stations, distances = solution.fit.stations, solution.fit.distances
-    lengths = _carried(problem, grid, angles, stations, distances, solution)
-    if joined is not None:
-        strip, target, _ = taken(grid.row, problem.measuring_order)
-        together = np.hstack([lengths.common, joined[:, strip, target].T])
-        lengths = replace(lengths, common=together)
-    m = len(angles)
-    plane = [3 * j + axis for j in range(m) for axis in (0, 1)]
-    motion = lengths.rows_of("shift", plane) - np.tile(lengths.rows_of("frame"), (m, 1))
-    size, spectrum = _error_motion(problem, solution)
-    # by combinations that are independent of each other
-    covariance = spectrum.covariance(angles) + ROUNDING * np.eye(m)
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    motion, std = np.kron(whitening, np.eye(2)) @ motion, np.full(2 * m, max(size, KNOWN))
-    return lengths.model(
-        {"ECC": lengths.rows_of("turn")},
-        [
-            of_targets(lengths, grid.target_std, grid.free),
-            KnownBeforehand("the error motion", motion, std),
-            *_wandering(lengths, grid),
-        ],
-    )
-
-
-def _on_a_circle(problem: TracerProblem) -> TracerProblem:
-    """Return the problem whose stations need the fewest lengths."""
-    return replace(problem, variant="joint", circle_std=problem.circle_std or FREE_CIRCLE)
-
-
-def _error_motion(
-    problem: TracerProblem, solution: TracerSolution | None
-) -> tuple[float, Spectrum]:
-    """Return standard deviation, m, and spectrum of the error motion: as stated, else as used."""
-    stated = problem.error_motion_std
-    stated = problem.circle_std if stated is None else stated
-    if stated is None and solution is not None:
-        return solution.error_motion.used, solution.spectrum
-    if stated is None:
-        raise ObservabilityError(
-            "these lengths alone do not determine the error motion of the table, which they have "
-            "to be weighed by beside other instruments: state solver.error_motion_std_m"
-        )
-    return stated, WHITE
-
-
-def _carried(
-    problem: TracerProblem,
-    grid: Grid,
-    angles: Floats,
-    stations: Floats,
-    distances: Floats,
-    solution: TracerSolution | None,
-) -> CarriedLengths:
-    """Return the lengths of a ``grid``, from ``stations`` (m, 3) and ``distances`` (p,), m."""
-    axes = np.eye(3)
-    if len(stations) >= CIRCLE:
-        plane = table_motion(stations, angles).plane
-        axes = np.column_stack([*plane.basis(), plane.normal])
-    # local place of each station = centre + Rz(angle) q
-    local, m = stations @ axes, len(stations)
-    about = rotation_about_z(angles)[:, :2, :2]
-    design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
-    found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
-    strip, target, order = taken(grid.row, problem.measuring_order)
-    zero = grid.station if grid.zero is None else grid.zero
-    row, std = grid.row[strip, target], grid.length_std[strip, target]
-    slipping = problem.slip if grid.segment_ids is not None and problem.segment is not None else 0
-    step = step_of(slipping, None if solution is None else solution.slips, len(row))
-    return CarriedLengths(
-        observed=grid.length[strip, target],
-        std=std,
-        position=grid.station[strip],
-        place=np.zeros_like(strip),
-        target=target,
-        zero=zero[strip],
-        row=row,
-        order=order,
-        angles=angles,
-        places=np.array([[*found[2:], 0.0]]),
-        targets=grid.targets,
-        zeros=distances[grid.first_of_zero],
-        axes=axes,
-        origin=axes @ [*found[:2], local[:, 2].mean()],
-        common=slips_of(grid.segment_of_strip[strip], order, step, float(std.min())),
-    )
-
-
-def _wandering(lengths: CarriedLengths, grid: Grid) -> list[KnownBeforehand]:
-    """Return what is stated of zeros that wander from one length to the next."""
-    if grid.walk is None:
-        return []
-    rows, there = lengths.rows_of("zero"), np.flatnonzero(np.isfinite(grid.walk))
-    return [
-        KnownBeforehand("the walk of the zero", rows[there + 1] - rows[there], grid.walk[there])
-    ]

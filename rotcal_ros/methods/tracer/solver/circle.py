@@ -22,13 +22,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rotcal_ros.adjust.low_rank import Slopes
-from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.errors import GeometryError
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError, GeometryError
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.plane import Plane, circle_centre_jacobian, fit_circle, fit_plane
 from rotcal_ros.geometry.rotations import wrap_angle
 
 ABSORBED: Final = 3
 """Parameters of a circle that take up radial distances (centre, radius), and axial ones."""
+LOST: Final = 0.1
+"""Deviation (rad) beyond which the stations are not those of the commanded angles."""
 FELT: Final = 1e-6
 """Share of a contrast that the lengths have to determine for it to be a test."""
 
@@ -227,3 +230,24 @@ def without_prior(value: Floats, covariance: Floats, std: float) -> Unprejudiced
     basis = axes / share
     redundancy = float(share.sum()) / max(len(value), 1)
     return Unprejudiced(value @ basis, std**2 * left / share, basis, redundancy)
+
+
+def check_sense(motion: TableMotion, stations: Floats, commanded: Floats, positions: Ints) -> None:
+    """Raise DataError when the stations (m, 3) at ``positions`` do not follow their angles."""
+    worst = int(np.argmax(np.abs(motion.cumulative)))
+    if abs(motion.cumulative[worst]) < LOST:
+        return
+    backward = table_motion(stations, -commanded)
+    cure = "check the order of the stations and the start, step and unit of the table angles"
+    if np.abs(backward.cumulative).max() < LOST:
+        cure = (
+            "they follow the angles with the opposite sign. Which way does the table turn, seen "
+            "from +z, while its angle counts up? Clockwise: negate the table angles. "
+            "Counter-clockwise: the frame of the targets is left-handed (an axis turned round, or "
+            "two exchanged), which lengths alone cannot show"
+        )
+    off, order = motion.cumulative[worst] / DEGREE, commanded[worst] / DEGREE
+    raise DataError(
+        f"station {positions[worst]} stands at {(order + off) % 360.0:.4f} degrees where "
+        f"{order:.4f} were commanded, {off:+.4f} degrees off: {cure}"
+    )

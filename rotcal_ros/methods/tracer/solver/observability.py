@@ -105,6 +105,19 @@ def check_station_rank(design: Floats, position_ids: Ints) -> None:
         )
 
 
+def check_each_alone(grid: Grid, state: Floats, largest: float) -> None:
+    """Raise ObservabilityError where lengths do not place a station of ``state`` (m, 4) alone.
+
+    ``largest``: how well it has to be known, in radii of the circle. Targets are taken as known.
+    """
+    apart = state[:, None, :3] - grid.targets
+    unit = apart / np.linalg.norm(apart, axis=2)[:, :, None]
+    rows = np.concatenate([unit, -np.ones((*grid.used.shape, 1))], axis=2)
+    check_station_rank(rows * grid.used[:, :, None], grid.position_ids)
+    blocks = np.linalg.inv(rows.swapaxes(1, 2) @ (rows * grid.weights[:, :, None]))[:, :3, :3]
+    check_station_spread(state[:, :3], blocks, grid.position_ids, largest)
+
+
 def check_station_spread(
     stations: Floats, blocks: Floats, position_ids: Ints, largest: float
 ) -> None:

@@ -168,6 +168,11 @@ class TracerProblem(LengthProblem):
     ...: what a plan repeats is a length of its own, to the same place of the target. None: every
     pair is measured once.
 
+    ``run`` (k,), optional: an interruption begins another run, all lengths of which count from
+    another zero; a target stands elsewhere then by ``position_std`` (m). ``moved`` (k, 3),
+    optional: how much further along x, y, z the machine said the target stood when each length was
+    measured, m; believed as far as the lengths follow it.
+
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
     all targets lie in one plane, and show how the positions are numbered
@@ -184,6 +189,9 @@ class TracerProblem(LengthProblem):
     repeated_runs: bool = False
     zero_walk_std: float | None = 0.0
     again: Ints | None = None
+    run: Ints | None = None
+    moved: Floats | None = None
+    position_std: float = 0.0
     start_stations: Floats | None = None
 
     def __post_init__(self) -> None:
@@ -192,8 +200,13 @@ class TracerProblem(LengthProblem):
         self._require_sizes("error_motion_std", "zero_walk_std")
         self._require_sizes("circle_std", positive=True)
         super().__post_init__()
-        self._store_numbers("again")
+        self._store_numbers("again", "run")
         self._check_ties()
+        if self.moved is not None:
+            moved = matrix("moved", self.moved)
+            if moved.shape != (len(self.position), 3):
+                raise DataError(f"moved has shape {moved.shape}, one row per length is expected")
+            self._store("moved", moved)
         if self.start_stations is not None:
             start = matrix("start_stations", self.start_stations)
             if len(start) != len(self.table_angles):

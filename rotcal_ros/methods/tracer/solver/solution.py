@@ -1,105 +1,153 @@
-"""The adjustment of a problem and all that follows from it but the verdict."""
+"""A problem solved by the engine: the error motion that nobody stated, slips, the paper's own way.
+
+What nobody stated is asked of a first solution without it, and stated for the last one.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from functools import cached_property
+from math import sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
-from rotcal_ros.adjust.closures import closures
-from rotcal_ros.adjust.error_motion import Spectrum
-from rotcal_ros.adjust.groups import Group, Undivided
-from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.noise import GlobalTest, NoiseEvidence
+from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.effects import limit_of_family
+from rotcal_ros.adjust.engine import Adjusted, Trials
+from rotcal_ros.adjust.engine import adjust as adjusted
+from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.look import Look
+from rotcal_ros.adjust.mapped import replaced
+from rotcal_ros.adjust.model import CurveModel
+from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.errors import ObservabilityError, RotcalError
+from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
-from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.methods.tracer.solver.adjustment import (
-    Adjustment,
-    StationCovariance,
-    adjust_stations,
-    ranges,
-    stations_covariance,
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer.solver.carried_lengths import slips_of
+from rotcal_ros.methods.tracer.solver.circle import (
+    ABSORBED,
+    TableMotion,
+    bearing_slopes,
+    check_sense,
+    table_motion,
 )
-from rotcal_ros.methods.tracer.solver.circle import TableMotion, bearing_slopes, table_motion
-from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
-from rotcal_ros.methods.tracer.solver.network import KNOWN, network_of, view_of
 from rotcal_ros.methods.tracer.solver.observability import (
-    check_counts,
+    check_station_rank,
     check_station_spread,
-    hardly_moved,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid, TracerProblem, arrange
-from rotcal_ros.methods.tracer.solver.screening import (
-    GROSS,
-    NORMAL_QUARTILE,
-    Grouping,
-    NoiseFactors,
-    ScreenedLengths,
-    adjust_and_screen,
-    groups_of,
-    reject_gross,
-    scaled,
-    without_targets,
+from rotcal_ros.methods.tracer.solver.posed import (
+    ERROR_MOTION,
+    FREE_CIRCLE,
+    STATED_CIRCLE,
+    Posed,
+    Supposed,
 )
-from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
-from rotcal_ros.methods.tracer.solver.uncertainty import (
-    AngleUncertainty,
-    CircleStatement,
-    CircleTest,
-    angle_uncertainty,
-    circle_test,
-    circle_tested,
-    error_motion_of,
-    likely_circle,
-)
-from rotcal_ros.methods.tracer.solver.verdict import Evidence, judge
-from rotcal_ros.methods.tracer.solver.zeros import (
-    MOST_JUMPS,
-    Jump,
-    Shifts,
-    Slips,
-    likely_walk,
-    shift_search,
-    slips_among,
-    split,
-    wandering,
-)
+from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
+from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
-LOST: Final = 0.1
-"""Deviation (rad) beyond which the stations are not those of the commanded angles."""
-FREE_CIRCLE: Final = 1e-4
-"""Deviation (m) from the circle that keeps every station near it and adds no other knowledge."""
-_COVARIANCE: Final = {"station": stations_covariance, "joint": network_covariance}
+NEARLY: Final = 1e-3
+"""How well (m) the targets of a free network are known where it starts."""
+CANDIDATES: Final = 256
+"""Moments that stand for all at which a counter may slip."""
+SLIPPED: Final = 0.5
+"""Probability that a measurement holds a slip."""
+CONSISTENT: Final = 3.0
+"""Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
+UNNOTICED: Final = 0.01
+"""Reported move of a target, in standard deviations of a length, that does not matter."""
+LIKELY_WALK: Final = 2e-8
+"""Walk of a zero (m) from which an unknown one is searched for."""
+LEAST_WALK: Final = 1e-9
+"""Walk that is none."""
+LEAN: Final = 1e-4
+"""Angle (rad) of an axis whose square is nothing."""
+MOST_STEPS: Final = 6
+
+
+def limits_of(settings: TracerLimits) -> Limits:
+    """Return what the engine holds for chance."""
+    return Limits(
+        settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
+    )
+
+
+class ReportedPlaces(NamedTuple):
+    """The ``weight`` of the reported places, 0 to 1, with its standard deviation ``std``.
+
+    ``along``: by how much the reports of one target scatter along the beams, m (standard
+    deviation); ``left``: what stays unknown of a length for it, m, which has joined its standard
+    deviation. ``estimated``: neither 1 nor 0 explains the lengths. ``spoils``: the lengths scatter
+    beyond their statement by so much (m), and noise of the believed reports would explain it.
+    """
+
+    weight: float
+    std: float
+    along: float
+    left: float
+    estimated: bool = False
+    spoils: float = 0.0
+
+
+class UnseenSlips(NamedTuple):
+    """A fringe of ``size`` (m) slipped unseen: what it adds to the ``covariance`` (m, m), rad^2.
+
+    ``found``: how probably one at any moment is found; ``worst``: what one that is not may do, in
+    standard uncertainties.
+    """
+
+    size: float
+    found: float
+    covariance: Floats
+    worst: float
+
+    def protection(self) -> Protection:
+        """Return the statement about slips."""
+        what = f"a counter that slips a fringe of {self.size:.3g} m"
+        why = (
+            f"{what} is found in {100 * self.found:.0f} % of the cases, by these lengths in this "
+            "order; the uncertainty holds what the others do"
+        )
+        if self.worst > TOLERABLE:
+            return Protection("slip", "not protected", f"{why} on average", self.worst)
+        if self.found >= POWER:
+            why = f"{what} makes the lengths disagree, and is found"
+            return Protection("slip", "tested", why, self.worst)
+        return Protection("slip", "bounded", why, self.worst)
 
 
 @dataclass(frozen=True, eq=False)
 class TracerSolution:
-    """A solved problem; ``grid`` has the standard deviations that were used, after ``noise``.
+    """A solved problem: how it was ``posed``, what the engine ``found`` with what is ``supposed``.
 
-    ``scale`` enlarges the covariance of the stations for what the noise leaves unexplained.
-    ``rejected`` says by row of the problem why a length was not used. ``spectrum``: that of the
-    error motion. ``slips``: those that would not be found; None where every station has a zero of
-    its own. All arrays of stations follow ``positions``.
+    ``contradicted``: the error motion that was stated, where stations leave their circle by more.
+    ``printed`` (m, 4): stations and distances by the paper's equations; None: those of the model.
+    ``slips``: those that would not be found; None where every station has a zero of its own. All
+    arrays of stations follow ``positions``.
     """
 
-    problem: TracerProblem
-    grid: Grid
-    noise: NoiseFactors
-    noise_evidence: NoiseEvidence
-    fit: Adjustment
-    covariance: StationCovariance
-    motion: TableMotion
-    error_motion: ErrorMotion
-    spectrum: Spectrum
-    angles: AngleUncertainty
-    scale: float
-    evidence: Evidence
-    rejected: dict[int, str]
-    slips: Slips | None = None
+    posed: Posed
+    found: Adjusted
+    supposed: Supposed
+    contradicted: float | None = None
+    printed: Floats | None = None
+    slips: UnseenSlips | None = None
+    reported: ReportedPlaces | None = None
+
+    @property
+    def problem(self) -> TracerProblem:
+        """What was asked."""
+        return self.posed.problem
+
+    @property
+    def grid(self) -> Grid:
+        """The lengths in their places."""
+        return self.posed.grid
 
     @property
     def positions(self) -> Ints:
@@ -107,310 +155,448 @@ class TracerSolution:
         return self.grid.position_ids
 
     @property
-    def circle(self) -> CircleTest:
-        """What the stations leave their circle by, with the error motion that was used."""
-        return circle_tested(
-            self.fit.stations, self.motion, self.covariance.total, self.error_motion.used,
-            self.grid.circle_std, self.spectrum,
-        )  # fmt: skip
-
-    @property
     def table_angles(self) -> Floats:
         """The commanded angles (m,) of the positions, rad."""
-        return self.problem.table_angles[self.positions]
+        return self.posed.lengths.angles
 
+    @property
+    def deviations(self) -> Floats:
+        """ECC (m,) from the first, rad."""
+        return self.found.value
 
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """Stations and their motion from the lengths in use; ``with_them``: see without_targets."""
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (m, m) of ECC, rad^2."""
+        unseen = 0.0 if self.slips is None else self.slips.covariance
+        return np.asarray(self.found.covariance + unseen)
 
-    grid: Grid
-    fit: Adjustment
-    covariance: StationCovariance
-    motion: TableMotion
-    with_them: dict[int, str]
+    @cached_property
+    def std(self) -> Floats:
+        """Standard uncertainties (m,) of ECC, rad."""
+        unseen = 0.0 if self.slips is None else self.slips.covariance.diagonal()
+        return np.sqrt(self.found.std**2 + unseen)
 
-    def mean_variance(self) -> float:
-        """Return the mean variance of the deviations without error motion, rad^2."""
-        angles = angle_uncertainty(self.motion, self.fit.stations, self.covariance, 0.0, 1.0)
-        return float((angles.std**2).mean())
+    @cached_property
+    def error_motion(self) -> ErrorMotion:
+        """What is stated of the error motion, and what the circle of the stations shows."""
+        model, fit, stated = self.found.model, self.found.fit, self.posed.motion
+        name = ERROR_MOTION if self.problem.circle_std is None else STATED_CIRCLE
+        rows = np.flatnonzero(model.of_component == model.components.index(name))
+        checked, used = float(fit.redundancy[rows].sum()), float(fit.std[rows[0]])
+        squares = float(((fit.residual[rows] / used) ** 2).sum())
+        likely = used * sqrt(squares / checked) if checked > 0.0 else 0.0
+        dof = max(len(self.stations) - ABSORBED, 0)
+        if stated is not None and model.scatterings:
+            used = stated
+        elif model.scatterings:
+            stated = self.contradicted
+            used = sqrt(fit.sizes[model.scatterings[0]].squares.sum())
+        return ErrorMotion(stated, likely, max(likely, used), dof, used)
+
+    @property
+    def _unknowns(self) -> Floats:
+        return self.found.fit.x[: self.found.model.size[1]]
+
+    @cached_property
+    def stations(self) -> Floats:
+        """Where the tracer stood (m, 3), m."""
+        if self.printed is not None:
+            return self.printed[:, :3]
+        return self.posed.lengths.standing(self._unknowns)
+
+    @property
+    def distances(self) -> Floats:
+        """Ranges (s,) at reading zero, m, of the zeros that lengths count from."""
+        if self.printed is not None:
+            return self.printed[:, 3]
+        first, zeros = self.posed.lengths.first, self.posed.lengths.zeros
+        if self.supposed.walk:
+            return zeros
+        return zeros + self._unknowns[first["zero"] : first["target"]]
+
+    @cached_property
+    def targets(self) -> Floats:
+        """Where the targets stood (n, 3), m."""
+        if self.printed is not None:
+            return self.grid.targets
+        begin = sum(list(self.found.model.blocks.values())[:4])
+        moved = self._unknowns[begin : begin + self.grid.targets.size]
+        return np.asarray(self.grid.targets + moved.reshape(-1, 3))
+
+    @cached_property
+    def trials(self) -> Trials:
+        """Measurements like this one, with all that its uncertainty holds."""
+        trials = self.found.trials
+        if self.slips is None:
+            return trials
+        values, ways = np.linalg.eigh(self.slips.covariance)
+        slipped = ways * np.sqrt(np.maximum(values, 0.0))
+        return replace(trials, causes=np.hstack([trials.causes, slipped]))
+
+    @cached_property
+    def motion(self) -> TableMotion:
+        """Plane, circle and angles of the stations."""
+        return table_motion(self.stations, self.table_angles)
+
+    @property
+    def lean(self) -> float:
+        """Angle, rad, between the axis of the stations and that which they were posed about."""
+        axis = self.posed.lengths.axes[:, 2]
+        return float(np.linalg.norm(np.cross(axis, self.motion.plane.normal)))
+
+    def station_covariance(self, which: Ints) -> Floats:
+        """Return the covariance (3 q, 3 q) of some stations, m^2."""
+        rows = self._station_rows(which)
+        if self.printed is not None:
+            white = rows * np.where(self.found.fit.used, self.found.fit.std, 0.0)
+            return np.asarray(self.found.scale**2 * (white @ white.T))
+        whole = np.pad(rows, ((0, 0), (0, len(self.found.fit.x) - rows.shape[1])))
+        spread = whole @ self.found.fit.kernel.times(whole.T)
+        return np.asarray(self.found.scale**2 * spread)
+
+    def _station_rows(self, which: Ints) -> Floats:
+        """Return by how much some stations move with the unknowns, (3 q, p), or observations."""
+        if self.printed is not None:
+            every = _gains(self.posed, self.found.fit, self.printed)
+            return every.reshape(-1, 3, every.shape[1])[which].reshape(-1, every.shape[1])
+        lengths, x = self.posed.lengths, self._unknowns
+        arm = (self.stations - lengths.origin) @ lengths.axes
+        arm = arm - x[: arm.size].reshape(arm.shape)
+        found = np.zeros((len(which), 3, len(x)))
+        at, first = np.arange(len(which)), lengths.first
+        carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])[which]
+        for a in range(3):
+            found[at, :, 3 * which + a] = lengths.axes[:, a]
+        found[:, :, first["place"]] = carry @ lengths.ways[0, 0] @ lengths.axes.T
+        turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]])[which]
+        found[at, :, first["turn"] + which] = turned @ lengths.axes.T
+        return found.reshape(3 * len(which), -1)
+
+    @cached_property
+    def station_blocks(self) -> Floats:
+        """The covariances (m, 3, 3) of the stations, each by itself, m^2."""
+        found, every = [], np.arange(len(self.stations))
+        for some in np.array_split(every, len(every) // 64 + 1):
+            whole = self.station_covariance(some).reshape(len(some), 3, len(some), 3)
+            found.append(whole[np.arange(len(some)), :, np.arange(len(some))])
+        return np.concatenate(found)
 
 
 def adjust(problem: TracerProblem) -> TracerSolution:
-    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises.
+    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
+    return told_of_a_turned_sign(problem, _adjusted, lambda found: found.found.verdict == "ok")
 
-    A stated circle is believed while nothing is odd. Else the lengths are asked without it: where
-    the stations that they find contradict it, what they leave of it takes its place.
+
+def _adjusted(problem: TracerProblem) -> TracerSolution:
+    posed = Posed.of(problem)
+    walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
+    begin = Supposed(walk=walk)
+    begin = replace(begin, weight=_nearest(posed, begin))
+    solution = TracerSolution(posed, _solved(posed, begin), begin)
+    for _ in range(MOST_STEPS):
+        if solution.lean < LEAN:
+            break
+        posed = posed.again(solution.stations)
+        solution = TracerSolution(posed, _solved(posed, begin), begin)
+    solution = _weighed(solution)
+    if problem.zero_walk_std is None:
+        solution = _walking(solution)
+    solution = _contradicted(solution)
+    check_sense(solution.motion, solution.stations, solution.table_angles, solution.positions)
+    if problem.variant == "station":
+        solution = as_printed(solution)
+    else:
+        found = solution.found
+        slips = unseen_slips(problem, found.fit, found.std, found.scale)
+        solution = replace(solution, slips=slips)
+    if not posed.grid.free:  # there a place depends on what defines it, and the angle does not
+        check_station_spread(
+            solution.stations, solution.station_blocks, solution.positions,
+            problem.settings.max_station_std,
+        )  # fmt: skip
+    return solution
+
+
+def _solved(posed: Posed, supposed: Supposed) -> Adjusted:
+    model = posed.model(supposed)
+    if posed.grid.free:  # too limber to be found from afar
+        std = np.full_like(posed.grid.target_std, NEARLY)
+        near = replace(posed, grid=replace(posed.grid, free=False, target_std=std))
+        loose = near.model(supposed)
+        every = np.ones(loose.size[0], dtype=np.bool_)
+        missed = np.abs(loose.observed - loose.equations(loose.first)[0])
+        model = replace(model, start=fitted(loose, every, loose.std + missed, loose.first).x)
+    return adjusted(model, limits_of(posed.problem.settings))
+
+
+def _again(solution: TracerSolution, supposed: Supposed) -> TracerSolution:
+    return replace(solution, found=_solved(solution.posed, supposed), supposed=supposed)
+
+
+def _contradicted(solution: TracerSolution) -> TracerSolution:
+    """Return the solution with the error motion that the stations show, if it is larger.
+
+    Larger than stated; the lengths alone have to place them.
     """
-    return told_of_a_turned_sign(problem, _with_circle, lambda found: not _doubtful(found))
-
-
-def _with_circle(problem: TracerProblem) -> TracerSolution:
-    solution = _adjusted(problem)
-    stated = problem.circle_std
-    if stated is None or not _doubtful(solution):
+    sizes, stated = next(iter(solution.found.fit.sizes.values()), None), solution.posed.motion
+    significance = solution.problem.settings.test_significance
+    if stated is None or sizes is None or sizes.probability >= significance:
         return solution
+    unstated = replace(solution.problem, circle_std=None, error_motion_std=None)
+    here = replace(solution, posed=replace(solution.posed, problem=unstated))
     try:
-        free = _adjusted(replace(problem, circle_std=FREE_CIRCLE))
+        alone = _again(here, solution.supposed)
     except RotcalError:
         return solution  # without the circle the lengths do not even place the stations
-    fit, grid, total = free.fit, free.grid, free.covariance.enlarged(free.scale).total
-    circle = circle_tested(fit.stations, free.motion, total, stated, grid.circle_std)
-    used = max(stated, likely_circle(circle, stated))
-    found = _statement(circle, stated, used)
-    if found.probability >= problem.settings.test_significance:
+    stated = solution.problem.circle_std or stated
+    if alone.error_motion.used <= stated:
         return solution
-    return _adjusted(replace(problem, circle_std=used), found)
+    return replace(alone, contradicted=stated)
 
 
-def _doubtful(solution: TracerSolution) -> bool:
-    verdict, _ = judge(solution.evidence, solution.problem.settings)
-    return verdict != "ok"
+def _walking(solution: TracerSolution) -> TracerSolution:
+    """Return the solution with the walk of its zeros that the lengths support."""
+    for _ in range(MOST_STEPS):
+        components = list(solution.found.model.components)
+        at = components.index("the walk of the zero")
+        factor = float(solution.found.diagnosis.noise.factors[at])
+        if factor == 1.0:
+            break
+        walk = solution.supposed.walk * factor
+        if walk < LEAST_WALK:
+            return _again(solution, replace(solution.supposed, walk=0.0))
+        solution = _again(solution, replace(solution.supposed, walk=walk))
+    return solution
 
 
-def _statement(circle: CircleTest, stated: float, used: float) -> CircleStatement:
-    """Return what the ``circle`` says of its statement."""
-    test = circle_test(circle)
-    return CircleStatement(
-        stated, used, circle.redundancy, circle.residuals.dof, test.sigma0, test.probability
-    )
+def _weighed(solution: TracerSolution) -> TracerSolution:
+    """Return the solution with the weight that the lengths give the reported places.
 
-
-def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> TracerSolution:
-    """Return the solution with the problem's circle, which may be ``wider`` than was stated."""
-    grid, absent = arrange(problem)
-    check_counts(grid, absent.unfit.values())
-    commanded = problem.table_angles[grid.position_ids]
-    screened, jumps, shifts, ambiguous = _started(problem, grid, commanded)
-    placed = _placed(problem, grid, screened)
-    motion, fit, covariance = placed.motion, placed.fit, placed.covariance
-    check_sense(motion, fit.stations, commanded, grid.position_ids)
-    unexplained = GlobalTest.of(fit.chi2, fit.dof, covariance.dof_effective)
-    significance = problem.settings.test_significance
-    scale = unexplained.enlargement(significance)
-    stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
-    circle_std = problem.circle_std
-    seen = circle_tested(
-        fit.stations, motion, covariance.enlarged(scale).total,
-        stated if circle_std is None else circle_std, circle_std,
-    )  # fmt: skip
-    circle, statement = circle_test(seen), wider
-    if circle_std is not None and wider is None:
-        statement = _statement(seen, circle_std, circle_std)
-    known = circle_std if problem.error_motion_std is None else problem.error_motion_std
-    contradicted = (statement or circle).probability < significance
-    error_motion, spectrum = error_motion_of(
-        fit.stations, motion, covariance, scale, known, contradicted, circle_std
-    )
-    slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
-    unseen = None if slips is None else slips.covariance()
-    gathered = screened.gathering.covariance()
-    angles = angle_uncertainty(
-        motion, fit.stations, covariance, error_motion.used, scale, unseen, gathered, spectrum
-    )
-    evidence = Evidence(
-        lengths=_stated_test(problem, screened, placed, unexplained),
-        noise=screened.noise,
-        unexplained=scale,
-        circle=circle,
-        circle_statement=statement,
-        error_motion=error_motion,
-        radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
-        closures=()
-        if problem.repeated_runs
-        else closures(
-            commanded, motion.cumulative, LowRank.whole(angles.covariance), grid.position_ids
-        ),
-        n_lengths=len(problem.length) - len(absent.repeated) - len(absent.spare),
-        n_rejected=len(absent.unfit) + len(screened.why),
-        missing=problem.missing(grid.position_ids),
-        spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
-        unchecked=fit.unchecked(placed.grid),
-        mirror_ambiguous=ambiguous,
-        jumps=jumps,
-        fringe=problem.slip,
-        scatter=_scatter(screened, fit),
-        gathering=screened.gathering,
-    )
-    rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
-    return TracerSolution(
-        problem, placed.grid, screened.noise, screened.evidence, fit, covariance, motion,
-        error_motion, spectrum, angles, scale, evidence, rejected, slips,
-    )  # fmt: skip
-
-
-def _scatter(screened: ScreenedLengths, fit: Adjustment) -> float:
-    """Return the scatter of all residuals over what is stated, by the median.
-
-    A few outliers do not count, but the rejected lengths do: many of them are no outliers.
+    A machine comes to a target anew for every length and reports where it stands. What it reports
+    beside the mean of the target is a move of the probe, of standard deviation p, and noise of the
+    report, q. The lengths feel the move alone. The best guess of a move is therefore the report
+    times w = p^2 / (p^2 + q^2), and p q / sqrt(p^2 + q^2) of it remains: with S^2 = p^2 + q^2
+    along the beams, w (1 - w) S^2 in squares. w is a slope: of the lengths over what the reports
+    say, beside all other unknowns. One that 1 explains is 1: the reports are believed; one that 0
+    explains is 0: the machine stood still.
     """
-    known = screened.grid.row >= 0
-    ratio = np.abs(fit.residual[known] / fit.std[known])
-    return float(screened.noise.factors[0] * np.median(ratio) / NORMAL_QUARTILE)
+    if not _noticed(solution.posed):
+        return solution
+    lengths, along, found = solution.posed.lengths, solution.posed.moved, solution.found
+    free = len(along) - len(np.unique(lengths.target))
+    scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
+    beyond, information = _slope(solution.posed, found.fit)
+    if not information or found.fit.dof < 2:
+        return replace(solution, reported=ReportedPlaces(1.0, 0.0, scatter, 0.0))
+    squares = max(found.fit.chi2 - information * beyond**2, 0.0) / (found.fit.dof - 1)
+    std = sqrt(max(squares, 1e-2) / information)
+    weight = solution.supposed.weight + beyond
+
+    def at(weight: float) -> TracerSolution:
+        if weight == solution.supposed.weight:
+            return solution
+        return _again(solution, replace(solution.supposed, weight=weight))
+
+    unmoved = at(0.0) if abs(weight) < CONSISTENT * std else None
+    if abs(weight - 1.0) < CONSISTENT * std:
+        believed = at(1.0)
+        excess = _excess(believed)
+        # as much noise in believed reports turns the slope by its share of their variance
+        share = (excess / scatter) ** 2
+        spoiled = 0.0 < share < 1.0 and abs(weight - 1.0 + share) < CONSISTENT * std
+        spoils = excess if spoiled else 0.0
+        if unmoved is None or _excess(unmoved) >= spoils:
+            reported = ReportedPlaces(1.0, std, scatter, 0.0, spoils=spoils)
+            return replace(believed, reported=reported)
+    if unmoved is not None:
+        return replace(unmoved, reported=ReportedPlaces(0.0, std, scatter, 0.0))
+    weight = min(max(weight, 0.0), 1.0)
+    left = scatter * sqrt(weight * (1.0 - weight) + std**2)
+    supposed = replace(solution.supposed, weight=weight, left=left)
+    reported = ReportedPlaces(weight, std, scatter, left, estimated=True)
+    return replace(_again(solution, supposed), reported=reported)
 
 
-def _started(
-    problem: TracerProblem, grid: Grid, commanded: Floats
-) -> tuple[ScreenedLengths, tuple[Jump, ...], Shifts | None, bool]:
-    """Return the grid without outliers, jumps and shifts of its zeros, and if mirror images fit.
-
-    ``commanded`` (m,): angles of the stations, rad.
-    """
-    given = problem.start_stations
-    given = None if given is None else given[grid.position_ids]
-    start, ambiguous = find_any_start(grid, given, commanded)
-    if problem.variant == "station" or grid.apart:
-        return _screened(problem, grid, start), (), None, ambiguous
-    return *_screened_together(problem, grid, start), ambiguous
-
-
-def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> ScreenedLengths:
-    """Return the grid without outliers and its noise; see :mod:`.screening`."""
-    limits = problem.settings
-    as_network = problem.variant == "joint" or bool(grid.target_std.any())
-    if not as_network:
-        return adjust_and_screen(adjust_stations, grid, start, limits, _grouping(problem))
-    coarse, gross = reject_gross(adjust_stations, grid, start, limits.rejection_significance)
-    if problem.variant == "station":
-        coarse = replace(coarse, target_std=np.maximum(coarse.target_std, KNOWN))
-    screened = adjust_and_screen(adjust_network, coarse, start, limits, _grouping(problem))
-    kept = replace(screened.grid, target_std=grid.target_std)
-    return replace(screened, grid=kept, why=screened.why | gross)
-
-
-def _grouping(problem: TracerProblem) -> Grouping:
-    """Return what makes the groups of this ``problem``."""
-
-    def grouping(grid: Grid, fit: Adjustment) -> tuple[Group | Undivided, ...]:
-        if hardly_moved(fit.stations):
-            return ()  # refused in words as soon as the lengths are settled
-        commanded = problem.table_angles[grid.position_ids]
-        network = network_of(grid, fit)
-        slopes = bearing_slopes(fit.stations, table_motion(fit.stations, commanded)).from_first
-        view = view_of(network, slopes)
-        return groups_of(grid, fit, view, -network.f, problem.measuring_order)
-
-    return grouping
-
-
-def _screened_together(
-    problem: TracerProblem, grid: Grid, start: Floats
-) -> tuple[ScreenedLengths, tuple[Jump, ...], Shifts | None]:
-    """Do as :func:`_screened` where stations are tied together, and split zeros where they jump.
-
-    The shifts are those of the network that comes out. Large jumps are searched for before large
-    outliers, with their margin: the errors of known targets come in the order of time.
-    """
-    limits, order = problem.settings, problem.measuring_order
-    jumps: list[Jump] = []
-    shifts: Shifts | None = None
-
-    def broken(fit_grid: Grid, fit: Adjustment, margin: float) -> bool:
-        nonlocal grid, start, shifts
-        if problem.segment is None:
-            return False
-        search = shift_search(fit_grid, fit, order)
-        shifts = search.few()
-        jump = search.jump(shifts, limits.rejection_significance, margin)
-        if jump is None or len(jumps) == MOST_JUMPS:
-            return False
-        jumps.append(replace(jump, segment=int(fit_grid.segment_numbers[jump.segment])))
-        grid, source = split(grid, jump, order)
-        start = with_zeros(grid, start[source, :3])
-        return True
-
-    walk = problem.zero_walk_std
-    while walk == 0.0 and broken(_missing(grid), _known_targets(grid, start), GROSS):
-        pass
-    while True:
-        coarse, gross = reject_gross(_known_targets, grid, start, limits.rejection_significance)
-        std = likely_walk(coarse, start, order) if walk is None else walk
-        begin = start
-        if std:
-            coarse, source = wandering(coarse, order, std)
-            begin = with_zeros(coarse, start[source, :3])
-        screened = adjust_and_screen(adjust_network, coarse, begin, limits, _grouping(problem))
-        if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
-            return replace(screened, why=screened.why | gross), tuple(jumps), shifts
-
-
-def _known_targets(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
-    """Adjust stations to targets as the machine has them, whose errors join the lengths'."""
-    return adjust_network(_missing(grid), start, targets)
-
-
-def _missing(grid: Grid) -> Grid:
-    """Return ``grid`` with known targets, whose errors are among those of the lengths."""
-    missed = (grid.target_std**2).max(axis=1)
-    return replace(
-        grid,
-        free=False,
-        length_std=np.sqrt(grid.length_std**2 + missed),
-        target_std=np.full_like(grid.target_std, KNOWN),
+def _noticed(posed: Posed) -> bool:
+    """Whether any length feels what was reported beside the mean place."""
+    moved = posed.problem.moved
+    return moved is not None and bool(
+        np.abs(moved).max(initial=0.0) >= UNNOTICED * posed.lengths.std.min()
     )
 
 
-def _placed(problem: TracerProblem, grid: Grid, screened: ScreenedLengths) -> _Placed:
-    """Return stations and motion from the screened lengths; ``grid`` holds all of them.
+def _slope(posed: Posed, fit: Fit) -> tuple[float, float]:
+    """Return how much more of the reported moves the lengths follow, and its information."""
+    column = np.pad(posed.moved, (0, fit.model.size[0] - len(posed.moved)))[:, None]
+    seen = seen_by(fit, column)
+    information = float(seen.information[0, 0])
+    if information <= 1e-9 * float(seen.whole[0]):
+        return 0.0, 0.0
+    return float(seen.score[0]) / information, information
 
-    The variant "station" is solved without whole targets too where single lengths were
-    rejected: what gives the smaller uncertainty is taken.
+
+def _nearest(posed: Posed, supposed: Supposed) -> float:
+    """Return 0 or 1, the nearest to what all lengths follow of the reported moves."""
+    if not _noticed(posed):
+        return 1.0
+    model = posed.model(replace(supposed, weight=0.0))
+    every = np.ones(model.size[0], dtype=np.bool_)
+    beyond, _ = _slope(posed, fitted(model, every, model.std, model.first))
+    return float(beyond > 0.5)
+
+
+def _excess(solution: TracerSolution) -> float:
+    """Return what lengths scatter beyond their statement, m; 0 where they do not contradict it."""
+    noise, limits = solution.found.diagnosis.noise, solution.found.diagnosis.limits
+    factor = float(noise.factors[0])
+    if noise.estimated is None or factor <= 1.0:
+        return 0.0
+    if not noise.estimated.contradicted(limits.significance)[0]:
+        return 0.0
+    return float(solution.posed.lengths.std.mean()) * sqrt(factor**2 - 1.0)
+
+
+def unseen_slips(
+    problem: TracerProblem, fit: Fit, std: Floats, scale: float = 1.0
+) -> UnseenSlips | None:
+    """Return what a fringe that slipped unseen does, where lengths share zeros; else None.
+
+    A measurement with one slip is taken to be as likely as one with none, and any moment of it as
+    any other. What the test misses of each adds its expected square. ``std`` (m,) of ECC; the
+    noise is ``scale`` times that of the ``fit``.
     """
-    if problem.variant == "joint":
-        return _placed_by(problem, scaled(screened.grid, screened.noise.factors), screened.fit)
-    start = screened.fit.state
-    singly = scaled(screened.grid, screened.noise.factors)
-    found = _placed_by(problem, singly, adjust_stations(singly, start))
-    wholly, with_them = without_targets(grid, singly)
-    # unless every station keeps what one needs to be found, twice over
-    if not with_them or (wholly.used.sum(axis=1) < 2 * STATION_MINIMUM).any():
-        return found
-    other = _placed_by(problem, wholly, adjust_stations(wholly, start), with_them)
-    return other if other.mean_variance() < found.mean_variance() else found
+    if problem.segment is None or not problem.slip:
+        return None
+    effect = next(e for e in fit.model.effects if e.effect == "slip")
+    steps = effect.whole(fit.computed)
+    steps = steps[:, :: max(1, -(-steps.shape[1] // CANDIDATES))]
+    if not steps.shape[1]:
+        return None
+    seen = family_seen_by(fit, steps)
+    limit = limit_of_family(problem.settings.rejection_significance, seen.alike)
+    apart = problem.slip * np.sqrt(np.maximum(seen.information[:, 0, 0], 0.0)) / scale
+    missed = 1.0 - ndtr(apart - limit)
+    moved = problem.slip * seen.moved[:]
+    covariance = (moved.T * (SLIPPED / len(missed) * missed)) @ moved
+    counts = std > 0.0
+    hidden = moved[missed > 1.0 - POWER][:, counts] / std[counts]
+    worst = float(np.abs(hidden).max(initial=0.0))
+    return UnseenSlips(problem.slip, 1.0 - float(missed.mean()), covariance, worst)
 
 
-def _placed_by(
-    problem: TracerProblem, grid: Grid, fit: Adjustment, with_them: dict[int, str] | None = None
-) -> _Placed:
-    covariance = _COVARIANCE[problem.variant](grid, fit)
-    blocks, largest = covariance.position_blocks(), problem.settings.max_station_std
-    check_station_spread(fit.stations, blocks, grid.position_ids, largest)
-    motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
-    return _Placed(grid, fit, covariance, motion, with_them or {})
+def as_printed(solution: TracerSolution) -> TracerSolution:
+    """Return what the paper's equations make of the same lengths, and what that is off by.
+
+    Station by station (Eq. 5-17), plane, circle and angles (Eq. 18-33), from the lengths that were
+    not left out, less the effects that were found.
+    """
+    posed, found = solution.posed, solution.found
+    lengths, fit, grid = posed.lengths, found.fit, posed.grid
+    k = len(lengths.row)
+    effects = fit.x[found.model.size[1] :]
+    taken = [e.columns for e in found.diagnosis.taken]
+    read = found.model.observed[:k]
+    if taken:
+        read = read - np.hstack(taken)[:k] @ effects
+    length, used = np.zeros(grid.used.shape), np.zeros(grid.used.shape, dtype=np.bool_)
+    strip = lengths.position  # every station has a zero of its own
+    length[strip, lengths.target], used[strip, lengths.target] = read, fit.used[:k]
+    start = np.column_stack([solution.stations, solution.distances])
+    weights = np.zeros(used.shape)
+    weights[strip, lengths.target] = fit.used[:k] / _variance(posed, fit, start)
+    _, unit = ranges(start[:, :3], grid.targets)
+    rows = np.concatenate([unit, -np.ones((*used.shape, 1))], axis=2)
+    check_station_rank(rows * used[:, :, None], grid.position_ids)
+    state, settled = locate_stations(grid.targets, length, weights, start)
+    if not settled.all():
+        worst = grid.position_ids[np.flatnonzero(~settled)[0]]
+        raise ObservabilityError(f"station {worst} does not settle by its own lengths alone")
+    here = replace(solution, printed=state)
+    felt = bearing_slopes(state[:, :3], here.motion).from_first.times(_gains(posed, fit, state))
+    if taken:
+        own = slice(found.model.size[1], len(fit.x))
+        sizes = fit.gain(own) / fit.std
+        felt = felt - (felt @ np.hstack(taken)) @ sizes
+    white = felt * np.where(fit.used, fit.std, 0.0)
+    other = replaced(found, here.motion.cumulative, white, np.zeros(len(white)))
+    judged = Look(found.diagnosis, other.fit).diagnosis
+    return replace(here, found=Adjusted(judged, other.fit))
 
 
-def _stated_test(
-    problem: TracerProblem, screened: ScreenedLengths, placed: _Placed, unexplained: GlobalTest
-) -> GlobalTest:
-    """Return the chi-squared test of the residuals against the noise as it was stated."""
-    if not screened.noise.estimated:
-        return unexplained
-    grid, fit = screened.grid, placed.fit
-    variance = grid.length_std**2
-    if problem.variant == "station":
-        _, unit = ranges(fit.stations, grid.targets)
-        variance = variance + np.einsum("jia,ia->ji", unit**2, grid.target_std**2)
-    chi2 = float((placed.grid.used * fit.residual**2 / variance).sum())
-    chi2 += float(((fit.corrections * screened.noise.factors[2:]) ** 2).sum())
-    return GlobalTest.of(chi2, fit.dof, placed.covariance.dof_effective)
+def ecc_of_stations(posed: Posed, fit: Fit, state: Floats) -> Floats:
+    """Return the covariance (m, m) of ECC by the paper's equations, at stations (m, 4), rad^2."""
+    stations = state[:, :3]
+    slopes = bearing_slopes(stations, table_motion(stations, posed.lengths.angles)).from_first
+    white = slopes.times(_gains(posed, fit, state)) * np.where(fit.used, fit.std, 0.0)
+    return np.asarray(white @ white.T)
 
 
-def check_sense(motion: TableMotion, stations: Floats, commanded: Floats, positions: Ints) -> None:
-    """Raise DataError when the stations (m, 3) at ``positions`` do not follow their angles."""
-    worst = int(np.argmax(np.abs(motion.cumulative)))
-    if abs(motion.cumulative[worst]) < LOST:
-        return
-    backward = table_motion(stations, -commanded)
-    cure = "check the order of the stations and the start, step and unit of the table angles"
-    if np.abs(backward.cumulative).max() < LOST:
-        cure = (
-            "they follow the angles with the opposite sign. Which way does the table turn, seen "
-            "from +z, while its angle counts up? Clockwise: negate the table angles. "
-            "Counter-clockwise: the frame of the targets is left-handed (an axis turned round, or "
-            "two exchanged), which lengths alone cannot show"
-        )
-    off, order = motion.cumulative[worst] / DEGREE, commanded[worst] / DEGREE
-    raise DataError(
-        f"station {positions[worst]} stands at {(order + off) % 360.0:.4f} degrees where "
-        f"{order:.4f} were commanded, {off:+.4f} degrees off: {cure}"
-    )
+def _variance(posed: Posed, fit: Fit, state: Floats) -> Floats:
+    """Return the variances (k,) of lengths to targets that are taken as known, m^2."""
+    lengths, k = posed.lengths, len(posed.lengths.row)
+    _, unit = ranges(state[:, :3], posed.grid.targets)
+    beam = unit[lengths.position, lengths.target]
+    target = (beam**2 * posed.grid.target_std[lengths.target] ** 2).sum(axis=1)
+    return np.asarray(fit.std[:k] ** 2 + target)
+
+
+def _gains(posed: Posed, fit: Fit, state: Floats) -> Floats:
+    """Return by how much stations (m, 4) are off for errors of all observations, (3 m, n).
+
+    Of what is stated beside the lengths: a target's coordinate that is off makes its lengths so;
+    an error motion carries the station away.
+    """
+    lengths, m = posed.lengths, len(state)
+    k, n = len(lengths.row), len(fit.std)
+    _, unit = ranges(state[:, :3], posed.grid.targets)
+    beam = unit[lengths.position, lengths.target]
+    rows = np.column_stack([beam, -np.ones(k)])
+    weight = fit.used[:k] / _variance(posed, fit, state)
+    normal = np.zeros((m, 4, 4))
+    np.add.at(normal, lengths.position, rows[:, :, None] * (rows * weight[:, None])[:, None])
+    own = np.einsum("kab,kb->ka", np.linalg.inv(normal)[lengths.position], rows * weight[:, None])
+    gains = np.zeros((m, 3, n))
+    gains[lengths.position, :, np.arange(k)] = own[:, :3]
+    known = fit.model.linearised(fit.x[: fit.model.size[1]])[1].rows(np.arange(k, n))
+    begin = lengths.first["target"]
+    of_targets = np.zeros((m, len(posed.grid.targets), 3, 3))
+    np.add.at(of_targets, (lengths.position, lengths.target), own[:, :3, None] * beam[:, None])
+    of_targets = of_targets.transpose(0, 2, 1, 3).reshape(m, 3, -1)
+    gains[:, :, k:] = of_targets @ known[:, begin : begin + posed.grid.targets.size].T
+    shift = known[:, : 3 * m].reshape(n - k, m, 3)
+    gains[:, :, k:] += np.einsum("bma,ca->mcb", shift, lengths.axes)
+    return gains.reshape(3 * m, n)
+
+
+def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) -> CurveModel:
+    """Return the lengths over ECC at their positions, to be solved with other instruments.
+
+    What these lengths say of the error motion, their zeros and reported places comes from their
+    ``solution``; None where they have none alone, and then ObservabilityError if no error motion
+    is stated. UnseenSlips that would not be found are errors that lengths have in common.
+    """
+    if solution is not None:
+        posed, supposed = solution.posed, solution.supposed
+    else:
+        if problem.error_motion_std is None and problem.circle_std is None:
+            raise ObservabilityError(
+                "these lengths alone do not determine the error motion of the table, which they "
+                "have to be weighed by beside other instruments: state solver.error_motion_std_m"
+            )
+        joint = replace(problem, variant="joint")
+        # as many lengths as a circle asks for: the error motion ties stations to theirs
+        few = replace(joint, circle_std=problem.circle_std or FREE_CIRCLE)
+        posed = replace(Posed.of(few, alone=False), problem=joint)
+        supposed = Supposed(walk=problem.zero_walk_std or 0.0)
+    model = posed.model(supposed)
+    m, begin = len(posed.lengths.angles), posed.lengths.first["turn"]
+    model = replace(model, outputs=np.zeros((0, model.size[1])))
+    lengths = posed.lengths
+    if problem.segment is not None and problem.slip:
+        found = 0.0 if solution is None or solution.slips is None else solution.slips.found
+        step = problem.slip * sqrt(SLIPPED / len(lengths.row) * (1.0 - found))
+        slips = slips_of(lengths.zero, lengths.order, step, float(lengths.std.min()))
+        if slips.shape[1]:
+            model = model.sharing(np.pad(slips, ((0, model.size[0] - len(slips)), (0, 0))))
+    curve = np.eye(m, model.size[1], begin)
+    return CurveModel(model, lengths.angles, {"ECC": curve})

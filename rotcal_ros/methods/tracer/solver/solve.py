@@ -2,29 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust import gathering
-from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.adjust.closures import Closure, closures
+from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
-from rotcal_ros.foundation.protection import ordered
+from rotcal_ros.foundation.protection import POWER, Protection, ordered
 from rotcal_ros.foundation.raw_data import RawData
-from rotcal_ros.foundation.results import Placement, Rejection, Residuals, Result, Zeros
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
+from rotcal_ros.foundation.results import (
+    ErrorMotion,
+    Placement,
+    Rejection,
+    Residuals,
+    Result,
+    Verdict,
+    Zeros,
+)
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
-from rotcal_ros.methods.tracer.solver.joint import target_corrections
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
-from rotcal_ros.methods.tracer.solver.problem import Grid, LengthProblem, TracerProblem
-from rotcal_ros.methods.tracer.solver.protections import influence_of, protections, returned
-from rotcal_ros.methods.tracer.solver.screening import WORDS, rejection_limit
-from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
-from rotcal_ros.methods.tracer.solver.verdict import judge
-from rotcal_ros.methods.tracer.solver.zeros import segment_report
+from rotcal_ros.methods.tracer.solver.posed import (
+    ALONG_AXIS,
+    ERROR_MOTION,
+    LATER_RUN,
+    STATED_CIRCLE,
+)
+from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
+from rotcal_ros.methods.tracer.solver.solution import ReportedPlaces, TracerSolution, adjust
 
 METHOD = "tracer_multistation"
+MOST_FRINGES: Final = 3
+"""Fringes that a counter slips at once; what is more is a beam that was broken."""
+AGREES: Final = 2.58
+"""Standard deviations by which the size of a slip may miss a whole number of fringes; 99 %."""
 
 
 def solve(problem: TracerProblem) -> Result:
@@ -33,9 +49,8 @@ def solve(problem: TracerProblem) -> Result:
     ``deviations["ECC"]`` (radians, actual - commanded) are *cumulative*, counted from the first
     angle with usable lengths, where deviation and standard deviation are zero;
     ``adjacent_deviations`` are those of the steps between neighbouring angles (the paper's
-    Table 3). Standard deviations are for a normal distribution, see :mod:`.uncertainty`; the rules
-    of rejection are in :mod:`.screening`, those of the verdict in :mod:`.verdict`. Angles whose
-    station has too few lengths are absent from the result.
+    Table 3). Standard deviations are for a normal distribution. Angles whose station has too few
+    lengths are absent from the result.
     Method: Laser tracer multi-station paper, Eq. 1-36. The order of the rows of ``problem`` does
     not change a bit of the result.
 
@@ -47,84 +62,267 @@ def solve(problem: TracerProblem) -> Result:
 
 def result_of(solution: TracerSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
-    problem, motion, angles = solution.problem, solution.motion, solution.angles
+    found, motion, angles = solution.found, solution.motion, solution.table_angles
+    covariance = solution.covariance
+    spread = LowRank.whole(covariance)
+    closing: tuple[Closure, ...] = ()
+    if not solution.problem.repeated_runs:
+        closing = closures(angles, solution.deviations, spread, solution.positions)
+    doubts = tuple(_doubts(solution))
+    verdict: Verdict = "suspect" if doubts and found.verdict == "ok" else found.verdict
     numbering = _numbering(solution)
-    verdict, warnings = numbering.judged(*judge(solution.evidence, problem.settings))
+    verdict, warnings = numbering.judged(verdict, (*found.doubts, *doubts, *_remarks(solution)))
+    every = {p.effect: p for p in (*found.protections(), *_protections(solution))}
+    every["numbering"] = numbering.protection()
+    steps = np.arange(len(angles) - 1)
     return Result(
         method=METHOD,
-        angles=solution.table_angles,
-        deviations={"ECC": motion.cumulative},
-        std={"ECC": angles.std},
-        covariance={"ECC": angles.covariance},
-        sigma0=solution.evidence.lengths.sigma0,
-        dof=solution.fit.dof,
-        n_observations=len(problem.length),
-        rejected=tuple(Rejection(row, why) for row, why in sorted(solution.rejected.items())),
+        angles=angles,
+        deviations={"ECC": solution.deviations},
+        std={"ECC": solution.std},
+        covariance={"ECC": covariance},
+        sigma0=found.sigma0,
+        dof=found.fit.dof,
+        n_observations=len(solution.problem.length),
+        rejected=tuple(Rejection(*each) for each in sorted(_rejected(solution).items())),
         verdict=verdict,
         warnings=warnings,
-        adjacent_deviations=motion.adjacent,
-        adjacent_std=angles.adjacent_std,
+        adjacent_deviations=np.diff(solution.deviations),
+        adjacent_std=np.sqrt(np.maximum(spread.between(steps, steps + 1), 0.0)),
         residuals=_residuals(solution),
-        details=_details(solution),
-        protections=ordered((*protections(solution), numbering.protection())),
-        raw_data=RawData(influence=influence_of(solution)),
+        details=_details(solution, closing),
+        protections=ordered(every.values()),
+        raw_data=_raw_data(solution),
         zeros=Zeros("first angle"),
-        budget=solution.angles.budget,
+        budget=_budget(solution),
         placement=Placement.upwards(
-            motion.centre, motion.plane.normal, solution.grid.position_ids, solution.fit.stations
+            motion.centre, motion.plane.normal, solution.positions, solution.stations
         ),
         error_motion=solution.error_motion,
     )
 
 
+def _rejected(solution: TracerSolution) -> dict[int, str]:
+    """Return by row of the problem why a length was not used."""
+    row, absent = solution.posed.lengths.row, solution.posed.absent
+    why = {int(row[k]): reason for k, reason in solution.found.why.items()}
+    return absent.repeated | absent.unfit | why
+
+
 def _numbering(solution: TracerSolution) -> Numbering:
     """Return how the stations stand to the start values that a plan or a person has stated."""
-    stated, stations = solution.problem.start_stations, solution.fit.stations
+    stated, stations = solution.problem.start_stations, solution.stations
     bearing = None if stated is None else turned_by(stations, stated[solution.positions])
     return Numbering.of("plan.tracer_m", solution.table_angles, solution.motion.radius, bearing)
 
 
 def _residuals(solution: TracerSolution) -> Residuals:
-    """Return one row per length; NaN where the station or target was dropped altogether."""
-    problem, grid, fit = solution.problem, solution.grid, solution.fit
-    place_of = np.full(len(problem.table_angles), -1)
-    place_of[grid.position_ids] = grid.first_strip
-    target_at = np.full(len(problem.targets), -1)
-    target_at[grid.target_ids] = np.arange(len(grid.target_ids))
-    j, i = place_of[problem.position], target_at[problem.target]
-    known = (j >= 0) & (i >= 0)
-    if grid.zero is not None:
-        at, filled = np.nonzero(grid.row >= 0)
-        j[:] = -1
-        j[grid.row[at, filled]] = at
-        known = j >= 0
-    distance = np.linalg.norm(fit.standing[j] - fit.targets[i], axis=1) - fit.distances[j]
-    return residual_table(problem, grid, fit, np.where(known, problem.length - distance, np.nan))
+    """Return one row per length; NaN where it has no place among those that were solved."""
+    problem, fit, row = solution.problem, solution.found.fit, solution.posed.lengths.row
 
-
-def residual_table(
-    problem: LengthProblem, grid: Grid, fit: Adjustment, residual: Floats
-) -> Residuals:
-    """Return one row per length (k,) with its ``residual``, and a test of what is on the grid."""
-    there = grid.row >= 0
-
-    def of_rows(values: Floats | Bools, otherwise: Floats | float) -> Floats:
+    def of_rows(values: Floats, otherwise: Floats | float) -> Floats:
         column = np.full(len(problem.length), otherwise, dtype=np.float64)
-        column[grid.row[there]] = values[there]
+        column[row] = values[: len(row)]
         return column
 
+    residual = fit.residual
+    if solution.printed is not None:
+        lengths, state = solution.posed.lengths, solution.printed
+        apart = state[lengths.position, :3] - solution.grid.targets[lengths.target]
+        computed = np.linalg.norm(apart, axis=1) - state[lengths.position, 3]
+        residual = fit.model.observed[: len(row)] - computed
     return Residuals(
         table_position=problem.position,
         target=problem.target,
-        residual=residual,
+        residual=of_rows(residual, np.nan),
         redundancy=of_rows(fit.redundancy, 0.0),
         test_value=of_rows(fit.test_value, 0.0),
-        used=of_rows(grid.used, 0.0).astype(np.bool_),
+        used=of_rows(fit.used.astype(np.float64), 0.0).astype(np.bool_),
         std=of_rows(fit.std, problem.length_std),
     )
 
 
-def _details(solution: TracerSolution) -> dict[str, Any]:
+def _raw_data(solution: TracerSolution) -> RawData:
+    """Return what standard errors of lengths and targets do to ECC, where they are not many."""
+    count = len(solution.posed.lengths.row)
+    influence = solution.found.influence({"ECC": slice(None)}, count, 1)
+    if influence is None or solution.problem.run is not None:
+        return RawData()
+    rows = solution.posed.lengths.row[influence.rows]
+    return RawData(influence=replace(influence, rows=rows))
+
+
+def _budget(solution: TracerSolution) -> dict[str, Floats]:
+    """Return standard uncertainties (m,) of ECC by source; they add in squares.
+
+    What is not known of the size of a source is shared out among them.
+    """
+    found, model, m = solution.found, solution.found.model, len(solution.std)
+    sources = {"the lengths": "lengths", ERROR_MOTION: "error_motion"}
+    sources |= dict.fromkeys((STATED_CIRCLE, ALONG_AXIS), "circle")
+    budget = dict[str, Floats]()
+    for name, each in zip(model.components, found.fit.variance_by_component[:m].T, strict=True):
+        source = sources.get(name, "targets")
+        budget[source] = budget.get(source, 0.0) + found.scale**2 * each
+    if "circle" in budget:  # at the end is what a stated circle does not bind
+        along = found.fit.response_of(np.arange(model.size[0] - m, model.size[0]))[:m]
+        budget["error_motion"] = found.scale**2 * (along**2).sum(axis=1)
+        budget["circle"] = budget["circle"] - budget["error_motion"]
+    gathered = found.diagnosis.gathering.covariance()
+    beside = np.zeros(m) if gathered is None else gathered.diagonal()[:m]
+    contested = [weight * change[:m] ** 2 for weight, change in found.diagnosis.contested()]
+    beside = np.sum([beside, *contested], axis=0)
+    whole = sum(budget.values(), np.zeros(m))
+    larger = np.where(whole > 0.0, (found.std**2 - beside) / np.where(whole > 0.0, whole, 1.0), 0)
+    budget = {source: each * larger for source, each in budget.items()}
+    if solution.slips is not None:
+        budget["slips"] = solution.slips.covariance.diagonal()
+    if beside.any():
+        budget["gathered"] = beside
+    return {name: np.sqrt(np.maximum(each, 0.0)) for name, each in budget.items()}
+
+
+def _doubts(solution: TracerSolution) -> Iterator[str]:
+    """Yield what the method doubts beside the engine."""
+    for effect in solution.found.found_effects:
+        if effect.effect.effect == "slip":
+            yield _cause(float(effect.sizes[0]), float(effect.std[0]), solution.problem.slip)
+    motion = solution.error_motion
+    if solution.contradicted is not None:
+        what = "the table's radial error motion is larger than the stated"
+        rms = float(np.sqrt(np.mean(solution.motion.radial**2)))
+        yield (
+            f"the stations leave their circle by {rms:.3g} m (rms): {what} {motion.stated:.2g} m; "
+            f"{motion.used:.2g} m, from {motion.dof} residuals of the circle, is used in its place"
+        )
+    missing = solution.problem.missing(solution.positions)
+    if missing:
+        names = ", ".join(str(j) for j in missing)
+        yield f"no deviation for station(s) {names}: too few usable lengths"
+
+
+def doubt_closure(closure: Closure) -> str:
+    """Return the sentence about a closure that is larger than its uncertainty allows."""
+    return (
+        f"stations {closure.first} and {closure.last} stand at the same table angle but differ by "
+        f"{closure.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
+        f"{closure.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
+    )
+
+
+def _cause(size: float, std: float, fringe: float) -> str:
+    """Return what may have made a zero jump by ``size`` +- ``std``, m."""
+    number = round(size / fringe) if fringe else 0
+    if 0 < abs(number) <= MOST_FRINGES and abs(size - number * fringe) <= AGREES * std:
+        cause = f"as much as {number:+d} fringe(s), a counter that slipped"
+    else:
+        cause = "a beam that was broken, or a tracer that was knocked"
+    return (
+        f"the zero of the lengths jumps by {size:+.3g} m (standard deviation {std:.2g} m), "
+        f"although no break was reported: {cause}; it was split there"
+    )
+
+
+def _remarks(solution: TracerSolution) -> Iterator[str]:
+    """Yield what is to be known, and no reason to doubt."""
+    spare = sorted({int(solution.problem.target[row]) for row in solution.posed.absent.spare})
+    if spare:
+        names = ", ".join(str(i) for i in spare)
+        yield (
+            f"target(s) {names} of the free network were left out: fewer than "
+            f"{FREE_TARGET_MINIMUM} lengths reach them"
+        )
+    if solution.posed.ambiguous:
+        yield (
+            "all targets lie in one plane, so the tracer could stand on either side of it: the "
+            "lower side was taken; give start_stations to choose the other"
+        )
+    yield from (_joined(join) for join in joins_of(solution))
+    if solution.reported is not None:
+        yield from _weighed(solution.reported)
+
+
+def _weighed(reported: ReportedPlaces) -> Iterator[str]:
+    """Yield what was made of the reported places, where they are not simply believed."""
+    along, spoils = reported.along / MICROMETRE, reported.spoils / MICROMETRE
+    if reported.weight == 1.0 and not reported.estimated:
+        if spoils:
+            yield (
+                "reported places: the lengths were reduced by what the machine reports of the "
+                f"probe, {along:.2g} um along the beams; if {spoils:.2g} um of that is noise of "
+                "the reports, it is what makes the lengths scatter: compare with what the machine "
+                "reports while it stands still"
+            )
+        return
+    text = (
+        f"reported places: what the machine reports of the probe scatters by {along:.2g} um along "
+        "the beams, and the lengths "
+    )
+    if not reported.estimated:
+        yield f"{text}do not follow it: it is noise of the reports, and was not used"
+        return
+    yield (
+        f"{text}follow {100 * reported.weight:.0f} % of it (standard deviation "
+        f"{100 * reported.std:.0f} %): the rest is noise of the reports; the lengths were reduced "
+        f"by that share, and {reported.left / MICROMETRE:.2g} um joined their standard deviation"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Join:
+    """The zero of a ``run`` against the first: ``offset``, m, with the standard deviation ``std``.
+
+    ``disagreement``: the largest residual of its ``steps`` measured again, m; ``sigma0`` and
+    ``probability``: test that nothing but the zero has changed.
+    """
+
+    run: int
+    offset: float
+    std: float
+    steps: int
+    disagreement: float
+    sigma0: float
+    probability: float
+
+
+def joins_of(solution: TracerSolution) -> list[Join]:
+    """Return how the later runs were joined."""
+    problem, lengths, fit = solution.problem, solution.posed.lengths, solution.found.fit
+    if problem.run is None or not lengths.later_zeros:
+        return []
+    begin, found = sum(list(fit.model.blocks.values())[:6]), []
+    assert list(fit.model.blocks)[6] == LATER_RUN
+    assert problem.again is not None
+    for k, run in enumerate(np.unique(problem.run)[1:].tolist()):
+        unit = np.zeros((len(fit.x), 1))
+        unit[begin + k] = 1.0
+        variance = float(fit.kernel.times(unit)[begin + k, 0])
+        again = (
+            (lengths.later == k) & (problem.again[lengths.row] > 0) & fit.used[: len(lengths.row)]
+        )
+        rows = np.flatnonzero(again)
+        values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.among(rows))
+        seen = values > 1e-6
+        squares = float(((ways.T @ fit.white[rows])[seen] ** 2 / values[seen]).sum())
+        dof = int(seen.sum())
+        worst = float(np.abs(fit.residual[rows]).max(initial=0.0))
+        std = solution.found.scale * float(np.sqrt(variance))
+        sigma0, chance = float(np.sqrt(squares / dof)) if dof else 0.0, 1.0
+        if dof:
+            chance = chi2_sf(squares, dof)
+        found.append(Join(run, -float(fit.x[begin + k]), std, len(rows), worst, sigma0, chance))
+    return found
+
+
+def _joined(join: Join) -> str:
+    return (
+        f"run {join.run} was joined by {join.steps} steps measured again: its lengths were "
+        f"{join.offset:+.3g} m off (standard deviation {join.std:.2g} m); the steps agree within "
+        f"{join.disagreement:.2g} m, {join.sigma0:.2f} times what is expected"
+    )
+
+
+def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str, Any]:
     """Return the method's own part of the result.
 
     ``station_ids`` (m,), which are table positions, and ``target_ids`` (n,) are the problem's
@@ -134,20 +332,39 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
     ``returned``: positions at the same angle, and by less than what (m, 95 %) their stations lie
     apart along the circle.
     """
-    problem = solution.problem
-    stated = solution.evidence.circle_statement
+    problem, found, fit = solution.problem, solution.found, solution.found.fit
+    lengths, grid = solution.posed.lengths, solution.grid
+    k, m = len(lengths.row), len(solution.positions)
+    blocks = solution.station_blocks
+    weak, std, direction = weakest_direction(blocks)
+    redundancy = np.bincount(lengths.position, fit.redundancy[:k], m)
+    squares = np.bincount(lengths.position, fit.white[:k] ** 2, m)
     return {
         "variant": problem.variant,
         "datum": problem.datum if problem.variant == "joint" else "targets",
-        **_network(solution),
-        **circle_details(solution.motion, solution.fit.stations, solution.table_angles),
-        "covariance_scale": solution.scale * float(solution.noise.factors[0]),
+        "station_ids": solution.positions,
+        "stations": solution.stations,
+        "station_std": np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)),
+        "station_covariance": blocks,
+        "distances": solution.distances[
+            (grid.station if grid.zero is None else grid.zero)[grid.first_strip]
+        ],
+        "target_ids": grid.target_ids,
+        "targets": solution.targets,
+        **_corrections(solution),
+        "unknowns": found.model.size[1],
+        "rank": fit.kernel.rank,
+        "weakest": {"station": int(solution.positions[weak]), "direction": direction, "std": std},
+        **circle_details(solution.motion, solution.stations, solution.table_angles),
         "coverage_factor": HALF_OF_95_PERCENT,
-        **_tests(solution),
-        **({} if stated is None else {"circle_prior": asdict(stated)}),
+        "redundancy_per_station": redundancy,
+        "sigma0_per_station": np.sqrt(squares / np.maximum(redundancy, 1e-9)),
+        **found.details(),
         **_zeros(solution),
-        "closure": [asdict(closure) for closure in solution.evidence.closures],
-        "returned": [asdict(closing) for closing in returned(solution)],
+        "closure": [asdict(closure) for closure in closing],
+        "returned": [asdict(each) for each in returned(solution)],
+        **({} if solution.reported is None else {"reported_places": solution.reported._asdict()}),
+        **({} if problem.run is None else {"joins": [asdict(j) for j in joins_of(solution)]}),
     }
 
 
@@ -164,63 +381,233 @@ def circle_details(motion: TableMotion, stations: Floats, angles: Floats) -> dic
     }
 
 
-def _network(solution: TracerSolution) -> dict[str, Any]:
-    """Return stations, distances and targets, and which direction is known worst."""
-    grid, fit = solution.grid, solution.fit
-    blocks = solution.scale**2 * solution.covariance.position_blocks()
-    weak, std, direction = weakest_direction(blocks)
-    return {
-        "station_ids": grid.position_ids,
-        "stations": fit.stations,
-        "station_std": np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)),
-        "station_covariance": blocks,
-        "distances": fit.distances[grid.first_strip],
-        "target_ids": grid.target_ids,
-        "targets": fit.targets,
-        **_corrections(solution),
-        "unknowns": fit.unknowns,
-        "rank": fit.rank,
-        "weakest": {"station": int(grid.position_ids[weak]), "direction": direction, "std": std},
-    }
-
-
 def _corrections(solution: TracerSolution) -> dict[str, Any]:
     """Return by what the targets were corrected; nothing where they are taken as known."""
-    if solution.problem.variant == "station":
+    if solution.printed is not None:
         return {}
-    moved, std = target_corrections(solution.grid, solution.fit)
-    return {"target_corrections": moved, "target_corrections_std": solution.scale * std}
-
-
-def _tests(solution: TracerSolution) -> dict[str, Any]:
-    """Return the outcomes of the tests, and residuals judged per station."""
-    grid, fit, evidence = solution.grid, solution.fit, solution.evidence
-    redundancy = grid.per_station(fit.redundancy)
-    squared = grid.per_station(grid.used * (fit.residual / fit.std) ** 2)
+    fit, n = solution.found.fit, solution.grid.targets.size
+    begin = sum(list(fit.model.blocks.values())[:4])
+    rows = np.eye(n, len(fit.x), begin)
+    std = solution.found.scale * np.sqrt(np.maximum(fit.kernel.variances(rows), 0.0))
     return {
-        "dof_effective": solution.covariance.dof_effective,
-        "noise": solution.noise.details(),
-        "length_test": asdict(evidence.lengths),
-        "circle_test": asdict(evidence.circle),
-        "redundancy_per_station": redundancy,
-        "sigma0_per_station": np.sqrt(squared / np.maximum(redundancy, 1e-9)),
-        "gathering": gathering.details(evidence.gathering, WORDS.elements),
-        "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
+        "target_corrections": solution.targets - solution.grid.targets,
+        "target_corrections_std": std.reshape(-1, 3),
     }
 
 
 def _zeros(solution: TracerSolution) -> dict[str, Any]:
-    """Return the zeros of segments, their walk per length that was used, m, and slips.
-
-    ``slips``: size of a fringe, m, and how probably one at any moment is found.
-    """
+    """Return the zeros of segments, their walk per length that was used, m, and slips."""
     if solution.problem.segment is None:
         return {}
-    walk, slips = solution.grid.walk, solution.slips
+    slips = solution.slips
     return {
-        "segments": segment_report(
-            solution.grid, solution.fit, solution.problem.measuring_order, solution.scale
-        ),
-        "zero_walk_std": 0.0 if walk is None else float(walk.min()),
+        "segments": _segments(solution),
+        "zero_walk_std": solution.supposed.walk,
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
     }
+
+
+def _segments(solution: TracerSolution) -> list[dict[str, Any]]:
+    """Return one entry per unbroken beam, in the order of time.
+
+    ``zero``, ``std``: range at reading zero where it begins, m. ``step``, ``step_std``: the zero
+    less that at the end of the one before, as stations and targets that both have measured show
+    it, m; ``probability``: how likely it would be if the zero had stayed.
+    """
+    fit, lengths = solution.found.fit, solution.posed.lengths
+    assert solution.grid.segment_ids is not None
+    count = fit.model.blocks["zero"]
+    begin = sum(list(fit.model.blocks.values())[:3])
+    rows = np.eye(count, len(fit.x), begin)
+    covariance = solution.found.scale**2 * (rows @ fit.kernel.times(rows.T))
+    beam = lengths.zero
+    in_time = np.lexsort((lengths.order, beam))
+    last = np.append(np.flatnonzero(np.diff(beam[in_time])), len(in_time) - 1)
+    first = np.append(0, last[:-1] + 1)
+    walks = bool(solution.supposed.walk)
+    value = (lengths.zeros[beam[in_time]] if walks else lengths.zeros) + fit.x[
+        begin : begin + count
+    ]
+    ends = (first, last) if walks else (np.arange(len(first)), np.arange(len(first)))
+    found: list[dict[str, Any]] = []
+    before: int | None = None
+    for k in np.argsort(lengths.order[in_time[first]], kind="stable").tolist():
+        zero, at_end = int(ends[0][k]), int(ends[1][k])
+        used = fit.used[: len(beam)][beam == beam[in_time[first[k]]]]
+        entry = {
+            "segment": int(solution.grid.segment_ids[beam[in_time[first[k]]]]),
+            "lengths": int(used.sum()),
+            "zero": float(value[zero]),
+            "std": float(np.sqrt(covariance[zero, zero])),
+        }
+        if before is not None:
+            step = float(value[zero] - value[before])
+            variance = float(covariance[zero, zero] + covariance[before, before]
+                             - 2.0 * covariance[before, zero])  # fmt: skip
+            entry |= {
+                "step": step, "step_std": float(np.sqrt(variance)),
+                "probability": chi2_sf(step**2 / variance, 1.0),
+            }  # fmt: skip
+        found.append(entry)
+        before = at_end
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Returned:
+    """How nearly the tracer came back to a place of its circle after whole turns of the table.
+
+    Table positions ``first`` and ``last`` stand at the same angle; along the circle their stations
+    lie apart by less than ``within`` (m), with 95 %.
+    """
+
+    first: int
+    last: int
+    within: float
+
+
+def returned(solution: TracerSolution) -> tuple[Returned, ...]:
+    """Return what each closing measurement bounds; empty where no angle comes twice."""
+    whole = LowRank.whole(solution.covariance)
+    # without the error motion: that is searched for
+    budget = 2.0 * (solution.error_motion.used / solution.motion.radius) ** 2
+    found = []
+    for c in closures(solution.table_angles, solution.deviations, whole, solution.positions):
+        std = float(np.sqrt(max(c.std**2 - budget, 0.0)))
+        within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
+        found.append(Returned(c.first, c.last, within))
+    return tuple(found)
+
+
+def tangential_protection(
+    radius: float,
+    *,
+    alike: str,
+    of: str = "",
+    beside: str = "",
+    within: float | None,
+    shown: str,
+    untested: str,
+) -> Protection:
+    """Return the statement about a tracer that moves along its circle between the angles.
+
+    All its lengths are those of a table that turned further: none can show it, and an angle that
+    was measured again bounds only what does not come back with the angle. ``radius`` (m) of the
+    circle; ``alike``: what else looks like it, ``of`` which deviation the angle is, ``beside``:
+    what else is said. ``within`` (m): how near the tracer came back, 95 %, as ``shown``; None:
+    that is ``untested``.
+    """
+    why = (
+        f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
+        f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{of}"
+    )
+    bound = (
+        "no angle was measured again, which would bound what of it does not come back with "
+        f"{untested}"
+    )
+    if within is not None:
+        bound = (
+            f"what of it does not come back with the angle is less than {within / MICROMETRE:.2g} "
+            f"um, {within / radius / ARCSEC:.2g} arcsec (95 %, {shown})"
+        )
+    why = "; ".join(filter(None, (why, beside, bound)))
+    return Protection("tangential motion", "not protected", why)
+
+
+def _protections(solution: TracerSolution) -> Iterator[Protection]:
+    """Yield the statements that the engine cannot make."""
+    motion, arrivals = solution.error_motion, _arrivals(solution)
+    yield _error_motion(solution)
+    hidden = None if motion.estimated else _hidden_motion(solution)
+    yield Protection(
+        "tilt", "estimated" if motion.estimated else "tested",
+        "the table's tilts shift the tracer by its height, as part of the error motion", hidden,
+    )  # fmt: skip
+    yield Protection(
+        "gauge",
+        "harmless",
+        "no gauge is carried: the angle is counted on the circle of the stations, in its own "
+        "plane, whatever its radius and lean",
+    )
+    yield _repeatability(solution, arrivals)
+    if solution.slips is not None:
+        yield solution.slips.protection()
+    nearest = max(returned(solution), key=lambda each: each.within, default=None)
+    drift = ", or a machine whose origin drifts in step with each turn of the table,"
+    yield tangential_protection(
+        solution.motion.radius,
+        alike=drift if arrivals > 1 else "",
+        beside=f"the uncertainty holds {motion.used / MICROMETRE:.2g} um (k = 1), which is "
+        "believed and not measured",
+        within=None if nearest is None else nearest.within,
+        shown=""
+        if nearest is None
+        else f"positions {nearest.first} and {nearest.last}, at the same angle",
+        untested="the angle",
+    )
+
+
+def _error_motion(solution: TracerSolution) -> Protection:
+    motion: ErrorMotion = solution.error_motion
+    if motion.estimated:
+        return Protection(
+            "error motion",
+            "estimated",
+            f"{motion.used:.2g} m from {motion.dof} residuals of the circle, which show its "
+            "radial part; the tangential part is taken to be as large",
+        )
+    return Protection(
+        "error motion",
+        "tested",
+        f"stated as {motion.stated:.2g} m; the circle of the stations shows the radial part of "
+        "more; left unset, it would be estimated",
+        _hidden_motion(solution),
+    )
+
+
+def _hidden_motion(solution: TracerSolution) -> float:
+    """Return the error of an unstated error motion that the circle just shows with POWER.
+
+    A radial shift that is observed to be zero with redundancy r scatters by its standard
+    deviation over the root of r.
+    """
+    found, m = solution.found, len(solution.std)
+    name = STATED_CIRCLE if solution.problem.circle_std else ERROR_MOTION
+    rows = found.model.of_component == found.model.components.index(name)
+    checked = float(found.fit.redundancy[rows].sum())
+    if m <= 3 or checked < 1e-3:
+        return float("inf")
+    growth = noise_growth(found.diagnosis.limits.significance, POWER, m - 3)
+    variance = float((found.fit.std[rows] ** 2).mean()) * (m - 3) / checked
+    shift = np.sqrt((growth - 1.0) * variance * 2.0) / solution.motion.radius
+    return float(shift / solution.std[solution.std > 0.0].min())
+
+
+def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
+    if solution.problem.repeated_runs:
+        why = "every position is reached in several runs"
+        return Protection("repeatability", "estimated", why)
+    if arrivals < 2:
+        return Protection(
+            "repeatability",
+            "not protected",
+            "the table arrives once at a position: what it does not repeat is in the curve and "
+            "not in the uncertainty",
+        )
+    noise = next(p.error for p in solution.found.protections() if p.effect == "axis noise")
+    return Protection(
+        "repeatability",
+        "tested",
+        f"the table arrives {arrivals} times or more at each position: what it does not repeat "
+        "joins the scatter of the lengths",
+        noise,
+    )
+
+
+def _arrivals(solution: TracerSolution) -> int:
+    """Return how often the table visited the position that it visited least."""
+    problem = solution.problem
+    at: Ints = problem.position[np.argsort(problem.measuring_order, kind="stable")]
+    come = np.append(True, np.diff(at) != 0)
+    arrivals = np.bincount(at[come], minlength=len(problem.table_angles))
+    return int(arrivals[solution.positions].min())

@@ -22,8 +22,8 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.methods.tracer.solver.adjustment import locate_stations, ranges
 from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
 NEARLY_FLAT: Final = 3e-3
 """Ratio of singular values below which the linear solution alone is not trusted."""
@@ -33,6 +33,12 @@ MIRROR: Final = 1e-5
 """Distance (m) from which two candidates are two places, not one found twice."""
 DEVIATES: Final = 1e-5
 """How far (m) stations may be off their commanded places on the circle."""
+GROSS: Final = 1e-3
+"""Misfit (m) of a length from which a start by all of them is bent."""
+FAIR: Final = 1e-4
+"""Misfit (m) up to which a length counts in full where others are gross."""
+UNBENDING: Final = 12
+"""Times that gross lengths are weighed anew."""
 LOST: Final = 1e-3
 """Root mean square misfit (m) of stations that are not where the commanded angles say."""
 
@@ -159,8 +165,27 @@ def find_any_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple[Fl
     ``given`` (m, 3), if any, are approximate stations; ``angles`` (m,) rad are the commanded ones.
     """
     if grid.zero is None and (given is not None or grid.apart):
-        return find_start(grid, given)
+        state, ambiguous = find_start(grid, given)
+        return _unbent(grid, state), ambiguous
     return _find_shared_start(grid, given, angles)
+
+
+def _unbent(grid: Grid, state: Floats) -> Floats:
+    """Return start values (m, 4) that gross errors do not bend: of least absolute misfits.
+
+    Of stations that have lengths to spare; others stay.
+    """
+    spare = grid.used.sum(axis=1) > STATION_MINIMUM
+    for _ in range(UNBENDING):
+        miss = np.abs(ranges(state[:, :3], grid.targets)[0] - state[:, 3:] - grid.length)
+        bent = spare & ((miss * grid.used).max(axis=1) > GROSS)
+        if not bent.any():
+            break
+        weights = grid.weights[bent] / np.maximum(miss[bent] / FAIR, 1.0)
+        found, settled = locate_stations(grid.targets, grid.length[bent], weights, state[bent])
+        state = state.copy()
+        state[np.flatnonzero(bent)[settled]] = found[settled]
+    return state
 
 
 def _find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple[Floats, bool]:
@@ -175,7 +200,7 @@ def _find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tupl
         fullest = _fullest_strips(grid)
         if (fullest.used.sum(axis=1) >= STATION_MINIMUM).all():
             state, ambiguous = find_start(fullest, None)
-            given = state[:, :3]
+            given = _unbent(fullest, state)[:, :3]
         else:
             given, ambiguous = _on_circle(grid, angles)
     return with_zeros(grid, given[grid.station]), ambiguous

@@ -3,39 +3,44 @@
 Without the lengths it is not known how well the stations are determined. What is left is their
 circle: by how much they leave it says how large noise of the stations and error motion of the
 table are together, radially, and along the circle they are taken to be as large (see
-:mod:`.uncertainty`).
+:mod:`.posed`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.closures import closures
+from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.noise import UNTESTED
+from rotcal_ros.adjust.model import Model, linear
+from rotcal_ros.adjust.noise import UNTESTED, GlobalTest
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import Protection, ordered
 from rotcal_ros.foundation.results import ErrorMotion, Placement, Result, Zeros
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
+from rotcal_ros.methods.tracer.solver.carried_lengths import UM, WORDS
 from rotcal_ros.methods.tracer.solver.circle import (
     ABSORBED,
     TableMotion,
+    check_sense,
     table_motion,
 )
-from rotcal_ros.methods.tracer.solver.protections import tangential_protection
-from rotcal_ros.methods.tracer.solver.solution import check_sense
-from rotcal_ros.methods.tracer.solver.solve import METHOD, circle_details
-from rotcal_ros.methods.tracer.solver.uncertainty import (
-    angle_uncertainty,
-    circle_test,
-    circle_tested,
-    error_motion_of,
+from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, with_motion
+from rotcal_ros.methods.tracer.solver.solve import (
+    METHOD,
+    circle_details,
+    doubt_closure,
+    tangential_protection,
 )
-from rotcal_ros.methods.tracer.solver.verdict import doubt_closure
+
+EXACT: Final = 1e-10
+"""Standard deviation (m) of coordinates whose noise counts as error motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,23 +75,15 @@ def solve(problem: StationProblem) -> Result:
         )
     motion = table_motion(problem.stations, problem.table_angles)
     check_sense(motion, problem.stations, problem.table_angles, problem.positions)
-    exact, stated = _exact(m), problem.error_motion_std or None  # 0 m of coordinates is no promise
-    test = UNTESTED
+    stated, test = problem.error_motion_std or None, UNTESTED  # 0 m of places is no promise
     if stated is not None:
-        test = circle_test(circle_tested(problem.stations, motion, exact.total, stated, None))
+        test = GlobalTest.of(float(motion.radial @ motion.radial) / stated**2, m - ABSORBED)
     contradicted = test.probability < problem.significance
-    error_motion, spectrum = error_motion_of(
-        problem.stations, motion, exact, 1.0, stated, contradicted
-    )
-    angles = angle_uncertainty(
-        motion, problem.stations, exact, error_motion.used, 1.0, spectrum=spectrum
-    )
-    closing = closures(
-        problem.table_angles,
-        motion.cumulative,
-        LowRank.whole(angles.covariance),
-        problem.positions,
-    )
+    solved = adjust(model_of(motion, problem.table_angles, None if contradicted else stated))
+    error_motion = _error_motion(motion, solved, stated)
+    covariance, std, every = solved.covariance, solved.std, np.arange(m)
+    spread = LowRank.whole(covariance)
+    closing = closures(problem.table_angles, motion.cumulative, spread, problem.positions)
     warnings = (
         *((_doubt(motion, error_motion),) if contradicted else ()),
         *(doubt_closure(c) for c in closing if c.open(problem.significance)),
@@ -95,15 +92,15 @@ def solve(problem: StationProblem) -> Result:
         method=METHOD,
         angles=problem.table_angles,
         deviations={"ECC": motion.cumulative},
-        std={"ECC": angles.std},
-        covariance={"ECC": angles.covariance},
+        std={"ECC": std},
+        covariance={"ECC": covariance},
         sigma0=test.sigma0,
         dof=m - ABSORBED,
         n_observations=m,
         verdict="suspect" if warnings else "ok",
         warnings=warnings,
         adjacent_deviations=motion.adjacent,
-        adjacent_std=angles.adjacent_std,
+        adjacent_std=np.sqrt(np.maximum(spread.between(every[:-1], every[1:]), 0.0)),
         details={
             "variant": "stations",
             "station_ids": problem.positions,
@@ -113,7 +110,7 @@ def solve(problem: StationProblem) -> Result:
         },
         protections=_protections(motion, error_motion, closed=bool(closing)),
         zeros=Zeros("first angle"),
-        budget={"error_motion": angles.budget["error_motion"]},
+        budget={"error_motion": std},
         placement=Placement.upwards(
             motion.centre, motion.plane.normal, problem.positions, problem.stations
         ),
@@ -121,10 +118,49 @@ def solve(problem: StationProblem) -> Result:
     )
 
 
-def _exact(m: int) -> StationCovariance:
-    """Return the covariance of ``m`` stations of which nothing is known but their places."""
-    nothing = LowRank.of_blocks(np.zeros((m, 3, 3)))
-    return StationCovariance(nothing, nothing, np.zeros((3 * m, 0, 3)), 0.0)
+def model_of(
+    motion: TableMotion, angles: Floats, stated: float | None, std: float = EXACT
+) -> Model:
+    """Return the model of the places of stations, m, which are known to ``std``, m.
+
+    Outputs are their bearings from the first, at table ``angles`` (m,), rad. ``stated``: the error
+    motion, m; None: it is not.
+    """
+    m = len(angles)
+    across = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
+    along = np.column_stack([-across[:, 1], across[:, 0]])
+    # bearings, radius, centre, and the error motion across and along
+    own, none = np.eye(m), np.zeros((m, m))
+    radial = np.hstack([none, np.ones((m, 1)), across, own, none])
+    round_ = np.hstack([motion.radius * own, np.zeros((m, 1)), along, none, own])
+    design = csr_array(np.concatenate([radial, round_]))
+    blocks = {"bearing": m, "radius": 1, "centre": 2, "error motion": 2 * m}
+    bearings = np.eye(m, design.shape[1])
+    model = Model(
+        blocks=blocks,
+        observed=np.append(motion.radial, motion.radius * motion.cumulative),
+        std=np.full(2 * m, std),
+        equations=linear(design),
+        outputs=bearings - bearings[0],
+        words=WORDS,
+        unit=UM,
+        judged=np.zeros(2 * m, dtype=np.bool_),
+    )
+    column, each = np.arange(2 * m).reshape(m, 2), np.arange(m)[:, None]
+    turning = np.zeros((2 * m, 2 * m))
+    turning[each, column], turning[m + each, column] = across, along
+    motions = csr_array(np.eye(2 * m, design.shape[1], m + 3))
+    return with_motion(model, ERROR_MOTION, motions, stated, angles, csr_array(turning))
+
+
+def _error_motion(motion: TableMotion, solved: Adjusted, stated: float | None) -> ErrorMotion:
+    """Return what is stated of the error motion, or what the stations leave open of it."""
+    dof = len(motion.radial) - ABSORBED
+    likely = float(np.sqrt(motion.radial @ motion.radial / dof))
+    used = float(solved.fit.std[-1])
+    if solved.model.scatterings:
+        used = float(np.sqrt(solved.fit.sizes[solved.model.scatterings[0]].squares.sum()))
+    return ErrorMotion(stated, likely, max(likely, used), dof, used)
 
 
 def _doubt(motion: TableMotion, found: ErrorMotion) -> str:

@@ -1,14 +1,13 @@
 """Laser tracer at three or more places on the table: all six deviations from lengths alone.
 
-``solve(SixProblem(...)) -> Result``; docs/tracer_six.md has the derivation. The noise, outliers,
-zeros and verdict of lengths are those of :mod:`rotcal_ros.methods.tracer.solver`; here is what a
-rigid table with several places adds, each module knowing those before it:
+``solve(SixProblem(...)) -> Result``; docs/tracer_six.md has the derivation. Each module knows
+those before it:
 
 * :mod:`.problem`: lengths as they are given, and in their places;
-* :mod:`.network`: table, places and targets together, their covariance, and the six curves;
-* :mod:`.scatter`: how differently the table arrives, and what has moved;
-* :mod:`.solution`: all of that for one problem, and Monte Carlo about it;
-* :mod:`.solve`: what could spoil it, and the result.
+* :mod:`.curves`: six curves from the poses of a table, in the frames that define them;
+* :mod:`.start`: poses, places and zeros to start from;
+* :mod:`.model`: the lengths, and what could spoil them, as a model of the engine;
+* :mod:`.solve`: its solution, what only the method can say of it, and the result.
 """
 
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings

@@ -38,8 +38,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import MICROMETRE, TURN
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.tracer.solver.protections import LARGEST_MOVE, LARGEST_RATIO
-from rotcal_ros.methods.tracer.solver.screening import WORDS
+from rotcal_ros.methods.tracer.solver.carried_lengths import LARGEST_MOVE, LARGEST_RATIO, WORDS
 from rotcal_ros.methods.tracer_six.solver.curves import gauge_design, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout
 from rotcal_ros.methods.tracer_six.solver.start import StartPoses
@@ -58,6 +57,8 @@ MIXTURE_PRIOR: Final = (0.1, 0.05, 0.05, 0.1, 0.7)
 """How likely each is beforehand."""
 SCATTER, STATED = "scatter of an arrival", "stated scatter of an arrival"
 """The blocks of how far each station is off, when the table does not repeat."""
+FELT: Final = 1.6
+"""Times as much curves feel scatter as contrasts do: turns leave half the trace (six_coverage)."""
 LEAST_LEVER: Final = 0.03
 """Share of the radius by which a line of places passes the axis for turns to show."""
 ALIKE: Final = 1e-9
@@ -115,17 +116,18 @@ class SixLengths:
         }  # fmt: skip
         if problem.tilt_std is not None:
             blocks["lean"] = lean.shape[1]
-        if problem.scatter_translation_std != 0.0 or problem.scatter_rotation_std != 0.0:
-            blocks[SCATTER] = 3 * len(layout.position)
         found = cls(
             layout, row, station, target, problem.measuring_order[row], curves.axes,
             curves.origin, places, grid.targets, state.zeros, curves.translation,
             curves.rotation, blocks, ways, lean,
         )  # fmt: skip
-        if not grid.free:
+        if grid.free:
+            ways = found._told_of_targets()
+            blocks = blocks | {"target": ways.shape[1]}
+            found = replace(found, blocks=blocks, target_ways=ways)
+        if problem.scatter_translation_std == problem.scatter_rotation_std == 0.0:
             return found
-        ways = found._told_of_targets()
-        return replace(found, blocks=blocks | {"target": ways.shape[1]}, target_ways=ways)
+        return replace(found, blocks=blocks | {SCATTER: 3 * len(layout.position)})
 
     def _told_of_targets(self) -> Floats:
         """Return the moves of targets (3 n, b) that lengths tell of, were there no deviations.
@@ -314,7 +316,7 @@ def _scattering(problem: SixProblem, lengths: SixLengths, model: Model, arms: Fl
         _require_seen(lengths.places, radius)
     ways = [(share, roots_of(along, about, arms)) for share, (along, about) in possible]
     rows = csr_array(block_rows(model.blocks, SCATTER))
-    return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways)
+    return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways, felt=FELT)
 
 
 def _require_seen(places: Floats, radius: float) -> None:

@@ -34,17 +34,17 @@ from rotcal_ros.methods.tracer.solver.observability import (
     or_prior,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.protections import tangential_protection
-from rotcal_ros.methods.tracer.solver.reported import (
+from rotcal_ros.methods.tracer.solver.solve import tangential_protection
+from rotcal_ros.methods.tracer_six.solver.curves import Curves, table_curves
+from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out
+from rotcal_ros.methods.tracer_six.solver.reported import (
     Slope,
     WeighedSolution,
     noticed,
     scatter_along,
     weigh,
 )
-from rotcal_ros.methods.tracer_six.solver.curves import Curves, table_curves
-from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out
 from rotcal_ros.methods.tracer_six.solver.start import find_start
 
 METHOD = "tracer_six"
@@ -466,7 +466,7 @@ def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolutio
     """Solve a problem with each length as it would be at the mean place of its target.
 
     ``along`` (k,): how much longer the machine said that each length was, m; believed as far as
-    the lengths follow it (:mod:`rotcal_ros.methods.tracer.solver.reported`).
+    the lengths follow it (:mod:`rotcal_ros.methods.tracer_six.solver.reported`).
     """
 
     def moved(weight: float, left: float) -> SixSolution:

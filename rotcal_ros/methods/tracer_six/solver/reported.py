@@ -27,8 +27,6 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 
 CONSISTENT: Final = 3.0
 """Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
@@ -58,12 +56,6 @@ class Slope:
     chi2: float
     dof: int
     excess: float = 0.0
-
-    @classmethod
-    def of(cls, fit: Adjustment, pull: Floats, information: float, excess: float) -> Slope:
-        """Return what the residuals of ``fit`` say of errors over their variances ``pull``."""
-        # residuals at the arrivals hold no scatter: theirs are the variances of lengths alone
-        return cls(float((pull * fit.residual).sum()), information, fit.chi2, fit.dof, excess)
 
     @property
     def step(self) -> float:
@@ -203,14 +195,6 @@ def _between(
             break
         here = slope(solution)
     return WeighedSolution(solution, Reported(weight, std, along, left, estimated=True))
-
-
-def excess_of(noise: NoiseFactors, significance: float) -> float:
-    """Return what lengths scatter beyond their statement, m; 0 where they do not contradict it."""
-    factor = float(noise.factors[0])
-    if factor <= 1.0 or not noise.contradicted(significance)[0]:
-        return 0.0
-    return float(noise.stated[0]) * sqrt(factor**2 - 1.0)
 
 
 def with_reported(result: Result, reported: Reported | None) -> Result:

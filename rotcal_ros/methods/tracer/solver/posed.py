@@ -1,0 +1,343 @@
+"""A problem as the model of its lengths: start values, zeros, runs, and what is stated.
+
+Each position has a shift and a turn of the table, and a zero, unless that belongs to a segment of
+unbroken beam. The table's axis moves in its plane: shifts there are zero about a centre that is
+not known, but for the error motion, which scatters along and across the circle alike. What turns
+is what is left along the circle; so of the error motion the stations show what is across it, and
+what is along it is believed to be as large. Unstated, its size is what they leave open
+(:mod:`~rotcal_ros.adjust.scattering`). A stated circle binds shifts across it and along the axis.
+
+Real axes move in few undulations, which few residuals witness; of order 2 the half that turns the
+way of the table leaves none, for the centre takes it up, and the angle feels it twice. So it is
+open which orders an unstated motion has (:data:`SPECTRA`).
+
+Lengths of a later run count from a zero that is larger by an unknown: steps measured again in both
+show it. A zero that wanders is another one at each length; its steps are observed to be zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.sparse import csr_array, vstack
+
+from rotcal_ros.adjust.closures import coming_again
+from rotcal_ros.adjust.error_motion import WHITE, Spectrum
+from rotcal_ros.adjust.model import SECONDS, KnownRelation, Model
+from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.tracer.solver.carried_lengths import (
+    CarriedLengths,
+    KnownBeforehand,
+    of_targets,
+    taken,
+)
+from rotcal_ros.methods.tracer.solver.circle import check_sense, table_motion
+from rotcal_ros.methods.tracer.solver.observability import (
+    NEVER_TURNED,
+    check_counts,
+    check_each_alone,
+    hardly_moved,
+)
+from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
+
+CIRCLE: Final = 5
+"""Stations from which on their plane gives the direction of the axis."""
+MOST_LENGTHS: Final = 3000
+"""Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
+ROUND: Final = 1e-9
+"""Error motion (m) of a table that is called perfectly round: what contradicts it has to be able
+to do so."""
+FREE_CIRCLE: Final = 1e-4
+"""Error motion (m) that nobody would overlook."""
+USUAL: Final = 3e-7
+"""Error motion (m) from which that of very many stations is searched for."""
+MOST_WITNESSES: Final = 500
+"""Stations up to which it is asked of which orders an error motion is, or how large it may be; of
+more its size is no question, and it is noise like that of the lengths."""
+SPECTRA: Final[Mapping[Spectrum, float]] = {
+    WHITE: 0.4,
+    **{
+        Spectrum.of_sizes([0.0, *(k**-fall for k in range(2, highest + 1))]): 0.1
+        for highest in (3, 5, 8)
+        for fall in (0.0, 1.0)
+    },
+}
+"""Which orders an error motion may have, with what probability beforehand."""
+ERROR_MOTION: Final = "the error motion"
+STATED_CIRCLE: Final = "the stated circle"
+ALONG_AXIS: Final = "the stated circle along the axis"
+LATER_RUN: Final = "zero of a later run"
+
+
+@dataclass(frozen=True)
+class Supposed:
+    """What is not known beforehand, as it is supposed to be.
+
+    ``walk``: standard deviation of a zero's step from one length to the next, m; 0: it stands.
+    ``weight``: share of the reported moves of the targets that lengths follow, ``left``: what that
+    leaves unknown of each, m.
+    """
+
+    walk: float = 0.0
+    weight: float = 1.0
+    left: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A ``problem`` on its ``grid``, and its ``lengths`` at start values.
+
+    ``ambiguous``: mirror images of the stations fit as well.
+    """
+
+    problem: TracerProblem
+    grid: Grid
+    absent: Absent
+    lengths: CarriedLengths
+    ambiguous: bool
+
+    @classmethod
+    def of(cls, problem: TracerProblem, alone: bool = True) -> Posed:
+        """Return what ``problem`` poses; raises what arranging and the start values raise.
+
+        ``alone``: its lengths have to be enough for all unknowns.
+        """
+        grid, absent = arrange(problem)
+        if alone:
+            check_counts(grid, absent.unfit.values())
+        angles = problem.table_angles[grid.position_ids]
+        given = problem.start_stations
+        given = None if given is None else given[grid.position_ids]
+        state, ambiguous = find_any_start(grid, given, angles)
+        stations = state[grid.first_strip, :3]
+        if hardly_moved(stations):
+            raise ObservabilityError(NEVER_TURNED)
+        if problem.variant == "station":
+            check_each_alone(grid, state, problem.settings.max_station_std)
+        if given is None and len(stations) >= CIRCLE:
+            check_sense(table_motion(stations, angles), stations, angles, grid.position_ids)
+        return cls.at(problem, grid, absent, state, ambiguous)
+
+    @classmethod
+    def at(
+        cls,
+        problem: TracerProblem,
+        grid: Grid,
+        absent: Absent,
+        state: Floats,
+        ambiguous: bool = False,
+    ) -> Posed:
+        """Return it with stations and distances (p, 4) of the strips of its grid, m."""
+        lengths = _lengths(problem, grid, state[grid.first_strip, :3], state[:, 3])
+        return cls(problem, grid, absent, lengths, ambiguous)
+
+    def again(self, stations: Floats) -> Posed:
+        """Return it with better start values: where stations (m, 3) stand, m."""
+        state = with_zeros(self.grid, stations[self.grid.station])
+        return Posed.at(self.problem, self.grid, self.absent, state, self.ambiguous)
+
+    def every_station(self) -> Floats:
+        """Return where the tracer stands at all table angles, at the start values, m."""
+        stands = self.lengths.standing(np.zeros(self.lengths.size))
+        found = np.tile(stands[0], (len(self.problem.table_angles), 1))
+        found[self.grid.position_ids] = stands
+        return found
+
+    @cached_property
+    def moved(self) -> Floats:
+        """By how much the reported moves of its target make each length (k,) longer, m."""
+        lengths, moved = self.lengths, self.problem.moved
+        if moved is None:
+            return np.zeros(len(lengths.row))
+        unit = lengths.beams / np.linalg.norm(lengths.beams, axis=1)[:, None]
+        return np.asarray((unit * moved[lengths.row]).sum(axis=1))
+
+    def model(self, supposed: Supposed) -> Model:
+        """Return the model whose outputs are ECC of all positions, from the first."""
+        lengths = replace(
+            self.lengths,
+            observed=self.lengths.observed - supposed.weight * self.moved,
+            std=np.hypot(self.lengths.std, supposed.left),
+        )
+        if supposed.walk:
+            lengths = _wandering(lengths)
+        if self.problem.circle_std is not None:
+            lengths = replace(lengths, more={"lean": 3})
+        stated = of_targets(lengths, self.grid.target_std, self.grid.free)
+        if supposed.walk:
+            stated.append(_steps_of_zeros(lengths, supposed.walk))
+        begin = lengths.first["turn"]
+        first = np.zeros(lengths.size)
+        first[begin] = -1.0
+        outputs = Outputs.picked(begin + np.arange(len(lengths.angles)), first)
+        model = self._about_axis(lengths, lengths.over(outputs, stated))
+        return replace(model, closures=self._closures)
+
+    @property
+    def _closures(self) -> list[KnownRelation]:
+        """That stations at one angle see the same deviation, unless runs are repeated."""
+        angles, number, found = self.lengths.angles, self.grid.position_ids, []
+        if self.problem.repeated_runs:
+            return []
+        for first, last in coming_again(angles):
+            rows = np.zeros((1, len(angles)))
+            rows[0, [first, last]] = -1.0, 1.0
+            same = "stand at the same table angle but differ"
+            what = f"stations {number[first]} and {number[last]} {same}"
+            found.append(KnownRelation(what, rows, unit=SECONDS))
+        return found
+
+    @property
+    def motion(self) -> float | None:
+        """The error motion of the axis as it is stated, m; None: it is not."""
+        stated = self.problem.error_motion_std
+        return self.problem.circle_std if stated is None else stated
+
+    def _about_axis(self, lengths: CarriedLengths, model: Model) -> Model:
+        """Return the model with what is known of how the table's axis moves.
+
+        What a stated circle says of the places across it, and what the error motion does along it,
+        are contradicted together.
+        """
+        m, angles, circle = len(lengths.angles), lengths.angles, self.problem.circle_std
+        plane = np.arange(3 * m).reshape(m, 3)[:, :2].ravel()
+        off = lengths.rows_of("shift", plane)
+        off = off - csr_array(np.tile(np.eye(2), (m, 1))) @ lengths.rows_of("frame")
+        # across the circle and along it
+        round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
+        cos, sin = np.cos(round_), np.sin(round_)
+        turned = np.stack([cos, sin, -sin, cos], axis=1)
+        column = 2 * np.arange(m)[:, None] + np.array([0, 1, 0, 1])
+        entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
+        turning = csr_array(entries, shape=(2 * m, 2 * m))
+        rows, stated, size = csr_array(turning @ off), self.motion, None
+        if stated is not None:
+            size = max(stated, ROUND)
+        if circle is not None:
+            assert size is not None
+            lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
+            height = lengths.rows_of("shift", 3 * np.arange(m) + 2)
+            height = height - lean @ lengths.rows_of("lean")
+            model = model.knowing(ALONG_AXIS, csr_array(height), np.zeros(m), circle)
+            both = [rows[0::2], circle / size * rows[1::2]]
+            rows, size = csr_array(vstack(both, format="csr")), circle
+        name = ERROR_MOTION if circle is None else STATED_CIRCLE
+        model = with_motion(model, name, rows, size, angles, turning)
+        significance = self.problem.settings.test_significance
+        scattering = [replace(each, significance=significance) for each in model.scatterings]
+        return replace(model, correlated=scattering)
+
+
+def with_motion(
+    model: Model,
+    name: str,
+    rows: csr_array,
+    size: float | None,
+    angles: Floats,
+    turning: csr_array,
+) -> Model:
+    """Return the model in which ``rows`` (2 m, p) or more are zero but for an error motion.
+
+    ``size``: as it is stated, m; None: it is not. ``turning`` (2 m, 2 m): what takes moves x and y
+    at each of the ``angles`` (m,) of the table to the rows.
+    """
+    if len(angles) > MOST_WITNESSES:
+        return model.knowing(name, rows, np.zeros(rows.shape[0]), size or USUAL)
+    ways = []
+    if size is None:
+        for spectrum, share in SPECTRA.items():
+            root = spectrum.root(angles)
+            waves = root[:, : 2 * len(spectrum.orders)] if spectrum.orders else root
+            ways.append((share, turning @ np.kron(waves, np.eye(2))))
+    return model.scattering(name, rows, size, FREE_CIRCLE, ways)
+
+
+def _lengths(
+    problem: TracerProblem, grid: Grid, stations: Floats, distances: Floats
+) -> CarriedLengths:
+    """Return the lengths of a ``grid``, from ``stations`` (m, 3) and ``distances`` (p,), m."""
+    angles, axes = problem.table_angles[grid.position_ids], np.eye(3)
+    if len(stations) >= CIRCLE:
+        plane = table_motion(stations, angles).plane
+        axes = np.column_stack([*plane.basis(), plane.normal])
+    # local place of each station = centre + Rz(angle) q
+    local, m = stations @ axes, len(stations)
+    about = rotation_about_z(angles)[:, :2, :2]
+    design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
+    found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
+    strip, target, order = taken(grid.row, problem.measuring_order)
+    zero, row = grid.station if grid.zero is None else grid.zero, grid.row[strip, target]
+    later, std = _later_runs(problem, row)
+    return CarriedLengths(
+        observed=grid.length[strip, target],
+        std=np.hypot(grid.length_std[strip, target], std),
+        position=grid.station[strip],
+        place=np.zeros_like(strip),
+        target=target,
+        zero=zero[strip],
+        row=row,
+        order=order,
+        angles=angles,
+        places=np.array([[*found[2:], 0.0]]),
+        targets=grid.targets,
+        zeros=distances[grid.first_of_zero],
+        axes=axes,
+        origin=axes @ [*found[:2], local[:, 2].mean()],
+        called=(grid.position_ids, grid.target_ids),
+        unbroken=problem.segment is not None,
+        later=later,
+        later_zeros=int(later.max(initial=-1)) + 1,
+    )
+
+
+def _later_runs(problem: TracerProblem, row: Ints) -> tuple[Ints, Floats]:
+    """Return which later run each length (k,) is of, -1: none; and how much more it scatters, m.
+
+    A target that is come to again stands elsewhere, by what the machine repeats. Raises DataError
+    for a run without a step that was measured before.
+    """
+    if problem.run is None:
+        return np.full(len(row), -1), np.zeros(len(row))
+    runs, number = np.unique(problem.run, return_inverse=True)
+    assert problem.again is not None
+    repeats = problem.again > 0
+    for later in range(1, len(runs)):
+        if not repeats[number == later].any():
+            raise DataError(
+                f"no step of the runs before was measured again in run {runs[later]}, so its "
+                "zero of the lengths is not known; resume once more, or measure from the start"
+            )
+    more = np.where(repeats & (number > 0), np.sqrt(2.0) * problem.position_std, 0.0)
+    return number[row] - 1, more[row]
+
+
+def _wandering(lengths: CarriedLengths) -> CarriedLengths:
+    """Return the lengths with a zero for each, in the order of time within their zeros of now."""
+    if len(lengths.row) > MOST_LENGTHS:
+        raise DataError(
+            f"{len(lengths.row)} lengths are too many for a zero that wanders: up to "
+            f"{MOST_LENGTHS} are solved; set zero_walk_std_m to 0"
+        )
+    in_time = np.lexsort((lengths.order, lengths.zero))
+    number = np.empty(len(in_time), dtype=np.int64)
+    number[in_time] = np.arange(len(in_time))
+    zeros = lengths.zeros[lengths.zero[in_time]]
+    return replace(lengths, zero=number, zeros=zeros, beam=lengths.zero)
+
+
+def _steps_of_zeros(lengths: CarriedLengths, walk: float) -> KnownBeforehand:
+    """Return that a zero steps by ``walk`` (m) from one length of its beam to the next."""
+    assert lengths.beam is not None
+    beam = np.empty(len(lengths.zero), dtype=np.int64)
+    beam[lengths.zero] = lengths.beam
+    linked = np.flatnonzero(np.diff(beam) == 0)
+    rows = lengths.rows_of("zero", linked + 1) - lengths.rows_of("zero", linked)
+    return KnownBeforehand("the walk of the zero", csr_array(rows), np.full(len(linked), walk))
