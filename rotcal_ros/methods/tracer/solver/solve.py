@@ -359,7 +359,7 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         "coverage_factor": HALF_OF_95_PERCENT,
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squares / np.maximum(redundancy, 1e-9)),
-        **found.details(),
+        **{name: value for name, value in found.details().items() if name != "also"},
         **_zeros(solution),
         "closure": [asdict(closure) for closure in closing],
         "returned": [asdict(each) for each in returned(solution)],
