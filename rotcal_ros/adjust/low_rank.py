@@ -42,11 +42,6 @@ class LowRank:
         return cls(np.zeros((len(matrix) // size, size, size)), None, matrix)
 
     @classmethod
-    def of_blocks(cls, blocks: Floats) -> LowRank:
-        """Return the matrix of ``blocks`` (k, s, s) alone."""
-        return cls(blocks, np.zeros((blocks.shape[0] * blocks.shape[1], 0)), np.zeros((0, 0)))
-
-    @classmethod
     def outer(cls, columns: Floats) -> LowRank:
         """Return ``columns`` (k, r) times their transposed, with s = 1."""
         return cls(np.zeros((len(columns), 1, 1)), columns, np.eye(columns.shape[1]))

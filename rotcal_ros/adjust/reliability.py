@@ -12,12 +12,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import detected, noise_growth
+from rotcal_ros.adjust.distributions import detected
 from rotcal_ros.adjust.explanations import Hypotheses, shifts
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats
-from rotcal_ros.foundation.protection import POWER
 
 UNSEEN: Final = 1e-9
 """Information of a shift, per that of its elements alone, below which nothing shows it."""
@@ -38,16 +37,6 @@ class Hidden:
     count: int
     name: str
     seen: bool
-
-
-def hidden_noise(significance: float, dof: int, share: float = 1.0) -> float:
-    """Return the error, in stated standard uncertainties, of noise that is larger than stated.
-
-    As chi-squared just finds it with POWER, on top of what is stated. ``share``: how many times
-    as much it grows where it does harm as in the mean, 1.5 where it does in two of three axes.
-    """
-    growth = noise_growth(significance, POWER, dof)
-    return float(np.sqrt(max(share * growth - 1.0, 0.0)))
 
 
 def hidden(

@@ -75,11 +75,9 @@ class CarriedLengths:
     ``places`` (p, 3), ``targets`` (n, 3) and ``zeros`` (s,), m. ``row``, ``order`` (k,): of the
     problem, and when. ``axes`` U (3, 3), ``origin`` v (3,) m. ``beam`` (k,): which unbroken beam
     each length is of; None: zeros are those. ``unbroken``: lengths of several stations are of one,
-    whose counter may slip. ``tilts``: whether the table's are unknown; one place feels nothing of
-    them that is no shift. ``later`` (k,): which of the
-    ``later_zeros`` joins the zero of a length, -1 for none. ``called``: numbers (m,) and (n,) by
-    which people call positions and targets; None: as they are. ``more``: blocks of further
-    unknowns, which lengths do not feel.
+    whose counter may slip. ``later`` (k,): which of the ``later_zeros`` joins the zero of a
+    length, -1 for none. ``called``: numbers (m,) and (n,) by which people call positions and
+    targets; None: as they are. ``more``: blocks of further unknowns, which lengths do not feel.
     """
 
     observed: Floats
@@ -96,7 +94,6 @@ class CarriedLengths:
     zeros: Floats
     axes: Floats
     origin: Floats
-    tilts: bool = False
     beam: Ints | None = None
     unbroken: bool = False
     later: Ints | None = None
@@ -106,15 +103,15 @@ class CarriedLengths:
 
     @cached_property
     def blocks(self) -> dict[str, int]:
-        """The unknowns; lengths feel nothing of the frame, in which shifts or tilts are stated."""
+        """The unknowns; lengths feel nothing of the frame, in which shifts are stated."""
         m = len(self.angles)
         return {
             "shift": 3 * m,
-            "turn": self.turns * m,
-            "place": self.ways.shape[1] * len(self.places),
+            "turn": m,
+            "place": len(self.places),
             "zero": len(self.zeros),
             "target": self.targets.size,
-            "frame": 4 if self.tilts else 2,
+            "frame": 2,
             **({"zero of a later run": self.later_zeros} if self.later_zeros else {}),
             **self.more,
         }
@@ -130,21 +127,14 @@ class CarriedLengths:
         """How many unknowns there are."""
         return sum(self.blocks.values())
 
-    @property
-    def turns(self) -> int:
-        """How many turns of the table are unknown at each angle: about z, or all three."""
-        return 3 if self.tilts else 1
-
     @cached_property
     def ways(self) -> Floats:
-        """Unit vectors (p, w, 3) along which each place is unknown.
+        """Unit vectors (p, 3) along which each place is unknown: out from the axis.
 
-        Out from the axis; along and up it is a shift of all, unless the table's tilts are unknown.
+        Along it and up it is a shift of all.
         """
-        if self.tilts:
-            return np.broadcast_to(np.eye(3), (len(self.places), 3, 3))
         flat = self.places * [1.0, 1.0, 0.0]
-        return np.asarray((flat / np.linalg.norm(flat, axis=1)[:, None])[:, None])
+        return np.asarray(flat / np.linalg.norm(flat, axis=1)[:, None])
 
     def rows_of(self, block: str, number: Sequence[int] | Ints | slice = slice(None)) -> csr_array:
         """Return rows that take unknowns of a block out of all, by their entries."""
@@ -156,11 +146,11 @@ class CarriedLengths:
     @cached_property
     def _entries(self) -> tuple[Ints, Ints]:
         """Columns of what each length feels, and where those of each begin (k + 1,)."""
-        first, t, w = self.first, self.turns, self.ways.shape[1]
+        first = self.first
         every = [
             first["shift"] + 3 * self.position[:, None] + np.arange(3),
-            first["turn"] + t * self.position[:, None] + np.arange(t),
-            first["place"] + w * self.place[:, None] + np.arange(w),
+            first["turn"] + self.position[:, None],
+            first["place"] + self.place[:, None],
             first["zero"] + self.zero[:, None],
             first["target"] + 3 * self.target[:, None] + np.arange(3),
         ]
@@ -180,10 +170,9 @@ class CarriedLengths:
         m, first = len(self.angles), self.first
         shift, turn = x[: 3 * m].reshape(m, 3), x[3 * m : first["place"]]
         vector = np.zeros_like(shift)
-        vector[:, 3 - self.turns :] = turn.reshape(m, -1)
+        vector[:, 2] = turn
         carry = rotation_from_vector(vector) @ rotation_about_z(self.angles)
-        along = x[first["place"] : first["zero"]].reshape(len(self.places), -1)
-        moved = np.einsum("pw,pwi->pi", along, self.ways)
+        moved = x[first["place"] : first["zero"], None] * self.ways
         arm = np.einsum("kij,kj->ki", carry[position], (self.places + moved)[place])
         return self.origin + (shift[position] + arm) @ self.axes.T, arm, vector
 
@@ -200,8 +189,8 @@ class CarriedLengths:
         turned = np.einsum("ki,kij->kj", np.cross(arm, felt), slope[self.position])
         carry = rotation_from_vector(vector) @ rotation_about_z(self.angles)
         carried = np.einsum("ki,kij->kj", felt, carry[self.position])
-        moved = np.einsum("kj,kwj->kw", carried, self.ways[self.place])
-        values = [felt, turned[:, 3 - self.turns :], moved, np.full((len(felt), 1), -1.0), -unit]
+        moved = np.einsum("kj,kj->k", carried, self.ways[self.place])[:, None]
+        values = [felt, turned[:, 2:], moved, np.full((len(felt), 1), -1.0), -unit]
         zero = (self.zeros + x[first["zero"] : first["target"]])[self.zero]
         if self.later_zeros:
             assert self.later is not None

@@ -267,7 +267,7 @@ class TracerSolution:
         carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])[which]
         for a in range(3):
             found[at, :, 3 * which + a] = lengths.axes[:, a]
-        found[:, :, first["place"]] = carry @ lengths.ways[0, 0] @ lengths.axes.T
+        found[:, :, first["place"]] = carry @ lengths.ways[0] @ lengths.axes.T
         turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]])[which]
         found[at, :, first["turn"] + which] = turned @ lengths.axes.T
         return found.reshape(3 * len(which), -1)
