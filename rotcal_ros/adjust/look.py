@@ -57,12 +57,18 @@ class Look:
         gathering = judged(self.before.gathering, self._groups(), self.rest)
         return replace(self.before, gathering=gathering)
 
-    @property
+    @cached_property
     def rest(self) -> tuple[float, float] | None:
-        """Chi-squared and degrees of freedom where the noise was estimated; None: it is known."""
-        if not self.before.noise.estimated:
+        """Chi-squared and degrees of freedom where the noise was estimated; None: it is known.
+
+        Of what it was estimated from: components that are exact say nothing of it.
+        """
+        estimated, fit = self.before.noise.estimated, self.fit
+        if estimated is None:
             return None
-        return max(self.fit.chi2, EXACT * self.fit.dof), float(self.fit.dof)
+        mine = np.isfinite(estimated.log_std)[self.before.model.of_component]
+        dof = float(fit.redundancy[mine].sum())
+        return max(float(fit.white[mine] @ fit.white[mine]), EXACT * dof), dof
 
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""

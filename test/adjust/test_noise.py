@@ -6,6 +6,7 @@ from scipy import optimize, stats
 
 from rotcal_ros.adjust.causes import found_causes
 from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.look import Look
 from rotcal_ros.adjust.model import Model, Words, linear
 from rotcal_ros.adjust.noise import PRIOR, NoiseEvidence, bent_squares, estimate_factors
 
@@ -56,19 +57,15 @@ def test_bent_squares_of_sound_residuals_keep_their_sum():
     assert bent_squares(np.array([1e6]), np.array([0.5]), 1e-6)[0] < 4.0
 
 
-@pytest.mark.parametrize(("places", "each", "noise", "apart", "seed"), [
-    (30, 4, 0.66, 0.1, 3), (60, 2, 0.66, 0.1, 0), (10, 3, 0.66, 0.35, 1), (30, 4, 1.0, 3.0, 0),
-])  # fmt: skip
-def test_the_estimate_is_where_restricted_likelihood_is_largest(places, each, noise, apart, seed):
-    """Places that are known beforehand to 1, about a mean; where they are apart by far less the
-    residuals show more of their noise than is expected, and steps by that go to and fro."""
+def known_places(places, each, noise, apart, seed):
+    """Return readings of places that are known beforehand to 1, about a mean; as a model."""
     rng = np.random.default_rng(seed)
     read = np.repeat(apart * rng.standard_normal(places), each)
     observed = np.append(read + noise * rng.standard_normal(len(read)), np.zeros(places))
     design = np.vstack([np.repeat(np.eye(places), each, axis=0), np.eye(places)])
     design = np.column_stack([design, np.append(np.ones(len(read)), np.zeros(places))])
     component = np.append(np.zeros(len(read), int), np.ones(places, int))
-    model = Model(
+    return Model(
         blocks={"place": places, "mean": 1},
         observed=observed,
         std=np.ones(len(observed)),
@@ -79,13 +76,22 @@ def test_the_estimate_is_where_restricted_likelihood_is_largest(places, each, no
         words=Words("readings", "a draught", "there", "it"),
     )
 
+
+@pytest.mark.parametrize(("places", "each", "noise", "apart", "seed"), [
+    (30, 4, 0.66, 0.1, 3), (60, 2, 0.66, 0.1, 0), (10, 3, 0.66, 0.35, 1), (30, 4, 1.0, 3.0, 0),
+])  # fmt: skip
+def test_the_estimate_is_where_restricted_likelihood_is_largest(places, each, noise, apart, seed):
+    """Where places are apart by far less than stated the residuals show more of their noise than
+    is expected, and steps by that go to and fro."""
+    model = known_places(places, each, noise, apart, seed)
+    y = model.observed[: places * each]
+
     def surprise(logs):
         """-ln of restricted likelihood and prior, of y with the covariance of both."""
         own, alike = np.exp(2.0 * logs)
-        whole = own * np.eye(len(read)) + alike * np.kron(np.eye(places), np.ones((each, each)))
-        inverse, ones = np.linalg.inv(whole), np.ones(len(read))
+        whole = own * np.eye(len(y)) + alike * np.kron(np.eye(places), np.ones((each, each)))
+        inverse, ones = np.linalg.inv(whole), np.ones(len(y))
         left = inverse - np.outer(inverse @ ones, ones @ inverse) / (ones @ inverse @ ones)
-        y = observed[: len(read)]
         volume = np.linalg.slogdet(whole)[1] + np.log(ones @ inverse @ ones)
         return 0.5 * (volume + y @ left @ y) + 0.5 * (logs @ logs) / PRIOR**2
 
@@ -94,3 +100,11 @@ def test_the_estimate_is_where_restricted_likelihood_is_largest(places, each, no
     found = found_causes(model, Limits()).noise
     assert found.estimated is not None
     assert np.log(found.factors) == pytest.approx(best.x, abs=0.01)
+
+
+def test_exact_places_say_nothing_of_the_scatter_of_others():
+    """As targets that are typed without error: beside them all readings would scatter too much."""
+    found = found_causes(known_places(40, 60, 0.6, 0.0, 2), Limits())
+    chi2, dof = Look(found, found.fit).rest
+    assert chi2 / dof == pytest.approx(1.0, abs=0.02)
+    assert found.fit.chi2 / found.fit.dof < 0.985

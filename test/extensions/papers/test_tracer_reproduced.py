@@ -27,10 +27,10 @@ def test_what_the_audit_has_computed_is_reached(found):
     assert values["table_3_difference_arcsec"] <= 0.151
     assert values["radial_um"] == pytest.approx(0.71, abs=0.005)
     assert values["axial_um"] == pytest.approx(0.70, abs=0.005)
-    # The audit took the error motion for white: 5.5 about the mean, 7.6 to 8.7. Low orders are
-    # fewer witnesses of its size, and half of the second leaves no trace in the circle.
+    # The audit took the error motion for white: 5.5 about the mean, 7.6 to 8.7. Of low orders
+    # neighbours of the first angle have most in common with it, and those far away least.
     assert 5.5 < values["u_about_mean_arcsec"] < 1.2 * 5.5
-    assert 7.6 < values["u_smallest"] < values["u_largest"] < 1.25 * 8.7
+    assert 0.9 * 7.6 < values["u_smallest"] < values["u_largest"] < 1.25 * 8.7
     assert values["steps_beyond"] == 2
     assert values["span_arcsec"] == pytest.approx(26.7, abs=0.05)
     place = [values[f"first_target_{axis}_mm"] for axis in "xyz"]
