@@ -54,7 +54,7 @@ def test_the_papers_tables_are_those_of_a_tracer(stations):
 @pytest.mark.parametrize(
     ("file", "names"),
     [
-        ("result_tracer.json", {"stations", "targets", "circle"}),
+        ("result_tracer.json", {"stations", "targets", "target_corrections", "circle"}),
         ("result_ball_plate.json", {"balls", "machine", "residuals"}),
     ],
 )

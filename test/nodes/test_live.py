@@ -119,7 +119,7 @@ def test_cancel_leaves_a_valid_bag_and_the_plan_can_be_continued(cell):
     rest = live.client("rest", start_index=start).result()
     assert rest["error_code"] == 0, rest["error_msg"]
     result = json.loads((live.session / "result.json").read_text())
-    assert result["n_observations"] == 59
+    assert result["n_observations"] >= 59  # and some that were measured again
 
 
 def test_without_a_cell_the_reason_is_named_a_wrong_configuration_or_what_is_missing(cell):

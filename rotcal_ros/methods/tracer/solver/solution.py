@@ -23,7 +23,7 @@ from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.errors import ObservabilityError, RotcalError
+from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -299,6 +299,9 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
         posed = posed.again(solution.stations)
         solution = TracerSolution(posed, _solved(posed, begin), begin)
     solution = _weighed(solution)
+    scales = (e.sizes for e in solution.found.found_effects if e.effect.effect == "scale")
+    if any(sizes.min() < -1.0 for sizes in scales):
+        raise DataError("the lengths shrink while the distance grows")
     if problem.zero_walk_std is None:
         solution = _walking(solution)
     solution = _contradicted(solution)
