@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.linalg import block_diag
 
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.units import ARCSEC
 
