@@ -149,6 +149,21 @@ class _Shared:
                 found |= dict.fromkeys(both, both)
         return found
 
+    def known(self, curves: Mapping[str, Curves]) -> dict[tuple[str, ...], _Known]:
+        """Return what results of ``curves`` know; those that share observations together."""
+        clusters = dict.fromkeys(self.clusters.values())
+        members = [tuple(n for n in curves if n in cluster) for cluster in clusters]
+        return {names: _Known.of(self, names, curves) for names in members if names}
+
+    def of_observations(self, curves: Mapping[str, Curves]) -> dict[str, Curves]:
+        """Return curves; those that share nothing have the covariance of observations alone."""
+        return {
+            name: {c: of_observations_alone(curve) for c, curve in own.items()}
+            if len(self.clusters[name]) == 1
+            else own
+            for name, own in curves.items()
+        }
+
     @cached_property
     def places(self) -> list[slice]:
         """Which of the unknowns (s,) are those of each group."""
@@ -185,24 +200,6 @@ class _Shared:
         """Return which (m, n) of the angles of a component each of ``angles`` (m,) rad is."""
         joined = self.joined(component)
         return same_angles(angles, joined.angles, joined.period)
-
-
-def _require_joint(shared: _Shared) -> None:
-    """Raise DataError for inputs of the same observations, and where nothing joins their zeros."""
-    for first, second in combinations(shared.inputs, 2):
-        here, _ = first.raw_data.shared_with(second.raw_data)
-        if len(here):
-            raise DataError(
-                f"{first.name} and {second.name} share {len(here)} observations: solve one of "
-                "them with the others (rotcal combine weighs results of the same data)"
-            )
-    for layout in shared.layouts:
-        if layout.between:
-            raise DataError(
-                f"{', '.join(layout.joined)} of {', '.join(layout.between)}: fewer than two "
-                "angles in common with the others: nothing joins their zeros; measure at common "
-                "angles (rotcal combine reads between angles, and says so)"
-            )
 
 
 def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
@@ -242,54 +239,69 @@ def _observable(model: Model, own: Floats) -> Floats:
     return np.asarray((ways[seen].T / size[seen]) / scale[:, None])
 
 
-def _by_result(
-    shared: _Shared, names: Sequence[str], curves: Mapping[str, Curves], more: float = 0.0
-) -> Model:
-    """Return a result as observations of the shared unknowns, not judged.
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What results of ``names`` that share observations know: combinations of their values.
 
-    Or several together, by their ``names``, that share observations. In the space of what they
-    know, along the axes of the covariance of their ``curves``, each of which has ``more`` of a
-    standard uncertainty.
+    ``rows`` (k, m) of them are free of what it leaves open, and make lengths and angles numbers of
+    one size; ``values`` (k,), ``design`` (k, s) and ``covariance`` (k, k) are those of the
+    combinations.
     """
-    found = [
-        (name, group[name], slot, left[:, : left.shape[1] * (name in layout.between)])
-        for name in names
-        for group, slot, left, layout in zip(
-            shared.parts, shared.places, shared.left, shared.layouts, strict=True
+
+    names: Sequence[str]
+    rows: Floats
+    values: Floats
+    design: Floats
+    covariance: Floats
+
+    @classmethod
+    def of(cls, shared: _Shared, names: Sequence[str], curves: Mapping[str, Curves]) -> _Known:
+        """Return what results know, by their ``names``, with the covariance of ``curves``."""
+        found = [
+            (name, group[name], slot, left[:, : left.shape[1] * (name in layout.between)])
+            for name in names
+            for group, slot, left, layout in zip(
+                shared.parts, shared.places, shared.left, shared.layouts, strict=True
+            )
+            if name in group
+        ]
+        values = np.concatenate([own.values for _, own, _, _ in found])
+        design = np.concatenate([own.design @ shared.basis[slot] for _, own, slot, _ in found])
+        # A line between angles joins no zeros: it follows values with several zeros up and down.
+        free = [orthonormal(np.hstack([own.free, own.design @ left])) for _, own, _, left in found]
+        covariance = _covariance([(name, own) for name, own, _, _ in found], curves)
+        # Lengths and angles are compared in their own mean uncertainties.
+        scale = np.concatenate([
+            np.full(len(rows), np.sqrt(curves[name][c].covariance.diagonal().mean()))
+            for name, own, _, _ in found
+            for c, rows in own.rows.items()
+        ])  # fmt: skip
+        rows = null_space((block_diag(*free) / scale[:, None]).T).T / scale
+        return cls(names, rows, rows @ values, rows @ design, rows @ covariance @ rows.T)
+
+    def model(self, more: float = 0.0) -> Model:
+        """Return it as observations of the shared unknowns, not judged.
+
+        Along the axes of the covariance; every value has ``more`` variance.
+        """
+        size, axes = np.linalg.eigh(self.covariance + more * self.rows @ self.rows.T)
+        if size[0] < -NONE * size.mean():
+            raise DataError(
+                f"{', '.join(self.names)}: the covariance of the deviations is not positive "
+                "semi-definite: the result is damaged, solve again"
+            )
+        white = (axes / np.sqrt(np.maximum(size, FLOOR * size.mean()))).T
+        return Model(
+            blocks={CURVES: self.design.shape[1]},
+            observed=white @ self.values,
+            std=np.ones(len(white)),
+            equations=linear(white @ self.design),
+            outputs=np.zeros((0, self.design.shape[1])),
+            words=WORDS,
+            components=("the result",),
+            judged=np.zeros(len(white), dtype=np.bool_),
+            row_names=[f"value {k}" for k in range(len(white))],
         )
-        if name in group
-    ]
-    values = np.concatenate([own.values for _, own, _, _ in found])
-    design = np.concatenate([own.design @ shared.basis[slot] for _, own, slot, _ in found])
-    # A line between angles joins no zeros: it follows values with several zeros up and down.
-    free = [orthonormal(np.hstack([own.free, own.design @ left])) for _, own, _, left in found]
-    covariance = _covariance([(name, own) for name, own, _, _ in found], curves)
-    covariance += more**2 * np.eye(len(values))
-    # Lengths and angles are compared in their own mean uncertainties.
-    scale = np.concatenate([
-        np.full(len(rows), np.sqrt(curves[name][c].covariance.diagonal().mean()))
-        for name, own, _, _ in found
-        for c, rows in own.rows.items()
-    ])  # fmt: skip
-    known = null_space((block_diag(*free) / scale[:, None]).T).T
-    size, axes = np.linalg.eigh(known @ (covariance / np.outer(scale, scale)) @ known.T)
-    if size[0] < -NONE * size.mean():
-        raise DataError(
-            "the covariance of the deviations is not positive semi-definite: the result is "
-            "damaged, solve again"
-        )
-    white = (axes / np.sqrt(np.maximum(size, FLOOR * size.mean()))).T @ known / scale
-    return Model(
-        blocks={CURVES: design.shape[1]},
-        observed=white @ values,
-        std=np.ones(len(white)),
-        equations=linear(white @ design),
-        outputs=np.zeros((0, design.shape[1])),
-        words=WORDS,
-        components=("the result",),
-        judged=np.zeros(len(white), dtype=np.bool_),
-        row_names=[f"value {k}" for k in range(len(white))],
-    )
 
 
 def _covariance(parts: Sequence[tuple[str, SeenCurves]], curves: Mapping[str, Curves]) -> Floats:
@@ -355,12 +367,25 @@ class _Views:
     @classmethod
     def of(cls, instruments: Sequence[JointInput]) -> _Views:
         inputs = [each.alone for each in instruments]
+        for first, second in combinations(inputs, 2):
+            here, _ = first.raw_data.shared_with(second.raw_data)
+            if len(here):
+                raise DataError(
+                    f"{first.name} and {second.name} share {len(here)} observations: solve one of "
+                    "them with the others (rotcal combine weighs results of the same data)"
+                )
         shared = _Shared.of(inputs, wanted_groups(inputs))
-        _require_joint(shared)
+        for layout in shared.layouts:
+            if layout.between:
+                raise DataError(
+                    f"{', '.join(layout.joined)} of {', '.join(layout.between)}: fewer than two "
+                    "angles in common with the others: nothing joins their zeros; measure at "
+                    "common angles (rotcal combine reads between angles, and says so)"
+                )
 
         def models() -> dict[str, Model]:
             return {
-                each.name: _by_result(shared, [each.name], {each.name: each.alone.curves})
+                each.name: _Known.of(shared, [each.name], {each.name: each.alone.curves}).model()
                 if each.model is None
                 else _by_observations(shared, each.model)
                 for each in instruments
@@ -376,16 +401,11 @@ class _Views:
 
     @classmethod
     def by_results(
-        cls, shared: _Shared, names: Sequence[str], curves: Mapping[str, Curves], more: float = 0.0
+        cls, shared: _Shared, known: Mapping[tuple[str, ...], _Known], more: float = 0.0
     ) -> _Views:
-        """Return the results of some inputs, each value with ``more`` of a standard uncertainty.
-
-        ``curves`` of each, whose covariance counts.
-        """
-        every = dict.fromkeys(shared.clusters.values())
-        clusters = [tuple(n for n in names if n in cluster) for cluster in every]
-        members = {SHARED.join(c): c for c in clusters if c}
-        models = {key: _by_result(shared, c, curves, more) for key, c in members.items()}
+        """Return results by the names of their inputs; each value has ``more`` variance."""
+        members = {SHARED.join(names): names for names in known}
+        models = {name: known[of].model(more) for name, of in members.items()}
         return cls(shared, models, members, frozenset(members))
 
     def alone(self, name: str, fit: Fit) -> Model:
@@ -578,66 +598,54 @@ def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentG
     """Return the one group of results: consistent if chance makes more than ``level``."""
     (layout,), (parts,) = shared.layouts, shared.parts
     curves = {name: shared.curves_of(name) for name in parts}
+    if any(own.free.shape[1] > own.known for own in parts.values()):
+        joining = [own.seen(shared.basis) for n, own in parts.items() if n not in layout.between]
+        shared = shared.without_open(joining)
+    known, counting = shared.known(curves), telling(curves)
+    surest, views = known, _Views.by_results(shared, known)
+    best = views
+    if len(counting) < len(curves):
+        surest = shared.known({name: curves[name] for name in counting})
+        best = _Views.by_results(shared, surest)
     try:
-        if any(own.free.shape[1] > own.known for own in parts.values()):
-            shared = shared.without_open([
-                own.seen(shared.basis) for n, own in parts.items() if n not in layout.between
-            ])  # fmt: skip
-        return _of_results(shared, curves, enlarge, level)
+        chi2, dof = views.fit.chi2, views.fit.dof
     except ObservabilityError as error:
-        what = "the inputs share too few angles to be joined: measure at two common angles or more"
-        raise DataError(f"{', '.join(layout.joined)} of {', '.join(parts)}: {what}") from error
-
-
-def _of_results(
-    shared: _Shared, curves: Mapping[str, Curves], enlarge: Enlargement, level: float
-) -> ComponentGroup:
-    sure = telling(curves)
-    views = counting = _Views.by_results(shared, list(curves), curves)
-    if len(sure) < len(curves):
-        counting = _Views.by_results(shared, sure, curves)
-    chi2, dof = views.fit.chi2, views.fit.dof
-    tested = (chi2, dof, chi2_sf(chi2, dof) if dof else 1.0)
-    group = counting.group(0, counting.fit, tested, level)
-    group = replace(group, members=tuple(views.members.values()))
+        raise DataError(
+            f"{', '.join(layout.joined)} of {', '.join(parts)}: the inputs share too few angles to "
+            "be joined: measure at two common angles or more"
+        ) from error
+    tested = chi2, dof, chi2_sf(chi2, dof) if dof else 1.0
+    group = best.group(0, best.fit, tested, level)
     if too_alike(chi2, dof):  # by less noise they agree less well
-        bare = {
-            name: {c: of_observations_alone(curve) for c, curve in own.items()}
-            if len(shared.clusters[name]) == 1
-            else own
-            for name, own in curves.items()
-        }
-        noise = _Views.by_results(shared, list(curves), bare).fit.chi2
-        group = replace(group, chi2_of_noise=noise)
+        noise = _Views.by_results(shared, shared.known(shared.of_observations(curves)))
+        group = replace(group, chi2_of_noise=noise.fit.chi2)
     if not group.consistent:
         group = views.contradicting(group, 0, views.fit)
         if enlarge != "birge":
             group = replace(group, enlargement=enlarge, factor=1.0)
         if enlarge == "mandel-paule":
-            extra = _common_std(shared, curves)
-            wider = _Views.by_results(shared, sure, curves, extra)
-            wide = wider.group(0, wider.fit, tested, level)
-            group = replace(
-                group, common_std=extra, value=wide.value, spread=wide.spread, shares=wide.shares
-            )
-    return views.linked(group, 0)
+            variance = _common_variance(shared, known)
+            best = _Views.by_results(shared, surest, variance)
+            wide = best.group(0, best.fit, tested, level)
+            group = replace(group, value=wide.value, spread=wide.spread, shares=wide.shares)
+            group = replace(group, common_std=float(np.sqrt(variance)))
+    return views.linked(replace(group, members=tuple(known)), 0)
 
 
-def _common_std(shared: _Shared, curves: Mapping[str, Curves]) -> float:
-    """Return the standard deviation that, added to every value, makes chi-square equal to dof.
+def _common_variance(shared: _Shared, known: Mapping[tuple[str, ...], _Known]) -> float:
+    """Return the variance that, added to every value, makes chi-square equal to dof.
 
     This is Mandel and Paule's between-laboratory component, here for every single value.
     """
 
-    def excess(std: float) -> float:
-        fit = _Views.by_results(shared, list(curves), curves, std).fit
-        return fit.chi2 - fit.dof
+    def missing(variance: float) -> float:
+        fit = _Views.by_results(shared, known, variance).fit
+        return fit.dof / fit.chi2 - 1.0  # nearly a straight line
 
-    every = [curve.covariance.diagonal() for own in curves.values() for curve in own.values()]
-    high = float(np.sqrt(max(np.mean(variances) for variances in every)))
-    while excess(high) > 0.0:
-        high *= 2.0
-    return float(brentq(excess, 0.0, high, xtol=1e-9 * high, rtol=1e-9))
+    high = max(1.0 / float(np.mean((own.rows**2).sum(axis=1))) for own in known.values())
+    while missing(high) < 0.0:
+        high *= 4.0
+    return float(brentq(missing, 0.0, high, xtol=1e-6 * high, rtol=1e-9))
 
 
 def solve_together(instruments: Sequence[JointInput]) -> Combination:

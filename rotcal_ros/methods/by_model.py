@@ -164,7 +164,9 @@ class ByModel:
         model = self.model(configuration, Readings.of(observations))
         parts, count = self._parts(configuration, model)
         curves = {name: model.outputs[part] for name, part in parts.items()}
-        untold, arrivals = self.untold(configuration), self.arrivals(configuration)
+        arrivals, untold = self.arrivals(configuration), self.untold(configuration)
+        for c, rows in untold.items():  # of the unknowns before those of what scatters
+            untold[c] = np.pad(rows, ((0, 0), (0, model.size[1] - rows.shape[1])))
         found = CurveModel(
             model, np.array(plan.table_angles[:count]), {**curves, **untold}, tuple(untold)
         )
