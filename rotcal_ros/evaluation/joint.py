@@ -83,6 +83,8 @@ NONE: Final = 1e-9
 """Share of a direction that is rounding."""
 DETERMINED: Final = 1e-7
 """Share of what observations feel of a direction from which on they separate it from others."""
+MOST: Final = 0.5
+"""Share of a contradiction from which on it is that of one order."""
 FLOOR: Final = 1e-12
 """Smallest variance of any direction, in mean variances; keeps exact results finite."""
 ROUNDED: Final = 1e-6
@@ -546,19 +548,22 @@ class _Views:
 
         By ``fit`` with the noise that each has alone.
         """
-        place, farthest, differs = self.shared.places[k], "", ""
+        place, farthest = self.shared.places[k], ""
         names = [
             n for n, of in self.members.items() if not self.shared.parts[k].keys().isdisjoint(of)
         ]
         if len(names) > 2:
             squares = {name: self.closed(fit, [name], place).squares for name in names}
             farthest = max(names, key=squares.__getitem__)
-        chances = {
-            effect.what: effect_test(seen_by(fit, effect.whole(fit.computed))).probability
+        tests = [
+            (effect_test(seen_by(fit, effect.whole(fit.computed))), effect.what)
             for effect in self.differences(fit.design, group.joined)
-        }
-        if chances and len(chances) * min(chances.values()) < SURE:
-            differs = min(chances, key=chances.__getitem__)
+        ]
+        differs = ""
+        if tests:  # of one alone nothing is another
+            best, what = max(tests, key=lambda test: test[0].squares)
+            most = best.squares - best.rank > MOST * (group.chi2 - group.dof)
+            differs = what if most and len(tests) * best.probability < SURE else ""
         factor = float(np.sqrt(group.chi2 / group.dof))
         return replace(
             group, enlargement="birge", factor=factor, farthest=farthest, differs=differs
@@ -611,8 +616,8 @@ def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentG
         chi2, dof = views.fit.chi2, views.fit.dof
     except ObservabilityError as error:
         raise DataError(
-            f"{', '.join(layout.joined)} of {', '.join(parts)}: the inputs share too few angles to "
-            "be joined: measure at two common angles or more"
+            f"{', '.join(layout.joined)} of {', '.join(parts)}: the inputs share too few angles "
+            "to be joined: measure at two common angles or more"
         ) from error
     tested = chi2, dof, chi2_sf(chi2, dof) if dof else 1.0
     group = best.group(0, best.fit, tested, level)
