@@ -51,6 +51,13 @@ from rotcal_ros.methods.tracer.solver.posed import (
     Supposed,
 )
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
+from rotcal_ros.methods.tracer.solver.reported import (
+    CONSISTENT,
+    NOISELESS,
+    Reported,
+    noticed,
+    scatter_along,
+)
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
 NEARLY: Final = 1e-3
@@ -59,10 +66,6 @@ CANDIDATES: Final = 256
 """Moments that stand for all at which a counter may slip."""
 SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""
-CONSISTENT: Final = 3.0
-"""Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
-UNNOTICED: Final = 0.01
-"""Reported move of a target, in standard deviations of a length, that does not matter."""
 LIKELY_WALK: Final = 2e-8
 """Walk of a zero (m) from which an unknown one is searched for."""
 LEAST_WALK: Final = 1e-9
@@ -77,23 +80,6 @@ def limits_of(settings: TracerLimits) -> Limits:
     return Limits(
         settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
     )
-
-
-class ReportedPlaces(NamedTuple):
-    """The ``weight`` of the reported places, 0 to 1, with its standard deviation ``std``.
-
-    ``along``: by how much the reports of one target scatter along the beams, m (standard
-    deviation); ``left``: what stays unknown of a length for it, m, which has joined its standard
-    deviation. ``estimated``: neither 1 nor 0 explains the lengths. ``spoils``: the lengths scatter
-    beyond their statement by so much (m), and noise of the believed reports would explain it.
-    """
-
-    weight: float
-    std: float
-    along: float
-    left: float
-    estimated: bool = False
-    spoils: float = 0.0
 
 
 class UnseenSlips(NamedTuple):
@@ -139,7 +125,7 @@ class TracerSolution:
     contradicted: float | None = None
     printed: Floats | None = None
     slips: UnseenSlips | None = None
-    reported: ReportedPlaces | None = None
+    reported: Reported | None = None
 
     @property
     def problem(self) -> TracerProblem:
@@ -379,25 +365,19 @@ def _walking(solution: TracerSolution) -> TracerSolution:
 def _weighed(solution: TracerSolution) -> TracerSolution:
     """Return the solution with the weight that the lengths give the reported places.
 
-    A machine comes to a target anew for every length and reports where it stands. What it reports
-    beside the mean of the target is a move of the probe, of standard deviation p, and noise of the
-    report, q. The lengths feel the move alone. The best guess of a move is therefore the report
-    times w = p^2 / (p^2 + q^2), and p q / sqrt(p^2 + q^2) of it remains: with S^2 = p^2 + q^2
-    along the beams, w (1 - w) S^2 in squares. w is a slope: of the lengths over what the reports
-    say, beside all other unknowns. One that 1 explains is 1: the reports are believed; one that 0
-    explains is 0: the machine stood still.
+    By one more column, as the equations of :mod:`.reported` say: it is solved again where 1 or 0
+    does not explain them.
     """
     if not _noticed(solution.posed):
         return solution
     lengths, along, found = solution.posed.lengths, solution.posed.moved, solution.found
-    free = len(along) - len(np.unique(lengths.target))
-    scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
+    scatter = scatter_along(along, lengths.target)
     beyond, information = _slope(solution.posed, found.fit)
     if not information or found.fit.dof < 2:
         near = solution.supposed.weight
-        return replace(solution, reported=ReportedPlaces(near, 0.0, scatter, 0.0))
+        return replace(solution, reported=Reported(near, 0.0, scatter, 0.0))
     squares = max(found.fit.chi2 - information * beyond**2, 0.0) / (found.fit.dof - 1)
-    std = sqrt(max(squares, 1e-2) / information)
+    std = sqrt(max(squares, NOISELESS) / information)
     weight = solution.supposed.weight + beyond
 
     def at(weight: float) -> TracerSolution:
@@ -414,23 +394,21 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
         spoiled = 0.0 < share < 1.0 and abs(weight - 1.0 + share) < CONSISTENT * std
         spoils = excess if spoiled else 0.0
         if unmoved is None or _excess(unmoved) >= spoils:
-            reported = ReportedPlaces(1.0, std, scatter, 0.0, spoils=spoils)
+            reported = Reported(1.0, std, scatter, 0.0, spoils=spoils)
             return replace(believed, reported=reported)
     if unmoved is not None:
-        return replace(unmoved, reported=ReportedPlaces(0.0, std, scatter, 0.0))
+        return replace(unmoved, reported=Reported(0.0, std, scatter, 0.0))
     weight = min(max(weight, 0.0), 1.0)
     left = scatter * sqrt(weight * (1.0 - weight) + std**2)
     supposed = replace(solution.supposed, weight=weight, left=left)
-    reported = ReportedPlaces(weight, std, scatter, left, estimated=True)
+    reported = Reported(weight, std, scatter, left, estimated=True)
     return replace(_again(solution, supposed), reported=reported)
 
 
 def _noticed(posed: Posed) -> bool:
     """Whether any length feels what was reported beside the mean place."""
     moved = posed.problem.moved
-    return moved is not None and bool(
-        np.abs(moved).max(initial=0.0) >= UNNOTICED * posed.lengths.std.min()
-    )
+    return moved is not None and noticed(moved, posed.lengths.std)
 
 
 def _slope(posed: Posed, fit: Fit) -> tuple[float, float]:
@@ -581,7 +559,7 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
 
     What these lengths say of the error motion, their zeros and reported places comes from their
     ``solution``; None where they have none alone, and then ObservabilityError if no error motion
-    is stated. UnseenSlips that would not be found are errors that lengths have in common.
+    is stated. Slips that would not be found are errors that lengths have in common.
     """
     if solution is not None:
         posed, supposed = solution.posed, solution.supposed
