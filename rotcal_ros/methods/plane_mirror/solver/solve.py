@@ -217,6 +217,7 @@ class MirrorSolution:
             protections=tuple(self._protections()),
             details=self._details(),
             joint=True,
+            also=False,
         )
         partner = dict(
             zip(rows.tolist(), layout.pairs.direct.tolist() if layout.pairs else [], strict=False)
@@ -232,10 +233,8 @@ class MirrorSolution:
         zeros = "first angle of each group" if self._free else "first angle"
         steps = np.diff(np.eye(n), axis=0)
         covariance = steps @ every.covariance["ECC"] @ steps.T
-        details = {name: value for name, value in every.details.items() if name != "also"}
         result = replace(
             every,
-            details=details,
             n_observations=len(problem.xyz),
             rejected=(*self.rejected, *sorted(left, key=lambda r: r.index)),
             adjacent_deviations=np.diff(found.value),
