@@ -11,6 +11,7 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.special import ndtr
 
 from rotcal_ros.adjust.diagnosis import Limits
@@ -21,6 +22,7 @@ from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.look import Look
 from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.model import CurveModel
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
@@ -153,8 +155,9 @@ class TracerSolution:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (m, m) of ECC, rad^2."""
-        unseen = 0.0 if self.slips is None else self.slips.covariance
-        return np.asarray(self.found.covariance + unseen)
+        if self.slips is None:
+            return self.found.covariance
+        return self.found.covariance + self.slips.covariance
 
     @cached_property
     def std(self) -> Floats:
@@ -230,42 +233,43 @@ class TracerSolution:
         axis = self.posed.lengths.axes[:, 2]
         return float(np.linalg.norm(np.cross(axis, self.motion.plane.normal)))
 
-    def station_covariance(self, which: Ints) -> Floats:
-        """Return the covariance (3 q, 3 q) of some stations, m^2."""
-        rows = self._station_rows(which)
-        if self.printed is not None:
-            white = rows * np.where(self.found.fit.used, self.found.fit.std, 0.0)
-            return np.asarray(self.found.scale**2 * (white @ white.T))
-        whole = np.pad(rows, ((0, 0), (0, len(self.found.fit.x) - rows.shape[1])))
-        spread = whole @ self.found.fit.kernel.times(whole.T)
-        return np.asarray(self.found.scale**2 * spread)
-
-    def _station_rows(self, which: Ints) -> Floats:
-        """Return by how much some stations move with the unknowns, (3 q, p), or observations."""
-        if self.printed is not None:
-            every = _gains(self.posed, self.found.fit, self.printed)
-            return every.reshape(-1, 3, every.shape[1])[which].reshape(-1, every.shape[1])
-        lengths, x = self.posed.lengths, self._unknowns
-        arm = (self.stations - lengths.origin) @ lengths.axes
-        arm = arm - x[: arm.size].reshape(arm.shape)
-        found = np.zeros((len(which), 3, len(x)))
-        at, first = np.arange(len(which)), lengths.first
-        carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])[which]
-        for a in range(3):
-            found[at, :, 3 * which + a] = lengths.axes[:, a]
-        found[:, :, first["place"]] = carry @ lengths.ways[0] @ lengths.axes.T
-        turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]])[which]
-        found[at, :, first["turn"] + which] = turned @ lengths.axes.T
-        return found.reshape(3 * len(which), -1)
-
     @cached_property
     def station_blocks(self) -> Floats:
         """The covariances (m, 3, 3) of the stations, each by itself, m^2."""
-        found, every = [], np.arange(len(self.stations))
-        for some in np.array_split(every, len(every) // 64 + 1):
-            whole = self.station_covariance(some).reshape(len(some), 3, len(some), 3)
-            found.append(whole[np.arange(len(some)), :, np.arange(len(some))])
-        return np.concatenate(found)
+        fit, m = self.found.fit, len(self.stations)
+        if self.printed is not None:
+            white = _gains(self.posed, fit, self.printed) * np.where(fit.used, fit.std, 0.0)
+            each = white.reshape(m, 3, -1)
+            return np.asarray(self.found.scale**2 * (each @ each.swapaxes(1, 2)))
+        # the variances of x, y, z and of the sums of two say what two have in common
+        both = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]])
+        unknown, felt = self._moved_by
+        begin = np.arange(0, 6 * unknown.size + 1, unknown.shape[1])
+        rows = (both @ felt).ravel(), np.repeat(unknown, 6, axis=0).ravel(), begin
+        outputs = Outputs.alone(csr_array(rows, shape=(6 * m, self.found.model.size[1])))
+        variance = fit.kernel.variances_of(outputs).reshape(m, 6)
+        blocks = np.zeros((m, 3, 3))
+        for a, (first, second) in enumerate(((0, 1), (1, 2), (0, 2))):
+            blocks[:, a, a] = variance[:, a]
+            between = 0.5 * (variance[:, 3 + a] - variance[:, first] - variance[:, second])
+            blocks[:, first, second] = blocks[:, second, first] = between
+        return np.asarray(self.found.scale**2 * blocks)
+
+    @property
+    def _moved_by(self) -> tuple[Ints, Floats]:
+        """The unknowns (m, 5) that each station moves with, and by how much, (m, 3, 5)."""
+        lengths, x, at = self.posed.lengths, self._unknowns, np.arange(len(self.stations))
+        first = lengths.first
+        arm = (self.stations - lengths.origin) @ lengths.axes
+        arm = arm - x[: arm.size].reshape(arm.shape)
+        turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]]) @ lengths.axes.T
+        carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])
+        out = carry @ lengths.ways[0] @ lengths.axes.T
+        own = np.broadcast_to(lengths.axes, (len(at), 3, 3))
+        felt = np.concatenate([own, turned[:, :, None], out[:, :, None]], axis=2)
+        shifts = [3 * at, 3 * at + 1, 3 * at + 2]
+        place = np.full(len(at), first["place"])
+        return np.column_stack([*shifts, first["turn"] + at, place]), felt
 
 
 def adjust(problem: TracerProblem) -> TracerSolution:
