@@ -214,8 +214,14 @@ def _without_dirty_position(
     count = balls_at_positions(fitted)
     for position in np.flatnonzero((count > 0) & (count < FEW_BALLS)).tolist():
         away = fitted.position == position
-        why = "without what is far off, too few balls are left"
-        rejected = [_left_out(fitted, r, why) for r in np.flatnonzero(away).tolist()]
+        why = (
+            "without what is far off, too few balls are left at this table position, which leaves "
+            "its six errors open: the angle is left out"
+        )
+        rejected = [
+            Rejection(int(fitted.rows[r]), f"{fitted.row_name(r)}: {why}")
+            for r in np.flatnonzero(away).tolist()
+        ]
         less = fitted.take(~away)
         layout = PlateLayout(less, groups)
         try:
@@ -296,10 +302,12 @@ def _prepared(
     if len(poor) > MOST_OPEN * whole.n_positions:
         require_balls(whole, everywhere=True)
     away = np.isin(whole.position, poor)
-    rejected += [
-        _left_out(whole, r, f"only {count[whole.position[r]]} balls are left")
-        for r in np.flatnonzero(away).tolist()
-    ]
+    for r in np.flatnonzero(away).tolist():
+        why = (
+            f"{whole.row_name(r)}: only {count[whole.position[r]]} balls are left at this table "
+            "position, which leaves its six errors open: the angle is left out"
+        )
+        rejected.append(Rejection(int(whole.rows[r]), why))
     fitted = whole.take(~away)
     layout = PlateLayout(fitted, groups)
     needed = fitted.grid // groups
@@ -311,13 +319,6 @@ def _prepared(
     if connected and fitted.complete and groups == 1:
         require_separable(fitted)
     return fitted, tuple(rejected), layout
-
-
-def _left_out(problem: BallPlateProblem, row: int, why: str) -> Rejection:
-    why = (
-        f"{problem.row_name(row)}: {why} at this table position, which leaves its six errors open"
-    )
-    return Rejection(int(problem.rows[row]), f"{why}: the angle is left out")
 
 
 def result_of(solution: PlateSolution) -> Result:
