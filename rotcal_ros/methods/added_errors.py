@@ -99,3 +99,13 @@ def _errors(result: Result) -> tuple[Floats, Floats]:
     counts_from_first = n > 0 and result.covariance[COMPONENT][0, 0] == 0.0
     zero = mean[:1] if counts_from_first else np.zeros((1, n + len(at)))
     return mean - zero, np.vstack([forward, reverse]) - zero
+
+
+def with_steps(result: Result) -> Result:
+    """Return ``result`` with the deviations of the steps between its neighbouring angles."""
+    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+    step = np.diff(np.eye(len(ecc)), axis=0)
+    variance = np.diag(step @ covariance @ step.T)
+    return replace(
+        result, adjacent_deviations=np.diff(ecc), adjacent_std=np.sqrt(np.maximum(variance, 0.0))
+    )

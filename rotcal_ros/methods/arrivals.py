@@ -22,6 +22,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Directions, RepeatedRuns, Result
+from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.table_angles import table_angles, visits
 
@@ -182,16 +183,6 @@ class RepeatedTrials:
         scatter = self.repeatability_std[:, None]
         values = values + scatter * rng.standard_normal(values.shape)
         return np.asarray((values @ self.mean.T).reshape(count, -1), dtype=np.float64)
-
-
-def with_steps(result: Result) -> Result:
-    """Return ``result`` with the deviations of the steps between its neighbouring angles."""
-    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
-    step = np.diff(np.eye(len(ecc)), axis=0)
-    variance = np.diag(step @ covariance @ step.T)
-    return replace(
-        result, adjacent_deviations=np.diff(ecc), adjacent_std=np.sqrt(np.maximum(variance, 0.0))
-    )
 
 
 def _directions(

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
-from rotcal_ros.methods.arrivals import with_steps
+from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.plane_mirror.settings import DIRECT, JOINT, WAYS
 from rotcal_ros.methods.plane_mirror.solver import printed
 from rotcal_ros.methods.plane_mirror.solver.model import (
