@@ -135,7 +135,6 @@ def states(
 
 
 def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
-    """Return what is known of the reference: from the shifts, or from a certificate."""
     if REFERENCE not in found.also:
         return Protection("gauge", "not protected", "the reference's errors are in the result")
     if not configuration.solver.reference_errors_arcsec:

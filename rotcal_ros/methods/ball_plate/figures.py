@@ -15,6 +15,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.result_tables import ResultTable, by_axis
 
@@ -200,16 +201,12 @@ def _draw_map(
 
 def _local(vectors: Floats, angles: Floats) -> Floats:
     """Turn x, y, z (n, 3) into radial, tangential, axial at ``angles`` (n,)."""
-    x, y, z = vectors.T
-    cos, sin = np.cos(angles), np.sin(angles)
-    return np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+    return np.asarray((rotation_about_z(-angles) @ vectors[:, :, None])[:, :, 0])
 
 
 def _local_std(std: Floats, angles: Floats) -> Floats:
     """Turn standard deviations of x, y, z (n, 3) likewise; x and y count as uncorrelated."""
-    x, y, z = std.T
-    cos, sin = np.cos(angles), np.sin(angles)
-    return np.column_stack([np.hypot(cos * x, sin * y), np.hypot(sin * x, cos * y), z])
+    return np.asarray(np.sqrt((rotation_about_z(-angles) ** 2 @ std[:, :, None] ** 2)[:, :, 0]))
 
 
 def tables(result: Result) -> list[ResultTable]:

@@ -112,7 +112,11 @@ def plan_measurement(
         turns, ball = _closed(grid, turns, ball, backlash)
         upward = np.append(upward, np.full(len(turns) - n_once, True))
     angle = np.asarray(turns * 2.0 * np.pi / grid, dtype=np.float64)
-    lead_in, moves = _moves(angle, upward, 2.0 * np.pi / grid, backlash, bidirectional)
+    step = 2.0 * np.pi / grid
+    lead_in = float(angle[0]) - (step if backlash else 0.0)
+    moves = np.diff(angle, prepend=lead_in)
+    if bidirectional:
+        moves = _with_overshoot(moves, upward, step)
     directions = np.sign(moves[moves != 0.0])
     return BallPlan(
         grid=grid,
@@ -128,15 +132,6 @@ def plan_measurement(
     )
 
 
-def _moves(
-    angle: Floats, upward: Bools, step: float, backlash: bool, bidirectional: bool
-) -> tuple[float, Floats]:
-    """Return the angle from which the first of ``angle`` (n,) is approached, and all ways (n,)."""
-    lead_in = float(angle[0]) - (step if backlash else 0.0)
-    moves = np.diff(angle, prepend=lead_in)
-    return lead_in, _with_overshoot(moves, upward, step) if bidirectional else moves
-
-
 def _check_steps(grid: int, balls: Ints, cmm: Ints) -> None:
     for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
         if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
@@ -146,7 +141,6 @@ def _check_steps(grid: int, balls: Ints, cmm: Ints) -> None:
 def _ordered(
     order: Order, grid: int, balls: Ints, cmm: Ints, rounds: int, backlash: bool
 ) -> tuple[Ints, Ints]:
-    """Return turn of the table and ball step (n,) of every centre, in the order of measurement."""
     if order == "interleaved":
         return _interleaved(grid, balls, cmm, rounds or min(ROUNDS, len(balls)))
     if order == "table_once":
@@ -291,7 +285,6 @@ def _to_and_fro(grid: int, balls: Ints, cmm: Ints) -> tuple[Ints, Ints]:
 def _duration(
     grid: int, turns: Ints, ball: Ints, moves: Floats, radius: float, kinematics: Kinematics
 ) -> float:
-    """Add up table moves with settling, probe moves over the clearance, and touches."""
     k = kinematics
     table = Drive(k.table_velocity, k.table_acceleration).moving(np.abs(moves))
     settling = k.settle * np.count_nonzero(moves)

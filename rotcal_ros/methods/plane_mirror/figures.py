@@ -227,7 +227,6 @@ def _curve(way: Mapping[str, Any]) -> tuple[Floats, Floats, Floats]:
 
 
 def _mappings(values: Sequence[Any]) -> bool:
-    """Return whether ``values`` are entries of the kind that is drawn here."""
     return len(values) > 0 and all(isinstance(value, Mapping) for value in values)
 
 

@@ -158,8 +158,7 @@ def tracker_stands(settings: MirrorPlanSettings) -> tuple[Stand, ...]:
         for number, (azimuth, visit) in enumerate(zip(azimuths, visits, strict=True))
     )
     if settings.carries == MIRROR:
-        for stand in stands:
-            _check_incidence(settings, angles, stand)
+        _check_incidence(settings, angles, stands)
     return stands
 
 
@@ -239,7 +238,6 @@ def _round(stand: Stand, position: int, nests: tuple[Point, ...]) -> list[Row]:
 
 
 def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tuple[Point, ...]:
-    """Return where the reflectors of one visit stand, with the table at ``angle``."""
     if settings.carries == MIRROR:
         places = reflector_places(
             stand.place,
@@ -259,10 +257,10 @@ def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tup
 
 
 def _check_incidence(
-    settings: MirrorPlanSettings, angles: tuple[float, ...], stand: Stand
+    settings: MirrorPlanSettings, angles: tuple[float, ...], stands: tuple[Stand, ...]
 ) -> None:
     limit = settings.incidence_limit_deg
-    for position in stand.visit:
+    for stand, position in ((each, k) for each in stands for k in each.visit):
         pose = nominal_mirror(settings).pose(rotation_about_z(angles[position]))
         found = incidence(stand.place, *pose) / DEGREE
         if found > limit:

@@ -120,8 +120,7 @@ class SimulatedTracker(SeriesInstrument):
         hours = (stamp_ns - self._start_ns) * NANOSECOND / _HOUR_S
         turn = rotation_about_z(self.settings.azimuth_drift_arcsec_per_h * ARCSEC * hours)
         longer = self.settings.range_drift_um_per_h * MICROMETRE * hours
-        drifted: Floats = turn @ seen * (1.0 + longer / np.linalg.norm(seen))
-        return drifted
+        return np.asarray(turn @ seen * (1.0 + longer / np.linalg.norm(seen)))
 
     def _place(self, command: Command, stamp_ns: int) -> Floats:
         """Return where the reflector of an order really is, machine frame."""
@@ -135,8 +134,7 @@ class SimulatedTracker(SeriesInstrument):
         off = settings.reflector_placing_mm * self._reflector_noise.normal(3 * command.target, 3)
         carried = rotation_about_z(-command.table_angle) @ nominal + off * MILLIMETRE
         rotation, shift = self._table.poses(np.array([stamp_ns]))
-        place: Floats = rotation[0] @ carried + shift[0]
-        return place
+        return np.asarray(rotation[0] @ carried + shift[0])
 
     def _displaced(self, command: Command) -> Floats:
         """Return by how many millimetres a nest stands, or a reflector sits, wrong."""
@@ -152,7 +150,6 @@ class SimulatedTracker(SeriesInstrument):
         return np.array([0.6, -0.8, 0.0]) * settings.displaced_mm * wrong
 
     def _image(self, stand: TrackerStation, place: Floats, stamp_ns: int) -> Floats:
-        """Return the image of a reflector in the mirror as the table holds it at ``stamp_ns``."""
         rotation, shift = self._table.poses(np.array([stamp_ns]))
         pose = self._mirror.pose(rotation[0], shift[0])
         try:

@@ -21,11 +21,7 @@ from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
-from rotcal_ros.foundation.errors import (
-    ConfigurationError,
-    DataError,
-    PlanError,
-)
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
 from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.results import AxisLine, Result
@@ -60,7 +56,12 @@ from rotcal_ros.methods.table_balls.model import (
     model_of,
     untold_of,
 )
-from rotcal_ros.methods.table_balls.motions import MOTION_KINDS, stated_motions_of
+from rotcal_ros.methods.table_balls.motions import (
+    EXCEEDED,
+    MOTION_KINDS,
+    exceeded,
+    stated_motions_of,
+)
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     DISPLACEMENT,
@@ -73,7 +74,6 @@ from rotcal_ros.methods.table_balls.settings import (
     sense_of,
 )
 from rotcal_ros.methods.table_balls.simulation import TouchedBalls
-from rotcal_ros.methods.table_balls.statements import EXCEEDED, exceeded
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 from rotcal_ros.planning.readings import Readings
@@ -91,12 +91,7 @@ NEAR_AXIS_M: Final = 5e-3
 """A ball nearer to the axis shows nothing of its turns."""
 MISPLACED_M: Final = 0.02
 """A ball that is farther from its planned place is another one, or turns the other way."""
-AXIS_SHOWN: Final = (
-    (MICROMETRE, "um"),
-    (MICROMETRE, "um"),
-    (ARCSEC, "arcsec"),
-    (ARCSEC, "arcsec"),
-)
+AXIS_SHOWN: Final = (*((MICROMETRE, "um"),) * 2, *((ARCSEC, "arcsec"),) * 2)
 """Units in which people read :data:`AXIS`."""
 MILLISECOND: Final = 1e-3
 STATED_BY: Final = {
@@ -176,7 +171,6 @@ class Stop(NamedTuple):
 
 
 def _order(settings: BallsPlanSettings, balls: BallsOnTable) -> Iterator[tuple[int, int, Stop]]:
-    """Yield number of the tilt, target and stop of every step."""
     stops, targets = list(_stops(settings)), range(len(balls.aims))
     if settings.turning_deg_s:
         yield from ((0, target, stop) for target, stop in _passed(settings, targets))
@@ -206,7 +200,6 @@ def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
 
 
 def _check_orders(solver: BallsSolverSettings, source: str) -> None:
-    """Raise ConfigurationError for orders of motions that are stated, and all of size zero."""
     if solver.error_motion_orders != STATED:
         return
     for name in ("radial_orders", "axial_orders", "tilt_orders"):
@@ -218,7 +211,6 @@ def _check_orders(solver: BallsSolverSettings, source: str) -> None:
 
 
 def _check_turning(settings: BallsPlanSettings, source: str) -> None:
-    """Raise ConfigurationError for a table that turns on where it has to stand."""
     speeds = settings.turning_deg_s
     if not speeds:
         return
@@ -240,7 +232,6 @@ def _check_turning(settings: BallsPlanSettings, source: str) -> None:
 
 
 def _check_chain(settings: BallsPlanSettings, source: str) -> None:
-    """Raise ConfigurationError for tilts without an axis, too few, or beyond its limits."""
     tilts, (lowest, highest) = settings.tilts_deg, settings.tilt_limits_deg
     letter = below_the_table(settings.chain)
     if not letter:
@@ -263,7 +254,6 @@ def _check_chain(settings: BallsPlanSettings, source: str) -> None:
 
 
 def _stops(settings: BallsPlanSettings) -> Iterator[Stop]:
-    """Yield every stop of the table."""
     angles, on = np.array(table_angles(settings)), _turns_on(settings)
     for run in range(settings.runs):
         for position, angle in enumerate(angles.tolist()):
@@ -313,7 +303,6 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
 
 
 def _check_turns(configuration: Configuration, planned: Plan) -> None:
-    """Raise PlanError where a table cannot turn on, or so slowly that steps are given up."""
     if configuration.plan.turning_deg_s and "table_adapter" in configuration.given:
         raise PlanError(
             "plan.turning_deg_s: table_adapter moves the table alone, from rest to rest, and no "
@@ -376,7 +365,6 @@ def model(configuration: Configuration, read: Readings, *, whole: bool = False) 
 
 
 def _check_lengths(balls: BallsOnTable, read: Readings) -> None:
-    """Raise DataError for a length that the set-up of its bar cannot have."""
     wanted = np.linalg.norm(balls.arms, axis=1)[balls.target]
     worst = int(np.abs(read.value - wanted).argmax())
     if abs(read.value[worst] - wanted[worst]) > MISPLACED_M:
@@ -493,7 +481,6 @@ def _stated_only(effect: Effect, why: str, every: Sequence[Unseen]) -> Protectio
 
 
 def _lag(configuration: Configuration, found: Adjusted) -> Protection:
-    """Return what becomes of late readings: they turn the balls, in each run by its own speed."""
     left = found.also["lag"][1][0]
     if np.isclose(left, configuration.solver.lag_std_s, rtol=0.01):
         return Protection(

@@ -67,8 +67,7 @@ class TrackerNoise:
         beam = points[..., :, None] * points[..., None, :] / distance**2
         along = self.range_std + self.range_std_per_metre * distance
         across = self.transverse_std + self.transverse_std_per_metre * distance
-        total: Floats = across**2 * np.eye(3) + (along**2 - across**2) * beam
-        return total
+        return np.asarray(across**2 * np.eye(3) + (along**2 - across**2) * beam)
 
 
 def noise_of(settings: MirrorSolverSettings) -> TrackerNoise:
