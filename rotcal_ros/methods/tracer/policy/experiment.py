@@ -553,7 +553,7 @@ class LengthExperiment:
                 length_std=factor * self.scene.length_std,
                 length_std_relative=factor * self.scene.length_std_relative,
             )
-            for name in ("motion", "bearing", "turning", "error_motion_angles"):
+            for name in ("_carriage", "_known"):
                 found.__dict__[name] = getattr(self.scene, name)  # the noise has no part in them
         return found
 
