@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import policy_figures as figures
 
 from rotcal_ros.methods.tracer.policy.experiment import LengthExperiment, MeasuredLengths
-from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, best_at, first_sweep
+from rotcal_ros.methods.tracer.policy.until_goal import UntilGoal, best_at, first_sweep
 from rotcal_ros.planning.choices import StepOutcome
 
 SPACING_M = 0.105
@@ -140,7 +140,7 @@ def seconds_of_choices(of: LengthExperiment, trouble: Trouble) -> Iterator[float
     noise_m = trouble.noise * figures.PLANNED_STD
     cell = figures.Cell(of, np.random.default_rng(1), noise_m, trouble.break_after)
     cell.blocked = trouble.blocked & (np.abs(azimuth) < SECTOR_DEG)
-    policy = UntilGoal(of, GoalLimits(figures.GOAL))
+    policy = UntilGoal(of, figures.GOAL)
     for number in count():
         begun = time.thread_time()
         choice = policy.choose()

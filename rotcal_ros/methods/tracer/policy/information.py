@@ -141,10 +141,10 @@ class Scene:
             target = empty.first["target"] + np.arange(self.targets.size)
             held = np.delete(np.arange(empty.size), target)
             entries = nominal[held], held, np.arange(len(held) + 1)
-            parts = [csr_array(entries, shape=(len(held), empty.size))]
-            for each in (across, *along, *of_targets(empty, self.target_std, free=False)):
-                parts.append(diags_array(1.0 / each.std) @ each.rows)
-            self._known[segments] = csr_array(vstack(parts, format="csr"))
+            stated = [across, *along, *of_targets(empty, self.target_std, free=False)]
+            parts = [diags_array(1.0 / each.std) @ each.rows for each in stated]
+            first = csr_array(entries, shape=(len(held), empty.size))
+            self._known[segments] = csr_array(vstack([first, *parts], format="csr"))
         return self._known[segments]
 
     def beams(self, position: Ints, target: Ints) -> tuple[Floats, Floats]:
