@@ -33,30 +33,31 @@ class Stated:
     """A result as the solver states it now.
 
     ``uncertainty``: U of ECC less its mean, k = 2, rms over the angles, rad; infinite without a
-    result. ``noise``: of the lengths, in units of the planned. ``error_motion`` (m): the most
-    likely one of the table, where the solver estimates it. ``suspects``: observations that were
-    left out, with their test values. ``drifts``: whether a drift was found. ``doubt``: why the
-    verdict is not ok, or why there is no result; empty: it is ok.
+    result. ``length_std``: noise of the lengths, rms, m; None without a result. ``error_motion``
+    (m): the most likely one of the table, where the solver estimates it. ``suspects``: what was
+    left out, and why. ``drifts``: whether a drift was found. ``doubt``: why the verdict
+    is not ok, or why there is no result; empty: it is ok.
     """
 
     uncertainty: float
-    noise: float = 1.0
+    length_std: float | None = None
     error_motion: float = 0.0
-    suspects: tuple[tuple[Observation, float], ...] = ()
+    suspects: tuple[tuple[Observation, str], ...] = ()
     drifts: bool = False
     doubt: str = ""
 
     @classmethod
     def of(cls, result: Result, observations: Sequence[Observation]) -> Stated:
         """Return what a ``result`` of ``observations`` states, which are its rows."""
-        assert result.residuals is not None
-        motion, test = result.error_motion, result.residuals.test_value
+        motion, rows = result.error_motion, result.residuals
+        assert rows is not None
+        assert rows.std is not None
         found = {each["effect"] for each in result.details["effects_found"]}
         return cls(
             COVERAGE_FACTOR * rms_about_mean(result.covariance["ECC"]),
-            result.details["noise"]["the lengths"],
+            float(np.sqrt((rows.std[rows.used] ** 2).mean())),
             motion.likely if motion is not None and motion.used != motion.stated else 0.0,
-            tuple((observations[r.index], float(test[r.index])) for r in result.rejected),
+            tuple((observations[each.index], each.why) for each in result.rejected),
             "drift" in found,
             "" if result.verdict == "ok" else next(iter(result.warnings), result.verdict),
         )
@@ -298,7 +299,13 @@ class LengthExperiment:
         """Whether every station has enough lengths, those of ``further`` steps included."""
         return not self.lacking(self._known(measured, further)).any()
 
-    def lacking_in_words(self, measured: MeasuredLengths) -> str:
+    def noise(self, measured: MeasuredLengths, length_std: float | None) -> float:
+        """Return a noise of the ``measured`` lengths (rms, m) in units of the planned one."""
+        at = np.array([(o.table_position, o.target) for o in measured.observations])
+        planned = self.scene.beams(*at.T)[1].mean()
+        return 1.0 if length_std is None else length_std / float(np.sqrt(planned))
+
+    def describe_lacking(self, measured: MeasuredLengths) -> str:
         """Return which stations have too few lengths; empty when all have enough."""
         found = self._telling(self._known(measured))
         return ", ".join(

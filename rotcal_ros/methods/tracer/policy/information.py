@@ -402,12 +402,13 @@ class Information:
         unit, other = (self.scene.beams(e.position, e.target)[0] for e in (first, second))
         std = self.scene.target_std[first.target[a]]
         found[a, b] += (std**2 * unit[a] * other[b]).sum(axis=1)
-        return found
+        return np.asarray(found, dtype=np.float64)
 
     def gains(self, candidates: Lengths) -> Floats:
         """Return by how much one length at each of k ``candidates`` lowers phi, (k,) rad^2."""
         beams = self.beams(candidates)
-        return np.asarray(beams.power / (beams.variance + self.spread(candidates)))
+        gains = beams.power / (beams.variance + self.spread(candidates))
+        return np.asarray(gains, dtype=np.float64)
 
     def slopes(self, candidates: Lengths) -> Floats:
         """Return - d phi / d weight (k,) of each candidate, rad^2: its gain for a tiny weight."""

@@ -218,8 +218,9 @@ class UntilGoal:
         """Return what the result states of all that was measured."""
         if self._result is None:
             self._result = self._experiment.solved(tuple(self._seen.values()))
-            self.noise_factor, self._now = self._result.noise, None
-            self._best = math.nan
+            std = self._result.length_std
+            self.noise_factor = self._experiment.noise(self._measured, std)
+            self._now, self._best = None, math.nan
         return self._result
 
     def _standing(self) -> Standing:
@@ -232,7 +233,7 @@ class UntilGoal:
         of, goal = self._experiment, self._goal
         if of.solvable(self._measured):
             result = self._solved()
-            if self._measure_again(result) or self._close(result):
+            if self._close(result) or self._measure_again(result):
                 return None
             if (now := result.uncertainty) <= goal:
                 return f"goal reached: {_arcsec(now)} <= {_arcsec(goal)}, {self._noise_and_doubt}"
@@ -242,7 +243,7 @@ class UntilGoal:
         wish = Wish(self._allowance.planned(goal), self.noise_factor)
         more = pick(of, self._measured, self._beams.allowed, self._beams.chance, wish)
         if not more:
-            lacking = of.lacking_in_words(self._measured)
+            lacking = of.describe_lacking(self._measured)
             worse = lacking or f"{_arcsec(self._standing().uncertainty)} > {_arcsec(goal)}"
             return f"no further step helps: {worse}, {self._noise_and_doubt}"
         self._doubted = self._doubted or len(more) >= MOST_AT_ONCE
@@ -261,7 +262,7 @@ class UntilGoal:
 
     def _allow_for(self, result: Stated) -> None:
         """Plan from now on for what the solver states, which is more than what was planned."""
-        planned = self._experiment.planned(self._measured, result.noise)
+        planned = self._experiment.planned(self._measured, self.noise_factor)
         floor = self._experiment.felt(result.error_motion)
         if math.isfinite(result.uncertainty) and floor < self._goal:
             self._allowance = Allowance.of(result.uncertainty, planned, floor)
@@ -295,8 +296,8 @@ class UntilGoal:
         suspects = [each for each in result.suspects if each[0] in kept]
         if not self._suspects.few(suspects, self._measured):
             return False
-        for suspect, value in suspects:
-            again, why = self._suspects.again(suspect, value, self._measured)
+        for suspect, left_out in suspects:
+            again, why = self._suspects.again(suspect, left_out, self._measured)
             self._queue.extend((step, why) for step in again)
             if not again:
                 self._measured.drop(suspect)
@@ -507,24 +508,21 @@ class Suspects:
         self._gone_over: set[int] = set()
         """Suspect steps that were measured again, and table positions where all were."""
 
-    def few(
-        self, suspects: Iterable[tuple[Observation, float]], measured: MeasuredLengths
-    ) -> bool:
+    def few(self, suspects: Iterable[tuple[Observation, str]], measured: MeasuredLengths) -> bool:
         """Whether so few lengths were suspect that each may be an error of its own."""
         every = self._steps | {suspect.step for suspect, _ in suspects}
         return len(every) <= max(FEW_SUSPECTS, round(SUSPECT_SHARE * len(measured.steps)))
 
     def again(
-        self, suspect: Observation, value: float, measured: MeasuredLengths
+        self, suspect: Observation, left_out: str, measured: MeasuredLengths
     ) -> tuple[list[int], str]:
         """Return the steps to measure again, and why: the suspect one, then all of its station.
 
         Where few lengths check each other a wrong one makes others look wrong. Without any, that
-        was in vain, and another target has to take its place. ``value``: of the test, in standard
-        deviations.
+        was in vain, and another target has to take its place. ``left_out``: why it was.
         """
         step, place = suspect.step, suspect.table_position
-        why = f"the length of step {step} is suspect ({value:+.1f} standard deviations)"
+        why = f"the length of step {step} is suspect ({left_out})"
         if step not in self._steps:
             self._steps.add(step)
             return [step], f"{why}: measured again"

@@ -107,7 +107,7 @@ def test_an_error_motion_beyond_the_goal_ends_it_soon():
     cell.stations[:, :2] += 3e-6 * np.random.default_rng(1).standard_normal((len(angles), 2))
     made = measured(UntilGoal(of, GOAL), cell)
     assert "error motion alone, as its circle shows it, gives" in made[-1].reason
-    assert len(made) < 90
+    assert len(made) < 100
 
 
 def test_allowances_are_undone():
@@ -163,7 +163,7 @@ def test_errors_of_many_lengths_are_noise_and_not_single_errors(of):
         return longer(outcome, 4e-6 * rng.standard_t(1.5))
 
     made = measured(UntilGoal(of, GOAL), cell_of(of, 11), rough)
-    suspects = {choice.step for choice in made if "deviations): measured" in choice.reason}
+    suspects = {choice.step for choice in made if "suspect" in choice.reason}
     assert len(suspects) <= 0.1 * len(made) + 4
 
 
@@ -319,7 +319,7 @@ def test_a_drift_that_looks_like_noise_does_not_measure_for_ever(of):
     assert any("to close the sweep" in choice.reason for choice in made)
     assert "but the verdict would not be ok: it looks as if" in made[-1].reason
     assert "drift" in made[-1].reason
-    assert len(made) < 100
+    assert len(made) < 160  # one round of lengths for what the drift makes uncertain
 
 
 def test_as_listed_is_the_order_of_the_list():
