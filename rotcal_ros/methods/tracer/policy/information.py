@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array, diags_array, vstack
 
-from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.kernels import Whole
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -330,7 +330,8 @@ class Information:
         rows, variance = self._rows(lengths)
         rows = diags_array(np.sqrt(lengths.weight / variance)) @ rows
         few = csr_array(vstack([rows, known], format="csr"))
-        design = FewEach(few, np.zeros((0, few.shape[1])))
+        shared = np.searchsorted(self._unknown, left)
+        design = FewEach(few, np.zeros((0, few.shape[1])), groups=Groups.of(few, shared))
         self._kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
         turn = np.searchsorted(self._unknown, first["turn"])
         outputs = np.zeros((len(scene.stations), len(self._unknown)))
