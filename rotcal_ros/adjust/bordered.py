@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
@@ -30,6 +30,8 @@ LARGEST_SHARE: Final = 1.0 / 3.0
 """Share of all unknowns that are in groups which the largest of them should not exceed."""
 NEARLY_AS_MANY: Final = 0.9
 """Share of the most rows that feel an unknown from which another is felt by as many."""
+DENSE: Final = 4
+"""Outputs of which more than one in DENSE of the numbers is not zero are written out."""
 MOST_WHOLE: Final = 2000
 """Unknowns up to which normal equations are written out (32 MB)."""
 FIRM: Final = 1e-6
@@ -321,107 +323,190 @@ class Bordered(Kernel):
         _to_own(groups, found, self.inverse @ own.reshape(*groups.own.shape, -1))
         return np.asarray(found.reshape(-1, *white.shape[1:]))
 
-    def gains(self, rows: Ints) -> Floats:
-        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p + q, k)."""
-        own, low = self._parts(rows)
-        found = self.columns @ low[len(self.root) :]
-        size = self.groups.own.shape
-        _to_own(self.groups, found, self.inverse @ own.reshape(*size, -1))
-        return np.asarray(found)
-
-    def _parts(self, rows: Ints) -> tuple[Floats, Floats]:
-        """Return what errors of ``rows`` (k,) do to u (g s, k), and as :meth:`_low_rank`."""
-        n, low = len(self.groups.place), self._low_rank(rows)
-        own, first = np.zeros((*self.groups.own.shape, len(rows))), np.flatnonzero(rows < n)
-        group, at = np.divmod(self.groups.place[rows[first]], self.groups.depth)
-        own[group, :, first] = self.basis[group, at]
-        flat = own.reshape(len(self.tied), -1)
-        return flat - self.tied @ low[: len(self.root)], low
-
-    def _low_rank(self, rows: Ints) -> Floats:
-        """Return the parts of ``rows`` (k,) in the known ones, and in the border, (m + r, k).
-
-        The first are minus of what those take of a group's row; and G^-T of a known one.
-        """
-        n, known = len(self.groups.place), len(self.root)
-        first, last = rows[rows < n], rows[rows >= n] - n
-        group, at = np.divmod(self.groups.place[first], self.groups.depth)
-        tied = self.tied.reshape(*self.groups.own.shape, known)
-        low = np.zeros((known + self.columns.shape[1], len(rows)))
-        low[:known, rows < n] = np.einsum("ks,ksm->mk", self.basis[group, at], tied[group])
-        low[:known, rows >= n] = -np.linalg.inv(self.root).T[:, last]
-        low[known:, rows < n] = self.along[self.groups.place[first]].T
-        low[known:, rows >= n] = self.below[last].T
-        return low
-
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
-        n, known = len(self.groups.place), len(self.root)
-        low, mine = self._low_rank(rows), rows < n
-        found = low[known:].T @ low[known:] - low[:known].T @ low[:known]
-        group, at = np.divmod(self.groups.place[rows[mine]], self.groups.depth)
-        basis = self.basis[group, at]
-        found[np.ix_(mine, mine)] += basis @ basis.T * (group[:, None] == group)
-        last = np.flatnonzero(~mine)
-        found[last[:, None], last] += (rows[last][:, None] == rows[last]) * 1.0
-        return np.asarray(found)
+        return np.asarray(self.among_each(rows[None])[0])
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
-        n, known = len(self.groups.place), len(self.root)
-        if (rows >= n).any():
-            return super().among_each(rows)
-        low = self._low_rank(rows.ravel()).T.reshape(*rows.shape, -1)
-        group, at = np.divmod(self.groups.place[rows], self.groups.depth)
-        basis, alike = self.basis[group, at], group[:, :, None] == group[:, None]
-        border, tied = low[:, :, known:], low[:, :, :known]
-        found = border @ border.swapaxes(1, 2) - tied @ tied.swapaxes(1, 2)
-        return np.asarray(found + basis @ basis.swapaxes(1, 2) * alike)
+        place, stacked = self._place[rows], len(self.along)
+        low, mine = self._every_low[place], place < stacked
+        group, at = np.divmod(np.minimum(place, stacked - 1), self.groups.depth)
+        basis = self.basis[group, at] * mine[:, :, None]
+        alike = group[:, :, None] == group[:, None]
+        found = (low * self._signs) @ low.swapaxes(1, 2)
+        found += basis @ basis.swapaxes(1, 2) * alike
+        if not mine.all():
+            found += (place[:, :, None] == place[:, None]) & ~mine[:, :, None]
+        return np.asarray(found)
 
     @cached_property
     def leverage(self) -> Floats:
         """The diagonal (n + m,) of J N^-1 J'."""
-        tied = self.basis @ self.tied.reshape(*self.groups.own.shape, -1)
-        own = (self.basis**2).sum(axis=2) - (tied**2).sum(axis=2)
-        first = own.ravel()[self.groups.place] + (self.along[self.groups.place] ** 2).sum(axis=1)
-        inverse = np.linalg.inv(self.root)
-        known = 1.0 - (inverse**2).sum(axis=1) + (self.below**2).sum(axis=1)
-        return np.append(first, known)
+        own = np.append((self.basis**2).sum(axis=2), np.ones(len(self.root)))
+        return np.asarray((own + self._every_low**2 @ self._signs)[self._place])
+
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n + m) of each.
+
+        Of blocks QQ' on the diagonal, and the low rank beside them.
+        """
+        own, mixed, low = self._moments(share)
+        sign, known = self._signs, share[:, len(self.groups.place) :]
+        squares = (self._every_low[len(self.along) :] ** 2) @ sign
+        beside = (mixed * sign).reshape(len(share), -1) @ mixed.reshape(len(share), -1).T
+        blocks = own.reshape(len(share), -1)
+        turned = (low * sign * sign[:, None]).reshape(len(share), -1)
+        found = blocks @ blocks.T + 2.0 * beside + turned @ low.reshape(len(share), -1).T
+        return np.asarray(found + (known * (1.0 + 2.0 * squares)) @ known.T)
+
+    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
+        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n + m) of each row."""
+        if _dense(outputs):
+            return super().variances_from(outputs, share)
+        felt, found = self._felt_by(outputs), np.empty((len(outputs), len(share)))
+        groups, size = self.groups.own.shape
+        common = felt.common.reshape(-1, groups, size)
+        for k, (own, mixed, low) in enumerate(zip(*self._moments(share), strict=True)):
+            mixed = np.concatenate([mixed, own @ common.transpose(1, 2, 0)], axis=2)
+            along = mixed.reshape(groups * size, -1)
+            beside = felt.common @ along
+            whole = np.vstack([np.hstack([low, beside[:, : len(low)].T]), beside])
+            blocks = bsr_array((own, np.arange(groups), np.arange(groups + 1)))
+            squares = (felt.own * (felt.own @ blocks)).sum(axis=1)
+            both = (2.0 * (felt.own @ along) + felt.low @ whole) * felt.low
+            found[:, k] = squares + both.sum(axis=1)
+        return found
+
+    def variances_of(self, outputs: Outputs) -> Floats:
+        """Return the variances (o,) of ``outputs``."""
+        if _dense(outputs):
+            return super().variances_of(outputs)
+        felt = self._felt_by(outputs)
+        root, core = felt.spread(self._signs)
+        return np.asarray((felt.own**2).sum(axis=1) + ((root @ core) * root).sum(axis=1))
+
+    def covariance_of(self, outputs: Outputs) -> Floats:
+        """Return the covariance (o, o) of ``outputs``."""
+        if _dense(outputs):
+            return super().covariance_of(outputs)
+        felt = self._felt_by(outputs)
+        root, core = felt.spread(self._signs)
+        found, own = (root @ core) @ root.T, coo_array(felt.own @ felt.own.T)
+        found[own.coords] += own.data
+        return np.asarray(found)
 
     def sensitivity(self, outputs: Outputs, rows: Ints) -> Sensitivity:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` (o,) by few numbers.
 
         By way of the border all feel them, else those of their own groups.
         """
-        groups = self.groups
-        if (rows >= len(groups.place)).any():
-            return super().sensitivity(outputs, rows)
-        group, at = np.divmod(groups.place[rows], groups.depth)
-        felt = (self.inverse[group] @ self.basis[group, at][:, :, None])[:, :, 0]  # (k, s)
-        unknown, real = groups.own[group], groups.own[group] >= 0
-        error = np.broadcast_to(np.arange(len(rows))[:, None], real.shape)
-        shape = outputs.few.shape[1], len(rows)
-        own = csr_array(coo_array((felt[real], (unknown[real], error[real])), shape=shape))
-        along = np.concatenate([self._low_rank(rows), np.asarray((own.T @ outputs.common.T).T)])
-        own = csr_array(outputs.few @ own)
-        touched = np.flatnonzero(np.diff(own.indptr))
-        if self._carried.get("of") is not outputs:
-            by = np.hstack([outputs.times(self._carriers), outputs.share])
-            self._carried.update({"of": outputs, "by": by})
-        return Sensitivity(along, self._carried["by"], touched, own[touched].toarray())
+        felt, (_, size) = self._felt_by(outputs), self.groups.own.shape
+        place = self._place[rows]
+        mine = np.flatnonzero(place < len(self.along))
+        group, at = np.divmod(place[mine], self.groups.depth)
+        basis, common = self.basis[group, at], felt.common.reshape(-1, *self.groups.own.shape)
+        along = np.zeros((felt.low.shape[1], len(rows)))
+        along[: len(self._signs)] = self._every_low[place].T
+        along[len(self._signs) :, mine] = (common[:, group] * basis).sum(axis=2)
+        column = (group[:, None] * size + np.arange(size)).ravel()
+        begin = felt.columns.indptr[column]
+        many = felt.columns.indptr[column + 1] - begin
+        entry = np.repeat(begin - np.cumsum(many) + many, many) + np.arange(many.sum())
+        error = np.repeat(np.arange(len(column)), many)
+        touched, which = np.unique(felt.columns.indices[entry], return_inverse=True)
+        own = np.zeros((len(touched), len(rows)))
+        by = felt.columns.data[entry] * basis.ravel()[error]
+        np.add.at(own, (which, mine[error // size]), by)
+        return Sensitivity(along, felt.low, touched, own)
+
+    def response(self, outputs: Outputs, rows: Ints) -> Floats:
+        """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
+        return self.sensitivity(outputs, rows).dense()
 
     @cached_property
-    def _carried(self) -> dict[str, Any]:
-        """What outputs that were asked for last feel of the known rows and the border."""
+    def _place(self) -> Ints:
+        """Where each row (n + m,) stands: those of groups as they are stacked, then the known."""
+        return np.append(self.groups.place, len(self.along) + np.arange(len(self.root)))
+
+    @cached_property
+    def _signs(self) -> Floats:
+        return np.repeat([-1.0, 1.0], [len(self.root), self.columns.shape[1]])
+
+    @cached_property
+    def _every_low(self) -> Floats:
+        """The low rank (g d + m, m + r) of all rows: J N^-1 J' is a block diagonal beside it.
+
+        Its first columns, which count minus, are what known rows take of those of a group.
+        """
+        tied = self.basis @ self.tied.reshape(*self.groups.own.shape, -1)
+        first = np.hstack([tied.reshape(len(self.along), -1), self.along])
+        return np.concatenate([first, np.hstack([-np.linalg.inv(self.root), self.below])])
+
+    def _moments(self, share: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return sums over rows, ``share`` (c, n + m) of each: of Q'Q of each group (c, g, s, s).
+
+        And of Q' and the :attr:`_every_low` l of each (c, g, s, m + r), and of l'l.
+        """
+        groups, every = self.groups, self._every_low
+        weight = np.zeros((len(share), len(every)))
+        weight[:, groups.place] = share[:, : len(groups.place)]
+        weight[:, len(self.along) :] = share[:, len(groups.place) :]
+        low = np.stack([every.T @ (every * each[:, None]) for each in weight])
+        of_groups = weight[:, : len(self.along)].reshape(len(share), *self.basis.shape[:2])
+        stacked = every[: len(self.along)].reshape(*self.basis.shape[:2], -1)
+        turned = self.basis.swapaxes(1, 2) * of_groups[:, :, None]
+        return turned @ self.basis, turned @ stacked, low
+
+    def _felt_by(self, outputs: Outputs) -> _FeltOfGroups:
+        """Return what ``outputs`` (o,) feel of the groups, the known rows and the border."""
+        if self._last.get("of") is not outputs:
+            few, common, share = outputs.few, outputs.common, outputs.share
+            (groups, size), real = self.groups.own.shape, self.groups.own >= 0
+            column = np.broadcast_to(np.arange(groups * size).reshape(groups, 1, size),
+                                     self.inverse.shape)[real]  # fmt: skip
+            begin = np.arange(0, column.size + 1, size)
+            lines = csr_array((self.inverse[real].ravel(), column.ravel(), begin),
+                              shape=(len(column), groups * size))  # fmt: skip
+            unknown = self.groups.own[real]
+            mine, common = csr_array(few[:, unknown] @ lines), common[:, unknown] @ lines
+            tied = -(mine @ self.tied + share @ (common @ self.tied))
+            low = np.hstack([tied, outputs.times(self.columns), share])
+            self._last.update(of=outputs, felt=_FeltOfGroups(mine, csc_array(mine), low, common))
+        found: _FeltOfGroups = self._last["felt"]
+        return found
+
+    @cached_property
+    def _last(self) -> dict[str, Any]:
+        """The outputs that were asked for last, and what they feel."""
         return {}
 
-    @property
-    def _carriers(self) -> Floats:
-        """Unknowns (p + q, m + r) by the parts that :meth:`_low_rank` returns."""
-        known = np.zeros((len(self.columns), len(self.root)))
-        shape = (*self.groups.own.shape, len(self.root))
-        _to_own(self.groups, known, -(self.inverse @ self.tied.reshape(shape)))
-        return np.hstack([known, self.columns])
+
+class _FeltOfGroups(NamedTuple):
+    """What o outputs feel of u, the own unknowns of groups along Q, and of a low rank.
+
+    ``own`` (o, g s), also by ``columns``: of u alone. ``low`` (o, m + r + k): of the low rank, and
+    of k rows ``common`` (k, g s) of u, which many share.
+    """
+
+    own: csr_array
+    columns: csc_array
+    low: Floats
+    common: Floats
+
+    def spread(self, sign: Floats) -> tuple[Floats, Floats]:
+        """Return L (o, l) and M (l, l): LML' is the covariance beside that by own unknowns."""
+        k, m = len(self.common), len(sign)
+        core = np.zeros((m + 2 * k, m + 2 * k))
+        core[np.arange(m), np.arange(m)] = sign
+        core[m : m + k, m : m + k] = self.common @ self.common.T
+        core[m : m + k, m + k :] = core[m + k :, m : m + k] = np.eye(k)
+        return np.hstack([self.low, self.own @ self.common.T]), core
+
+
+def _dense(outputs: Outputs) -> bool:
+    """Whether ``outputs`` feel so much each that nothing is saved by what they do not feel."""
+    return bool(outputs.few.nnz * DENSE > outputs.few.shape[0] * outputs.few.shape[1])
 
 
 def _apart(

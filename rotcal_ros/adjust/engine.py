@@ -309,6 +309,7 @@ class Adjusted:
         protections: Sequence[Protection] = (),
         details: Mapping[str, Any] | None = None,
         joint: bool = False,
+        also: bool = True,
     ) -> Result:
         """Return the result that all methods share, the table at ``angles`` (m,), rad.
 
@@ -318,7 +319,7 @@ class Adjusted:
         one after the other: it was rejected if one of them was. What the method itself doubts,
         protects against and says joins what was found here; its word on an effect takes the place
         of ours. Covariances of more than COVARIANCE_LIMIT deviations are left out, unless
-        what is done next takes them (``joint``).
+        what is done next takes them (``joint``). ``also`` as of :meth:`details`.
         """
         kept = joint or max(len(self.value[p]) for p in components.values()) <= COVARIANCE_LIMIT
         every = {p.effect: p for p in (*self.protections(), *protections)}
@@ -340,7 +341,7 @@ class Adjusted:
             protections=ordered(every.values()),
             residuals=self._residuals(places, coordinates),
             raw_data=RawData(influence=self.influence(components, len(places[0]), coordinates)),
-            details={**self.details(), **(details or {})},
+            details={**self.details(also=also), **(details or {})},
         ).counted_from(counts_from)
 
     def _rejected_of(self, coordinates: int) -> tuple[Rejection, ...]:
@@ -387,8 +388,11 @@ class Adjusted:
         parts = {n: felt[part] for n, part in components.items()}
         return Influence(seen, coordinates, parts, causes)
 
-    def details(self) -> dict[str, Any]:
-        """Return what was found for the details of a result, SI."""
+    def details(self, *, also: bool = True) -> dict[str, Any]:
+        """Return what was found for the details of a result, SI.
+
+        ``also``: with the further outputs, which a method may have of which it makes its own.
+        """
         scattering = {
             each.what: {
                 "size": sizes.weighing,
@@ -397,6 +401,7 @@ class Adjusted:
             }
             for each, sizes in self.fit.sizes.items()
         }
+        further = {name: {"value": x, "std": u} for name, (x, u) in self.also.items()}
         closed = [
             {"what": c.relation.what, "error": c.error, "std": c.std, "p_value": c.probability}
             for c in self.closed
@@ -417,7 +422,7 @@ class Adjusted:
                 for e in self.found_effects
             ],
             "gathering": gathering.details(self.diagnosis.gathering, "observations"),
-            "also": {n: {"value": value, "std": std} for n, (value, std) in self.also.items()},
+            **({"also": further} if also else {}),
         }
 
 

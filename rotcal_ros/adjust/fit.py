@@ -13,7 +13,7 @@ from rotcal_ros.adjust.effects import SeenFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Model, Steps
-from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -275,10 +275,7 @@ class Fit:
 
     def covariance(self, part: slice) -> Floats:
         """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
-        mine = self.model.output_rows.part(part)
-        whole = np.zeros((len(mine), len(mine)))
-        for here, rows in mine.parts(len(self.x)):
-            whole[:, here] = mine.times(self.kernel.times(rows.T))
+        whole = self.kernel.covariance_of(self.model.output_rows.part(part))
         for alone, spread in self._spread:
             whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         whole += whole.T.copy()
@@ -307,10 +304,14 @@ class Fit:
         """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
         if len(part) == 1:
             return self.variance[:, None]
-        found, every = np.zeros((len(self.model.output_rows), len(part))), np.arange(len(self.std))
-        for rows in np.array_split(every, len(every) // AT_ONCE + 1):
-            found += self.response_of(rows) ** 2 @ part[:, rows].T.astype(np.float64)
-        return found
+        share = part.astype(np.float64)
+        if self._influence is None:
+            found = self.kernel.variances_from(self.model.output_rows, share)
+        else:
+            found = self._influence**2 @ share.T
+        for each, (alone, spread) in zip(self.model.correlated, self._spread, strict=True):
+            found += (spread**2 - alone**2) @ share[:, each.rows].T
+        return np.maximum(found, 0.0)
 
     @cached_property
     def variance_by_component(self) -> Floats:

@@ -223,6 +223,20 @@ class Kernel(ABC):
         parts = outputs.parts(self.design.shape[1])
         return np.concatenate([self.variances(rows) for _, rows in parts])
 
+    def covariance_of(self, outputs: Outputs) -> Floats:
+        """Return the covariance (o, o) of ``outputs``."""
+        found = np.zeros((len(outputs), len(outputs)))
+        for here, rows in outputs.parts(len(self.directions)):
+            found[:, here] = outputs.times(self.times(rows.T))
+        return found
+
+    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
+        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n) of each row."""
+        found, every = np.zeros((len(outputs), len(share))), np.arange(share.shape[1])
+        for rows in np.array_split(every, len(every) // AT_ONCE + 1):
+            found += self.response(outputs, rows) ** 2 @ share[:, rows].T
+        return found
+
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
         parts = np.array_split(rows, len(rows) // AT_ONCE + 1)
@@ -232,9 +246,9 @@ class Kernel(ABC):
         """Return the same in parts that are few, where they are."""
         return Sensitivity.whole(self.response(outputs, rows))
 
-    def squares_between(self, share: Floats) -> Floats | None:
-        """Return the same of rows that count ``share`` (c, n) in parts; None: the form cannot."""
-        return None
+    @abstractmethod
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
 
     def shared(self, parts: Bools) -> Floats:
         """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows.
@@ -244,9 +258,9 @@ class Kernel(ABC):
         total, found = parts @ self.leverage, np.zeros((len(parts), len(parts)))
         most = int(parts.sum(axis=1).argmax())
         others = np.delete(np.arange(len(parts)), most)
-        rows = np.flatnonzero(parts[others].any(axis=0))
-        mine = parts[np.ix_(others, rows)].astype(np.float64)
-        found[np.ix_(others, others)] = mine @ self.among(rows) ** 2 @ mine.T
+        if len(others):
+            every = self.squares_between(parts[others].astype(np.float64))
+            found[np.ix_(others, others)] = every
         found[most, others] = found[others, most] = (total - found.sum(axis=1))[others]
         found[most, most] = total[most] - found[most].sum()
         return found
@@ -317,6 +331,16 @@ class Whole(Kernel):
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""
         return np.asarray((self.basis**2).sum(axis=1))
+
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
+        felt = [np.flatnonzero(each) for each in share]
+        each = [self.basis[rows] for rows in felt]
+        spread = np.stack([
+            (basis.T * part[rows]) @ basis
+            for basis, part, rows in zip(each, share, felt, strict=True)
+        ]).reshape(len(share), -1)  # fmt: skip
+        return np.asarray(spread @ spread.T)
 
     def solve(self, white: Floats) -> Floats:
         """Return the unknowns (p,) or (p, k) of least squares from what is read, whitened."""
@@ -413,6 +437,23 @@ class Updated(Kernel):
         low, own = outputs.times(self.columns), outputs.of_first(len(self.base.directions))
         return np.asarray(self.base.variances_of(own) + ((low @ self.core) * low).sum(axis=1))
 
+    def covariance_of(self, outputs: Outputs) -> Floats:
+        """Return the covariance (o, o) of ``outputs``."""
+        low, own = outputs.times(self.columns), outputs.of_first(len(self.base.directions))
+        return np.asarray(self.base.covariance_of(own) + (low @ self.core) @ low.T)
+
+    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
+        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n) of each row."""
+        p, low = len(self.base.directions), self.design.times(self.columns)
+        own, by = outputs.of_first(p), outputs.times(self.columns) @ self.core
+        found = self.base.variances_from(own, share * self.share**2)
+        for k, part in enumerate(share):
+            each = part[:, None] * low
+            both = own.times(self.base.times(self.design.adjoint(each)[:p]))
+            found[:, k] += ((2.0 * both + by @ (low.T @ each)) * by).sum(axis=1)
+        found[outputs.idle] = 0.0
+        return found
+
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
         found = self.base.response(outputs.of_first(len(self.base.directions)), rows)
@@ -441,20 +482,19 @@ class Updated(Kernel):
             found += (low @ self.core) @ low.swapaxes(1, 2)
         return np.asarray(found)
 
-    def shared(self, parts: Bools) -> Floats:
-        """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows.
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each.
 
         Of a base B and a low rank L C L': those of B, of both, and of the low rank alone.
         """
-        found = self.base.squares_between(parts * self.share**2)
-        if found is None:
-            return super().shared(parts)
+        found = self.base.squares_between(share * self.share**2)
         low, p = self.design.times(self.columns), self.base.directions.shape[0]
-        each = [part[:, None] * low for part in parts]
-        taken = np.zeros((len(parts), *self.columns.shape))
+        each = [part[:, None] * low for part in share]
+        taken = np.zeros((len(share), *self.columns.shape))
         taken[:, :p] = [self.base.times(self.design.adjoint(own)[:p]) for own in each]
-        squares = np.stack([own.T @ own for own in each])
-        mixed = np.stack([[other.T @ self.design.times(own) for other in each] for own in taken])
+        squares = np.stack([low.T @ own for own in each])
+        felt = [self.design.times(own) for own in taken]
+        mixed = np.stack([[other.T @ own for other in each] for own in felt])
         found = found + 2.0 * (mixed * self.core).sum(axis=(2, 3))
         spread = self.core @ squares @ self.core
         return np.asarray(found + (spread[:, None] * squares).sum(axis=(2, 3)))
@@ -544,6 +584,14 @@ class Defined(Kernel):
         """Return the variances (o,) of ``outputs``."""
         return self.base.variances_of(outputs.fixed(self.fixing, self.rows))
 
+    def covariance_of(self, outputs: Outputs) -> Floats:
+        """Return the covariance (o, o) of ``outputs``."""
+        return self.base.covariance_of(outputs.fixed(self.fixing, self.rows))
+
+    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
+        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n) of each row."""
+        return self.base.variances_from(outputs.fixed(self.fixing, self.rows), share)
+
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
         return self.base.response(outputs.fixed(self.fixing, self.rows), rows)
@@ -557,9 +605,9 @@ class Defined(Kernel):
         along = np.concatenate([found.along, fixed])
         return replace(found, along=along, common=np.hstack([found.common, moved]))
 
-    def shared(self, parts: Bools) -> Floats:
-        """Return the sums of squares (c, c) of J N^-1 J' between ``parts`` (c, n) of the rows."""
-        return self.base.shared(parts)
+    def squares_between(self, share: Floats) -> Floats:
+        """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
+        return self.base.squares_between(share)
 
 
 def fixed_by(rows: Floats, directions: Floats, lengths: Floats) -> tuple[Floats, Floats]:

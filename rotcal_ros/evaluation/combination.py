@@ -1,8 +1,4 @@
-"""The best estimate of a table's deviations from several results: methods, campaigns, references.
-
-Generalised least squares with the full covariance of every input, whose zeros are unknown. Inputs
-that rest on the same observations vary together, see :mod:`.common_angles`; all others are taken
-for independent.
+"""Results of one table as inputs of a combination, and the result that is made of them.
 
 What is done about each effect when several results are combined: the weakest of them counts.
 
@@ -24,21 +20,18 @@ import numpy as np
 from rotcal_ros.evaluation.common_angles import require_one_table
 from rotcal_ros.evaluation.compare import SURE, TOO_ALIKE, too_alike
 from rotcal_ros.evaluation.component_groups import (
-    ENLARGEMENTS,
     GROUPS,
     OPEN,
     ComponentGroup,
     Curves,
-    Enlargement,
     Joined,
-    combine_group,
     union,
 )
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
 from rotcal_ros.foundation.protection import (
     ALL_EFFECTS,
@@ -121,36 +114,6 @@ class Combination:
 
     result: Result
     groups: tuple[ComponentGroup, ...]
-
-
-def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") -> Combination:
-    """Return the best estimate of all components that any of ``inputs`` measured.
-
-    Each component counts from its own mean, and the pairs have no part that turns with the table.
-    The angles are those of all inputs; a component that was measured at only some of them is
-    interpolated at the others, with a warning. If the inputs contradict each other (chi-square, 1
-    % over all groups of components) the uncertainties are enlarged as ``enlarge`` says and the
-    verdict is suspect. An offset that one input leaves open, such as that between two groups of
-    table positions, comes from the others; a sentence says from which, and what it adds to U. A
-    component whose offset no input holds is left out if others are whole; if none is, all stay and
-    the result keeps the open :class:`Zeros`. The order of the inputs does not matter. Raises
-    DataError for inputs that cannot be joined.
-    """
-    if enlarge not in ENLARGEMENTS:
-        raise ConfigurationError(
-            f"enlargement {enlarge!r}: expected one of {', '.join(ENLARGEMENTS)}"
-        )
-    present = wanted_groups(inputs)
-    owners = [
-        {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
-        for group in present
-    ]
-    tests = max(1, sum(len(own) > 1 for own in owners))
-    groups = [
-        combine_group(group, own, enlarge, SURE / tests)
-        for group, own in zip(present, owners, strict=True)
-    ]
-    return Combination(result_of(groups, inputs), tuple(groups))
 
 
 def wanted_groups(inputs: Sequence[CombinationInput]) -> list[list[str]]:
@@ -269,7 +232,7 @@ def _curves(
             if whole and group.open_of(c).shape[1]:
                 left_out.setdefault(words, []).append(c)
                 continue
-            deviations[c] = to_all @ group.values(c)
+            deviations[c] = to_all @ group.value[group.columns[c]]
             covariance[c] = to_all @ group.covariance(c) @ to_all.T
         for column in () if whole else group.open.T:
             parts = {c: to_all @ column[group.columns[c]] for c, to_all in maps.items()}
@@ -366,7 +329,7 @@ def _largest_shares(groups: Sequence[ComponentGroup]) -> dict[str, float]:
     """Return by input its largest share of any standard uncertainty of the result, 0 to 1."""
     shares: dict[str, float] = {}
     for group in groups:
-        parts = np.sqrt(np.clip(group.pooled.variance_parts, 0.0, 1.0)).max(axis=1)
+        parts = np.sqrt(np.clip(group.shares, 0.0, 1.0)).max(axis=1)
         for names, part in zip(group.members, parts.tolist(), strict=True):
             shares |= {name: max(part, shares.get(name, 0.0)) for name in names}
     return shares

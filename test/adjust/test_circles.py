@@ -372,7 +372,7 @@ def test_a_large_group_is_judged_by_running_sums(monkeypatch):
 def test_columns_are_worked_out_in_parts(monkeypatch):
     model = spoiled(model_of(24, (0, 1, 5, 2)), np.arange(59, 75), 12.0)
     whole = adjust(model)
-    for module in ("kernels", "outputs", "fit"):
+    for module in ("kernels", "outputs"):
         monkeypatch.setattr(f"rotcal_ros.adjust.{module}.AT_ONCE", 7)
     parts = adjust(model)
     assert parts.doubts == whole.doubts

@@ -51,6 +51,11 @@ def agrees(kernel, expected, random):
     assert alike(kernel.adjusted(told.T).T, carried)
     assert alike(kernel.variances(told), (carried**2).sum(axis=1))
     outputs = Outputs.of([told])
+    share = random.random((2, n))
+    assert alike(kernel.variances_of(outputs), (carried**2).sum(axis=1))
+    assert alike(kernel.covariance_of(outputs), carried @ carried.T)
+    assert alike(kernel.variances_from(outputs, share), carried**2 @ share.T)
+    assert alike(kernel.squares_between(share), share @ expected.hat**2 @ share.T)
     assert alike(kernel.response(outputs, some), carried[:, some])
     assert alike(kernel.sensitivity(outputs, some).dense(), carried[:, some])
     if expected.rank == p > 2:  # each unknown by itself

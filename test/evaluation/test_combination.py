@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.linalg import block_diag
 
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.units import ARCSEC
 
@@ -227,3 +228,17 @@ def test_components_that_only_some_measured():
     np.testing.assert_allclose(found.deviations["EXC"][::2], both.deviations["EXC"], atol=1e-15)
     assert "EXC was measured at 12 of 24 angles: interpolated at the others" in found.warnings
     assert found.verdict == "ok"
+
+
+def test_what_an_input_sees_otherwise_is_named():
+    """Of four campaigns one saw 1 arcsec of order 2 more; of a scatter no order is named."""
+    rng = np.random.default_rng(23)
+    grid = np.arange(12) * TAU / 12
+    good = [campaign(grid, 0.2 * ARCSEC, rng)[2] for _ in range(3)]
+    raw, cov, _ = campaign(grid, 0.2 * ARCSEC, rng)
+    odd = result_of(grid, *about_mean(raw + ARCSEC * np.cos(2 * grid - 1.0), cov))
+    (words, *_) = combined(good[0], odd, *good[1:]).warnings
+    assert "r1 is farthest off; order 2 of ECC (cosine, sine) is another for r1" in words
+    wild = result_of(grid, *about_mean(raw + 1.5 * ARCSEC * (-1.0) ** np.arange(12), cov))
+    (words, *_) = combined(good[0], wild, *good[1:]).warnings
+    assert "r1 is farthest off): " in words

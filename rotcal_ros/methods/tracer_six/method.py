@@ -40,6 +40,7 @@ from rotcal_ros.methods.tracer.lengths import (
     times_before,
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
+from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
 from rotcal_ros.methods.tracer_six.figures import figures, tables
@@ -61,7 +62,6 @@ from rotcal_ros.methods.tracer_six.simulation import DISTURBANCES, CarriedTracer
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer_six.solver.solve import (
     SixSolution,
     SixTrials,

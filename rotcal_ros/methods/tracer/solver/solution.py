@@ -11,6 +11,7 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.special import ndtr
 
 from rotcal_ros.adjust.diagnosis import Limits
@@ -21,6 +22,7 @@ from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.look import Look
 from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.model import CurveModel
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
@@ -49,6 +51,13 @@ from rotcal_ros.methods.tracer.solver.posed import (
     Supposed,
 )
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
+from rotcal_ros.methods.tracer.solver.reported import (
+    CONSISTENT,
+    NOISELESS,
+    Reported,
+    noticed,
+    scatter_along,
+)
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
 NEARLY: Final = 1e-3
@@ -57,10 +66,6 @@ CANDIDATES: Final = 256
 """Moments that stand for all at which a counter may slip."""
 SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""
-CONSISTENT: Final = 3.0
-"""Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
-UNNOTICED: Final = 0.01
-"""Reported move of a target, in standard deviations of a length, that does not matter."""
 LIKELY_WALK: Final = 2e-8
 """Walk of a zero (m) from which an unknown one is searched for."""
 LEAST_WALK: Final = 1e-9
@@ -75,23 +80,6 @@ def limits_of(settings: TracerLimits) -> Limits:
     return Limits(
         settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
     )
-
-
-class ReportedPlaces(NamedTuple):
-    """The ``weight`` of the reported places, 0 to 1, with its standard deviation ``std``.
-
-    ``along``: by how much the reports of one target scatter along the beams, m (standard
-    deviation); ``left``: what stays unknown of a length for it, m, which has joined its standard
-    deviation. ``estimated``: neither 1 nor 0 explains the lengths. ``spoils``: the lengths scatter
-    beyond their statement by so much (m), and noise of the believed reports would explain it.
-    """
-
-    weight: float
-    std: float
-    along: float
-    left: float
-    estimated: bool = False
-    spoils: float = 0.0
 
 
 class UnseenSlips(NamedTuple):
@@ -137,7 +125,7 @@ class TracerSolution:
     contradicted: float | None = None
     printed: Floats | None = None
     slips: UnseenSlips | None = None
-    reported: ReportedPlaces | None = None
+    reported: Reported | None = None
 
     @property
     def problem(self) -> TracerProblem:
@@ -167,8 +155,9 @@ class TracerSolution:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (m, m) of ECC, rad^2."""
-        unseen = 0.0 if self.slips is None else self.slips.covariance
-        return np.asarray(self.found.covariance + unseen)
+        if self.slips is None:
+            return self.found.covariance
+        return self.found.covariance + self.slips.covariance
 
     @cached_property
     def std(self) -> Floats:
@@ -244,42 +233,43 @@ class TracerSolution:
         axis = self.posed.lengths.axes[:, 2]
         return float(np.linalg.norm(np.cross(axis, self.motion.plane.normal)))
 
-    def station_covariance(self, which: Ints) -> Floats:
-        """Return the covariance (3 q, 3 q) of some stations, m^2."""
-        rows = self._station_rows(which)
-        if self.printed is not None:
-            white = rows * np.where(self.found.fit.used, self.found.fit.std, 0.0)
-            return np.asarray(self.found.scale**2 * (white @ white.T))
-        whole = np.pad(rows, ((0, 0), (0, len(self.found.fit.x) - rows.shape[1])))
-        spread = whole @ self.found.fit.kernel.times(whole.T)
-        return np.asarray(self.found.scale**2 * spread)
-
-    def _station_rows(self, which: Ints) -> Floats:
-        """Return by how much some stations move with the unknowns, (3 q, p), or observations."""
-        if self.printed is not None:
-            every = _gains(self.posed, self.found.fit, self.printed)
-            return every.reshape(-1, 3, every.shape[1])[which].reshape(-1, every.shape[1])
-        lengths, x = self.posed.lengths, self._unknowns
-        arm = (self.stations - lengths.origin) @ lengths.axes
-        arm = arm - x[: arm.size].reshape(arm.shape)
-        found = np.zeros((len(which), 3, len(x)))
-        at, first = np.arange(len(which)), lengths.first
-        carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])[which]
-        for a in range(3):
-            found[at, :, 3 * which + a] = lengths.axes[:, a]
-        found[:, :, first["place"]] = carry @ lengths.ways[0] @ lengths.axes.T
-        turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]])[which]
-        found[at, :, first["turn"] + which] = turned @ lengths.axes.T
-        return found.reshape(3 * len(which), -1)
-
     @cached_property
     def station_blocks(self) -> Floats:
         """The covariances (m, 3, 3) of the stations, each by itself, m^2."""
-        found, every = [], np.arange(len(self.stations))
-        for some in np.array_split(every, len(every) // 64 + 1):
-            whole = self.station_covariance(some).reshape(len(some), 3, len(some), 3)
-            found.append(whole[np.arange(len(some)), :, np.arange(len(some))])
-        return np.concatenate(found)
+        fit, m = self.found.fit, len(self.stations)
+        if self.printed is not None:
+            white = _gains(self.posed, fit, self.printed) * np.where(fit.used, fit.std, 0.0)
+            each = white.reshape(m, 3, -1)
+            return np.asarray(self.found.scale**2 * (each @ each.swapaxes(1, 2)))
+        # the variances of x, y, z and of the sums of two say what two have in common
+        both = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]])
+        unknown, felt = self._moved_by
+        begin = np.arange(0, 6 * unknown.size + 1, unknown.shape[1])
+        rows = (both @ felt).ravel(), np.repeat(unknown, 6, axis=0).ravel(), begin
+        outputs = Outputs.alone(csr_array(rows, shape=(6 * m, self.found.model.size[1])))
+        variance = fit.kernel.variances_of(outputs).reshape(m, 6)
+        blocks = np.zeros((m, 3, 3))
+        for a, (first, second) in enumerate(((0, 1), (1, 2), (0, 2))):
+            blocks[:, a, a] = variance[:, a]
+            between = 0.5 * (variance[:, 3 + a] - variance[:, first] - variance[:, second])
+            blocks[:, first, second] = blocks[:, second, first] = between
+        return np.asarray(self.found.scale**2 * blocks)
+
+    @property
+    def _moved_by(self) -> tuple[Ints, Floats]:
+        """The unknowns (m, 5) that each station moves with, and by how much, (m, 3, 5)."""
+        lengths, x, at = self.posed.lengths, self._unknowns, np.arange(len(self.stations))
+        first = lengths.first
+        arm = (self.stations - lengths.origin) @ lengths.axes
+        arm = arm - x[: arm.size].reshape(arm.shape)
+        turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]]) @ lengths.axes.T
+        carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])
+        out = carry @ lengths.ways[0] @ lengths.axes.T
+        own = np.broadcast_to(lengths.axes, (len(at), 3, 3))
+        felt = np.concatenate([own, turned[:, :, None], out[:, :, None]], axis=2)
+        shifts = [3 * at, 3 * at + 1, 3 * at + 2]
+        place = np.full(len(at), first["place"])
+        return np.column_stack([*shifts, first["turn"] + at, place]), felt
 
 
 def adjust(problem: TracerProblem) -> TracerSolution:
@@ -375,25 +365,19 @@ def _walking(solution: TracerSolution) -> TracerSolution:
 def _weighed(solution: TracerSolution) -> TracerSolution:
     """Return the solution with the weight that the lengths give the reported places.
 
-    A machine comes to a target anew for every length and reports where it stands. What it reports
-    beside the mean of the target is a move of the probe, of standard deviation p, and noise of the
-    report, q. The lengths feel the move alone. The best guess of a move is therefore the report
-    times w = p^2 / (p^2 + q^2), and p q / sqrt(p^2 + q^2) of it remains: with S^2 = p^2 + q^2
-    along the beams, w (1 - w) S^2 in squares. w is a slope: of the lengths over what the reports
-    say, beside all other unknowns. One that 1 explains is 1: the reports are believed; one that 0
-    explains is 0: the machine stood still.
+    By one more column, as the equations of :mod:`.reported` say: it is solved again where 1 or 0
+    does not explain them.
     """
     if not _noticed(solution.posed):
         return solution
     lengths, along, found = solution.posed.lengths, solution.posed.moved, solution.found
-    free = len(along) - len(np.unique(lengths.target))
-    scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
+    scatter = scatter_along(along, lengths.target)
     beyond, information = _slope(solution.posed, found.fit)
     if not information or found.fit.dof < 2:
         near = solution.supposed.weight
-        return replace(solution, reported=ReportedPlaces(near, 0.0, scatter, 0.0))
+        return replace(solution, reported=Reported(near, 0.0, scatter, 0.0))
     squares = max(found.fit.chi2 - information * beyond**2, 0.0) / (found.fit.dof - 1)
-    std = sqrt(max(squares, 1e-2) / information)
+    std = sqrt(max(squares, NOISELESS) / information)
     weight = solution.supposed.weight + beyond
 
     def at(weight: float) -> TracerSolution:
@@ -410,23 +394,21 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
         spoiled = 0.0 < share < 1.0 and abs(weight - 1.0 + share) < CONSISTENT * std
         spoils = excess if spoiled else 0.0
         if unmoved is None or _excess(unmoved) >= spoils:
-            reported = ReportedPlaces(1.0, std, scatter, 0.0, spoils=spoils)
+            reported = Reported(1.0, std, scatter, 0.0, spoils=spoils)
             return replace(believed, reported=reported)
     if unmoved is not None:
-        return replace(unmoved, reported=ReportedPlaces(0.0, std, scatter, 0.0))
+        return replace(unmoved, reported=Reported(0.0, std, scatter, 0.0))
     weight = min(max(weight, 0.0), 1.0)
     left = scatter * sqrt(weight * (1.0 - weight) + std**2)
     supposed = replace(solution.supposed, weight=weight, left=left)
-    reported = ReportedPlaces(weight, std, scatter, left, estimated=True)
+    reported = Reported(weight, std, scatter, left, estimated=True)
     return replace(_again(solution, supposed), reported=reported)
 
 
 def _noticed(posed: Posed) -> bool:
     """Whether any length feels what was reported beside the mean place."""
     moved = posed.problem.moved
-    return moved is not None and bool(
-        np.abs(moved).max(initial=0.0) >= UNNOTICED * posed.lengths.std.min()
-    )
+    return moved is not None and noticed(moved, posed.lengths.std)
 
 
 def _slope(posed: Posed, fit: Fit) -> tuple[float, float]:
@@ -577,7 +559,7 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
 
     What these lengths say of the error motion, their zeros and reported places comes from their
     ``solution``; None where they have none alone, and then ObservabilityError if no error motion
-    is stated. UnseenSlips that would not be found are errors that lengths have in common.
+    is stated. Slips that would not be found are errors that lengths have in common.
     """
     if solution is not None:
         posed, supposed = solution.posed, solution.supposed

@@ -34,7 +34,7 @@ from rotcal_ros.methods.tracer.solver.posed import (
     STATED_CIRCLE,
 )
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
-from rotcal_ros.methods.tracer.solver.solution import ReportedPlaces, TracerSolution, adjust
+from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 
 METHOD = "tracer_multistation"
 MOST_FRINGES: Final = 3
@@ -238,34 +238,8 @@ def _remarks(solution: TracerSolution) -> Iterator[str]:
             "lower side was taken; give start_stations to choose the other"
         )
     yield from (_joined(join) for join in joins_of(solution))
-    if solution.reported is not None:
-        yield from _weighed(solution.reported)
-
-
-def _weighed(reported: ReportedPlaces) -> Iterator[str]:
-    """Yield what was made of the reported places, where they are not simply believed."""
-    along, spoils = reported.along / MICROMETRE, reported.spoils / MICROMETRE
-    if reported.weight == 1.0 and not reported.estimated:
-        if spoils:
-            yield (
-                "reported places: the lengths were reduced by what the machine reports of the "
-                f"probe, {along:.2g} um along the beams; if {spoils:.2g} um of that is noise of "
-                "the reports, it is what makes the lengths scatter: compare with what the machine "
-                "reports while it stands still"
-            )
-        return
-    text = (
-        f"reported places: what the machine reports of the probe scatters by {along:.2g} um along "
-        "the beams, and the lengths "
-    )
-    if not reported.estimated:
-        yield f"{text}do not follow it: it is noise of the reports, and was not used"
-        return
-    yield (
-        f"{text}follow {100 * reported.weight:.0f} % of it (standard deviation "
-        f"{100 * reported.std:.0f} %): the rest is noise of the reports; the lengths were reduced "
-        f"by that share, and {reported.left / MICROMETRE:.2g} um joined their standard deviation"
-    )
+    if solution.reported is not None and solution.reported.warning:
+        yield solution.reported.warning
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,11 +333,11 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         "coverage_factor": HALF_OF_95_PERCENT,
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squares / np.maximum(redundancy, 1e-9)),
-        **{name: value for name, value in found.details().items() if name != "also"},
+        **found.details(also=False),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in closing],
         "returned": [asdict(each) for each in returned(solution)],
-        **({} if solution.reported is None else {"reported_places": solution.reported._asdict()}),
+        **({} if solution.reported is None else {"reported_places": asdict(solution.reported)}),
         **({} if problem.run is None else {"joins": [asdict(j) for j in joins_of(solution)]}),
     }
 

@@ -34,17 +34,17 @@ from rotcal_ros.methods.tracer.solver.observability import (
     or_prior,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.solve import tangential_protection
-from rotcal_ros.methods.tracer_six.solver.curves import Curves, table_curves
-from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out
-from rotcal_ros.methods.tracer_six.solver.reported import (
+from rotcal_ros.methods.tracer.solver.reported import (
     Slope,
     WeighedSolution,
     noticed,
     scatter_along,
     weigh,
 )
+from rotcal_ros.methods.tracer.solver.solve import tangential_protection
+from rotcal_ros.methods.tracer_six.solver.curves import Curves, table_curves
+from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out
 from rotcal_ros.methods.tracer_six.solver.start import find_start
 
 METHOD = "tracer_six"
@@ -203,6 +203,7 @@ def result_of(solution: SixSolution) -> Result:
         doubts=_doubts(solution),
         protections=(*_protections(solution), numbering.protection(), upward.protection()),
         details=_details(solution),
+        also=False,
     )
     verdict, warnings = upward.judged(*numbering.judged(plain.verdict, plain.warnings))
     gone = solution.absent | {int(row[r.index]): layout.named(r.why) for r in plain.rejected}
@@ -219,7 +220,6 @@ def result_of(solution: SixSolution) -> Result:
         protections=tuple(replace(p, why=layout.named(p.why)) for p in plain.protections),
         residuals=_residuals(problem, row, plain.residuals),
         raw_data=RawData(influence=influence),
-        details={name: value for name, value in plain.details.items() if name != "also"},
         placement=Placement.upwards(solution.curves.origin, solution.curves.axes[:, 2]),
     )
 
@@ -466,7 +466,7 @@ def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolutio
     """Solve a problem with each length as it would be at the mean place of its target.
 
     ``along`` (k,): how much longer the machine said that each length was, m; believed as far as
-    the lengths follow it (:mod:`rotcal_ros.methods.tracer_six.solver.reported`).
+    the lengths follow it (:mod:`rotcal_ros.methods.tracer.solver.reported`).
     """
 
     def moved(weight: float, left: float) -> SixSolution:
