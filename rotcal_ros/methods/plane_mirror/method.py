@@ -27,7 +27,7 @@ from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.foundation.tables import Header, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.methods.arrivals import (
     Arrivals,
@@ -319,7 +319,12 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
     stations: dict[str, int] = {}
     rows, points, seconds = [], [], []
     for row in table.rows():
-        kind, station = _kind_and_station(row)
+        word, station = row.cells["kind"], row.cells["tracker_station"]
+        if word not in KINDS:
+            raise DataError(f"{row.place}: kind {word!r}, expected {', '.join(KINDS)}")
+        if not station:
+            raise DataError(f"{row.place}: the tracker station is missing")
+        kind = KINDS[word]
         position = -1 if kind is PointKind.NEST else row.index("position")
         number = stations.setdefault(station, len(stations))
         rows.append((position, number, kind, row.index("nest")))
@@ -345,15 +350,6 @@ def _raw(points: PlaneMirrorProblem) -> RawData:
     """Return the hashes of the points as they stand in the table."""
     named = zip(points.xyz.tolist(), points.kind, strict=True)
     return RawData(tuple(hash_of(xyz, int(kind)) for xyz, kind in named))
-
-
-def _kind_and_station(row: Row) -> tuple[PointKind, str]:
-    word, station = row.cells["kind"], row.cells["tracker_station"]
-    if word not in KINDS:
-        raise DataError(f"{row.place}: kind {word!r}, expected {', '.join(KINDS)}")
-    if not station:
-        raise DataError(f"{row.place}: the tracker station is missing")
-    return KINDS[word], station
 
 
 def zero(result: Result) -> tuple[str, ...]:

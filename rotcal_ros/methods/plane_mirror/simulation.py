@@ -80,7 +80,9 @@ class SimulatedTracker(SeriesInstrument):
 
     def order(self, now_ns: int, command: Command) -> None:
         """Put the reflector where ``command`` says and measure it."""
-        if command.kind != PointKind.NEST and not _same_place(self._put_up, command):
+        before, same = self._put_up, ("step", "attempt", "kind")  # its image may be the second
+        stays = before and replace(before, **{n: getattr(command, n) for n in same}) == command
+        if command.kind != PointKind.NEST and not stays:
             self._put_up = command
             self._arrivals += 1
         super().order(now_ns, command)
@@ -173,20 +175,8 @@ def _flat_mirror(settings: SimulatedMirrorSettings) -> FlatMirror:
     )
 
 
-def _same_place(before: Command | None, after: Command) -> bool:
-    """Return whether two orders leave a reflector where it is: its image may be the second."""
-    return (
-        before is not None
-        and replace(before, step=after.step, attempt=after.attempt, kind=after.kind) == after
-    )
-
-
 def _tilt(configuration: Configuration) -> float:
     return float(configuration.solver.tilt_std_arcsec * ARCSEC)
-
-
-def _swing(configuration: Configuration) -> float:
-    return float(configuration.solver.uneven_drift_std_arcsec * ARCSEC)
 
 
 LISTED: Final = (
@@ -198,7 +188,8 @@ LISTED: Final = (
     Disturbance(
         "uneven drift",
         "the tracker's azimuth swings by so much at every station, one sine while it stands",
-        "arcsec", ARCSEC, 0.3, 100.0, stated=_swing,
+        "arcsec", ARCSEC, 0.3, 100.0,
+        stated=lambda c: float(c.solver.uneven_drift_std_arcsec * ARCSEC),
     ),
     Disturbance(
         "one place",

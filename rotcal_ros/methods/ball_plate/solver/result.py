@@ -377,7 +377,12 @@ def result_of(solution: PlateSolution) -> Result:
         )
     if groups == 1:
         return result.counted_from("mean")
-    free = () if solution.problem.group_allowance else _free_directions(solution)
+    if solution.problem.group_allowance:
+        return result.counted_from("mean of each group", ())
+    # the offsets of all groups but the first against it, and what turns with each
+    angles, name = solution.problem.angles[solution.table_positions], _groups_in_words(solution)
+    every = (each for own in solution.members[1:] for each in _directions(own, angles))
+    free = tuple(FreeDirection(name, columns) for columns in every)
     return result.counted_from("mean of each group", free)
 
 
@@ -417,13 +422,6 @@ def _directions(own: Floats, angles: Floats) -> Iterator[dict[str, Floats]]:
     for x, y in PAIRS:
         yield {x: cos, y: sin}
         yield {x: -sin, y: cos}
-
-
-def _free_directions(solution: PlateSolution) -> tuple[FreeDirection, ...]:
-    """Return the offsets of all groups but the first against it, and what turns with each."""
-    angles, name = solution.problem.angles[solution.table_positions], _groups_in_words(solution)
-    every = (each for own in solution.members[1:] for each in _directions(own, angles))
-    return tuple(FreeDirection(name, columns) for columns in every)
 
 
 def _groups_in_words(solution: PlateSolution) -> str:
@@ -521,7 +519,7 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
                 "cmm_positions": layout.cmm_steps[cmm == group],
             }
             | {
-                f"{name}{of}": _squeezed(name, value[of_group[name] == group])
+                f"{name}{of}": value[of_group[name] == group][0 if "axis" in name else slice(None)]
                 for name, pair in each.items()
                 for of, value in zip(("", "_std"), pair, strict=True)
             }
@@ -533,11 +531,6 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
             "vector": left,
         },
     }
-
-
-def _squeezed(name: str, values: Floats) -> Floats:
-    """Return the one vector (3,) of an axis, all (k, 3) of others."""
-    return values[0] if name.startswith("axis") else values
 
 
 def _protections(solution: PlateSolution) -> Iterator[Protection]:

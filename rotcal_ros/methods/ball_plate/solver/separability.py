@@ -84,7 +84,8 @@ def separability(grid: int, balls: Ints) -> Separability:
     lost, weak = values < TOLERANCE * len(balls), values < WEAK * len(balls)
     return Separability(
         common_divisor=common_divisor(grid, balls),
-        deficit=_deficit(grid, lost),
+        # A complex unknown is two real ones, at the Nyquist harmonic one.
+        deficit=2 * int(lost.sum()) - int(lost[:, -1].sum()) * (grid % 2 == 0),
         lost=_by_component(grid, lost, vectors),
         weak=_by_component(grid, weak & ~lost, vectors),
     )
@@ -132,12 +133,6 @@ def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> Non
             f"at {len(poor)} table positions fewer than {MIN_BALLS} balls are left, the six "
             f"errors there are open: position (balls) {shown}; measure more balls there"
         )
-
-
-def _deficit(grid: int, zero: Bools) -> int:
-    """Count real unknowns: a complex one has two, at the Nyquist harmonic one."""
-    count = 2 * int(zero.sum())
-    return count - int(zero[:, -1].sum()) if grid % 2 == 0 else count
 
 
 def _by_component(grid: int, chosen: Bools, vectors: Complexes) -> dict[str, tuple[int, ...]]:

@@ -471,7 +471,13 @@ def find_pairs(problem: PlaneMirrorProblem) -> MirrorPairs:
         raise DataError(f"{problem.source}: no direct and mirrored points, nothing to compute")
     for key, (near, far) in rows.items():
         if len(near) != len(far):
-            raise DataError(_unpaired(problem, key, len(near), len(far)))
+            position, station, nest = key
+            raise DataError(
+                f"{problem.source}: {problem.position_name(position)}, tracker station "
+                f"{problem.station_name(station)}, nest {nest}: {len(near)} direct and {len(far)} "
+                "mirrored points, expected as many of both; measure the missing one or take the "
+                "row out"
+            )
     keys = sorted(rows)
     direct = np.array([row for key in keys for row in rows[key][0]], dtype=np.int64)
     mirrored = np.array([row for key in keys for row in rows[key][1]], dtype=np.int64)
@@ -533,14 +539,3 @@ def find_reflectors(problem: PlaneMirrorProblem) -> Reflectors:
 def _starts(sorted_index: Ints, count: int) -> Ints:
     """Return the first entry (count,) of each number in a sorted index."""
     return np.searchsorted(sorted_index, np.arange(count)).astype(np.int64)
-
-
-def _unpaired(
-    problem: PlaneMirrorProblem, key: tuple[int, int, int], n_direct: int, n_mirrored: int
-) -> str:
-    position, station, nest = key
-    return (
-        f"{problem.source}: {problem.position_name(position)}, tracker station "
-        f"{problem.station_name(station)}, nest {nest}: {n_direct} direct and {n_mirrored} "
-        "mirrored points, expected as many of both; measure the missing one or take the row out"
-    )
