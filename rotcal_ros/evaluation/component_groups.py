@@ -145,7 +145,7 @@ class ComponentGroup:
         )
 
 
-def telling(inputs: Mapping[str, Curves]) -> list[str]:
+def surest_evaluations(inputs: Mapping[str, Curves]) -> list[str]:
     """Return the inputs that count: of evaluations of the same data the one that is surest.
 
     The same noise tells each of them how large it is, a little otherwise: as if they had more than
@@ -212,7 +212,7 @@ def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> GroupLa
 
 
 def links_of(
-    group: ComponentGroup, inputs: Mapping[str, Curves], parts: Mapping[str, SeenCurves]
+    group: ComponentGroup, inputs: Mapping[str, Curves], parts: Mapping[str, ObservedCurves]
 ) -> Iterator[Link]:
     """Yield offsets of single components that the group knows and one input leaves open."""
     for (name, curves), part in zip(inputs.items(), parts.values(), strict=True):
@@ -231,7 +231,7 @@ def links_of(
                 seen = contrast @ part.design
                 std = group.factor * max(float(seen @ group.spread @ seen), 0.0) ** 0.5
                 along = part.design[place].T @ way[rows]
-                shown = {n: np.linalg.norm(parts[n].seen(along)) for n in others}
+                shown = {n: np.linalg.norm(parts[n].observable(along)) for n in others}
                 telling = (n for n in others if shown[n] > OPEN * np.linalg.norm(along))
                 yield Link(
                     component=c,
@@ -253,7 +253,7 @@ def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenCurves:
+class ObservedCurves:
     """What one input says of the n unknowns of a group: ``values`` (m,), in rad or m.
 
     ``design`` (m, n) selects or interpolates the curve at the unknowns, ``free`` (m, q) holds what
@@ -269,13 +269,13 @@ class SeenCurves:
     rows: Mapping[str, Ints]
     grow: Mapping[str, Floats]
 
-    def seen(self, ways: Floats) -> Floats:
+    def observable(self, ways: Floats) -> Floats:
         """Return what its values show (m, k) of ``ways`` (n, k) in which curves may go."""
         seen = self.design @ ways
         return np.asarray(seen - self.free @ (self.free.T @ seen))
 
 
-def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> SeenCurves:
+def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> ObservedCurves:
     """Return what one input says about the unknowns of a group."""
     joined, columns, _, common = layout
     own = {c: inputs[name][c] for c in joined if c in inputs[name]}
@@ -289,7 +289,7 @@ def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> See
     # Columns of the same number are one direction in both of a pair.
     open_zeros = np.concatenate([curve.free_columns[rows[c]] for c, curve in own.items()])
     known = unknown(angles)
-    return SeenCurves(
+    return ObservedCurves(
         values=np.concatenate(list(values.values())),
         design=np.concatenate(designs),
         free=orthonormal(np.hstack([known, open_zeros])),
