@@ -3,9 +3,9 @@
 :func:`plan_plate` finds the layout with the smallest predicted uncertainty. Layouts are judged by
 their mean variances when all CMM positions are measured, in closed form, many at once. With
 P(q) = sum over the balls of exp(-2 pi i q j / N) the normal matrices of a harmonic (see
-:mod:`rotcal_ros.methods.ball_plate.solver.harmonics`) are 3 x 3 with entries made of P at q - 1,
-q, q + 1 and of P(1), P(2): their inverse is written out, so a layout costs one short transform and
-a few hundred operations.
+:mod:`~rotcal_ros.methods.ball_plate.solver.separability`) are 3 x 3 with entries made of P at
+q - 1, q, q + 1 and of P(1), P(2): their inverse is written out, so a layout costs one short
+transform and a few hundred operations.
 
 :func:`required_effort` looks for the fewest centres of a given plate and machine.
 :func:`plate_trade` measures all positions and says how large the plate or how quiet the machine
@@ -34,9 +34,9 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, ROTATI
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.measuring_order import spread_out
-from rotcal_ros.methods.ball_plate.solver.harmonics import couplings, multiplicity
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.separability import couplings, multiplicity
 
 EXHAUSTIVE_LIMIT = 4_000_000
 """Layouts up to which all are looked at; beyond it exchange search takes over."""
