@@ -74,7 +74,7 @@ def met(schema, value, path=""):
 
 
 def simulated(plan, *settings, sizes=None):
-    given = read_configuration(ROOT / "scripts" / "power_plans" / f"{plan}.yaml")
+    given = read_configuration(ROOT / "research" / "power_plans" / f"{plan}.yaml")
     prepared = prepare(changed(given, settings))
     return prepared.solve(prepared.measured(sizes or {}, 0).observations)
 
@@ -183,7 +183,7 @@ def of_comparisons():
 
 def off_together(plan, station, positions, size):
     """Return a result of which some observations of one setting are off by ``size``."""
-    prepared = prepare(read_configuration(ROOT / "scripts" / "power_plans" / f"{plan}.yaml"))
+    prepared = prepare(read_configuration(ROOT / "research" / "power_plans" / f"{plan}.yaml"))
     return prepared.solve([
         replace(o, mean=(o.mean[0] + size, *o.mean[1:]))
         if o.station == station and o.table_position in positions
