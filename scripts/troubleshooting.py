@@ -20,7 +20,7 @@ GROUPS = (
     )),
     ("Machine and instruments", "interfaces.md#why-nothing-is-accepted", (
         "capture/", "extensions/ipp_dme", "extensions/instrument_plugins",
-        "extensions/ros2_control", "methods/simulat", "methods/clock_errors",
+        "extensions/ros2_control", "methods/simulat", "methods/added_errors",
     )),
     ("Bags, tables, replay", "recording.md#checking-and-repairing", (
         "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
