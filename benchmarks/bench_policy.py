@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from racing import Row
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "research"))
 import policy_figures as figures
 
 from rotcal_ros.methods.tracer.policy.experiment import LengthExperiment, MeasuredLengths

@@ -16,7 +16,7 @@ from rotcal_ros.methods.tracer.policy.information import Information, Lengths, S
 from rotcal_ros.methods.tracer.solver import TracerProblem, adjust, solve
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 
-SCRIPT = Path(__file__).parents[3] / "scripts" / "circle_coverage.py"
+SCRIPT = Path(__file__).parents[3] / "research" / "circle_coverage.py"
 SPEC = importlib.util.spec_from_file_location("circle_coverage", SCRIPT)
 simulated = importlib.util.module_from_spec(SPEC)
 sys.modules[SPEC.name] = simulated

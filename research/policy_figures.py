@@ -1,6 +1,6 @@
 """What the policy until_goal brings: coverage, time and blocked beams, by simulation.
 
-    .venv/bin/python scripts/policy_figures.py [--runs 2000] [--zero per_segment] [--json FILE]
+    .venv/bin/python research/policy_figures.py [--runs 2000] [--zero per_segment] [--json FILE]
 
 Every run measures with a tracer of its own place, targets and noise, by the policy itself, with
 nominal geometry from the plan alone; lengths are exact distances with noise, of a table without
