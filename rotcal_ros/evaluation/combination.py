@@ -127,20 +127,6 @@ def wanted_groups(inputs: Sequence[CombinationInput]) -> list[list[str]]:
             f"inputs {', '.join(names) or 'none'}: give at least one, and each only once: a "
             "second time it would count as an independent measurement"
         )
-    _require_one_table(inputs)
-    _require_different(inputs)
-    found = {c for measured in inputs for c in measured.curves}
-    wanted: list[list[str]] = [[c for c in group if c in found] for group in GROUPS]
-    return [group for group in wanted if group]
-
-
-def owners_of(group: Sequence[str], inputs: Sequence[CombinationInput]) -> dict[str, Curves]:
-    """Return the curves of those inputs, by name, that measured any component of a ``group``."""
-    return {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
-
-
-def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
-    """Raise DataError if inputs state two items, two axes or two tables in force."""
     circumstances = [(m.name, m.circumstances) for m in inputs if m.circumstances]
     require_one_table({
         "serial number": {name: around.identity.serial for name, around in circumstances},
@@ -149,18 +135,22 @@ def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
             m.name: m.measured_on[:12] for m in inputs if m.measured_on != UNKNOWN
         },
     })  # fmt: skip
-
-
-def _require_different(inputs: Sequence[CombinationInput]) -> None:
-    """Raise DataError for two inputs with the same numbers: a bag and its result, a copy."""
     for first, second in combinations(inputs, 2):
         for c in first.curves.keys() & second.curves.keys():
             ours, theirs = first.curves[c].deviation, second.curves[c].deviation
-            if np.array_equal(ours, theirs) and np.any(ours):
+            if np.array_equal(ours, theirs) and np.any(ours):  # a bag and its result, a copy
                 raise DataError(
                     f"{first.name} and {second.name} hold the same {c} to the last bit: the same "
                     "measurement, which counts only once"
                 )
+    found = {c for measured in inputs for c in measured.curves}
+    wanted: list[list[str]] = [[c for c in group if c in found] for group in GROUPS]
+    return [group for group in wanted if group]
+
+
+def owners_of(group: Sequence[str], inputs: Sequence[CombinationInput]) -> dict[str, Curves]:
+    """Return the curves of those inputs, by name, that measured any component of a ``group``."""
+    return {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
 
 
 def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> Result:
@@ -177,11 +167,12 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
         for group in groups
         if too_alike(group.chi2_of_noise, group.dof, SURE / len(groups))
     ]
-    unchecked = _unchecked(groups, inputs)
+    checked = {n for group in groups if group.dof for names in group.members for n in names}
+    unchecked = [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
     notes = [link.in_words() for group in groups for link in group.links] + left_out
     notes += [f"{name}: {UNCHECKED}" for name in unchecked]
     chi2, dof = sum(group.chi2 for group in groups), sum(group.dof for group in groups)
-    step_deviation, step_std = _adjacent(deviations, covariance)
+    steps = np.diff(np.eye(len(angles)), axis=0) if "ECC" in deviations else None
     result = Result(
         method=METHOD,
         angles=angles,
@@ -192,9 +183,9 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
         dof=dof,
         n_observations=sum(len(c.angles) for m in inputs for c in m.curves.values()),
         verdict="suspect" if warnings else "ok",
-        warnings=(*warnings, *_interpolated(closed, angles, deviations), *_unlinked(groups)),
-        adjacent_deviations=step_deviation,
-        adjacent_std=step_std,
+        warnings=(*warnings, *_read_between(groups, closed, len(angles), {*deviations})),
+        adjacent_deviations=None if steps is None else steps @ deviations["ECC"],
+        adjacent_std=None if steps is None else std_of(steps @ covariance["ECC"] @ steps.T),
         details=_details(groups, inputs),
         protections=join_protections(
             {
@@ -287,39 +278,17 @@ def _to_all(own: Joined, angles: Floats) -> Floats | None:
     return interpolation_matrix(own.angles, angles, own.period)
 
 
-def _adjacent(
-    deviations: Mapping[str, Floats], covariance: Mapping[str, Floats]
-) -> tuple[Floats | None, Floats | None]:
-    """Return the deviations of the steps between neighbouring angles and their std, rad."""
-    if "ECC" not in deviations:
-        return None, None
-    steps = np.diff(np.eye(len(deviations["ECC"])), axis=0)
-    return steps @ deviations["ECC"], std_of(steps @ covariance["ECC"] @ steps.T)
-
-
-def _unchecked(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> list[str]:
-    """Return the tables of values that no other input measured again."""
-    checked = {n for group in groups if group.dof for names in group.members for n in names}
-    return [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
-
-
-def _interpolated(
-    joined: Mapping[str, Joined], angles: Floats, deviations: Mapping[str, Floats]
+def _read_between(
+    groups: Sequence[ComponentGroup], joined: Mapping[str, Joined], count: int, whole: set[str]
 ) -> list[str]:
-    """Return in words which components were not measured at all angles."""
-    fewer = [c for c, own in joined.items() if len(own.angles) < len(angles)]
-    then = {True: "interpolated at the others", False: "only on an arc, left out"}
-    return [
-        f"{c} was measured at {len(joined[c].angles)} of {len(angles)} angles: "
-        f"{then[c in deviations]}"
-        for c in fewer
-    ]
-
-
-def _unlinked(groups: Sequence[ComponentGroup]) -> list[str]:
-    """Return, in words, inputs that share too few angles with the others."""
+    """Return in words what was not measured at all ``count`` angles; ``whole``: is there now."""
+    fewer = []
+    for c, own in joined.items():
+        if len(own.angles) < count:
+            done = "interpolated at the others" if c in whole else "only on an arc, left out"
+            fewer.append(f"{c} was measured at {len(own.angles)} of {count} angles: {done}")
     names = {name for group in groups for name in group.interpolated}
-    return [
+    return fewer + [
         f"{name} shares fewer than two angles with the others: these are interpolated at its own"
         for name in sorted(names)
     ]
@@ -389,7 +358,7 @@ def join_protections(
         return ()
     named = {p.effect for protections in inputs.values() for p in protections}
     return tuple(
-        _joined(effect, _concerned(effect, inputs), shares)
+        _joined(effect, inputs, shares)
         for effect in ALL_EFFECTS
         if effect in named or effect not in PARTICULAR
     )
@@ -404,15 +373,6 @@ def weaker(first: Protection, second: Protection) -> Protection:
     return max(first, second, key=left)
 
 
-def _concerned(
-    effect: Effect, inputs: Mapping[str, Sequence[Protection]]
-) -> Mapping[str, Sequence[Protection]]:
-    """Return the inputs that may have ``effect``: for a particular one, those that mention it."""
-    if effect not in PARTICULAR:
-        return inputs
-    return {n: ps for n, ps in inputs.items() if any(p.effect == effect for p in ps)}
-
-
 def _joined(
     effect: Effect, inputs: Mapping[str, Sequence[Protection]], shares: Mapping[str, float]
 ) -> Protection:
@@ -420,6 +380,8 @@ def _joined(
     stated = {
         name: next((p for p in protections if p.effect == effect), silent)
         for name, protections in inputs.items()
+        # A particular effect concerns those that mention it.
+        if effect not in PARTICULAR or any(p.effect == effect for p in protections)
     }
     rank = WEAKEST_FIRST.index
     weakest = min((p.treatment for p in stated.values()), key=rank)

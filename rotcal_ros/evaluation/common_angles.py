@@ -69,7 +69,9 @@ def pair(
         first_covariance=first.covariance[np.ix_(rows, rows)],
         second_covariance=weights @ second.covariance @ weights.T,
         shared=None if shared is None else shared[rows] @ weights.T,
-        interpolated=~_coincide(angles, second),
+        interpolated=np.asarray(
+            ~same_angles(angles, second.angles, second.period).any(axis=1), dtype=np.bool_
+        ),
         outside=len(first.angles) - len(rows),
         free=np.hstack([first.free_columns[rows], weights @ second.free_columns]),
     )
@@ -88,11 +90,6 @@ def require_one_table(stated: Mapping[str, Mapping[str, str]]) -> None:
                 f"the inputs are not of one table: {what} {named}; give measurements of one table "
                 "in one state"
             )
-
-
-def _coincide(angles: Floats, curve: MeasuredCurve) -> Bools:
-    """Return which of ``angles`` (n,) rad ``curve`` was measured at."""
-    return np.asarray(same_angles(angles, curve.angles, curve.period).any(axis=1))
 
 
 def same_angles(angles: Floats, others: Floats, period: float) -> Bools:

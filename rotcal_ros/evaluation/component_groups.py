@@ -145,7 +145,7 @@ class ComponentGroup:
         )
 
 
-def telling(inputs: Mapping[str, Curves]) -> list[str]:
+def surest_evaluations(inputs: Mapping[str, Curves]) -> list[str]:
     """Return the inputs that count: of evaluations of the same data the one that is surest.
 
     The same noise tells each of them how large it is, a little otherwise: as if they had more than
@@ -175,14 +175,12 @@ def _stands_for(surer: Curves, other: Curves) -> bool:
         for c in both
     ):
         return False
-    first, second = (sum(_scatter(curves[c]) for c in both) for curves in (surer, other))
-    return first <= second
-
-
-def _scatter(curve: MeasuredCurve) -> float:
-    """Return the mean variance of a curve about its mean."""
-    matrix = curve.covariance
-    return float(np.mean(matrix.diagonal()) - np.mean(matrix))
+    # by the mean variances of the curves about their means
+    first, second = (
+        sum(np.mean(m.diagonal()) - np.mean(m) for m in (curves[c].covariance for c in both))
+        for curves in (surer, other)
+    )
+    return bool(first <= second)
 
 
 class GroupLayout(NamedTuple):
@@ -201,24 +199,20 @@ class GroupLayout(NamedTuple):
 
 def laid_out(components: Sequence[str], inputs: Mapping[str, Curves]) -> GroupLayout:
     """Return the unknowns of ``components``; DataError for angles that cannot be joined."""
-    joined = {c: join_angles([inputs[name][c] for name in _with(c, inputs)]) for c in components}
-    columns, start = {}, 0
-    for c in components:
-        columns[c] = slice(start, start + len(joined[c].angles))
-        start = columns[c].stop
-    between = tuple(
-        name
+    joined = {
+        c: join_angles({name: curves[c] for name, curves in inputs.items() if c in curves})
         for c in components
-        for name, far in zip(_with(c, inputs), joined[c].interpolated, strict=True)
-        if far
-    )
-    return GroupLayout(
-        joined, columns, between, unknown({c: joined[c].angles for c in components})
-    )
+    }
+    columns, start = {}, 0
+    for c, own in joined.items():
+        columns[c] = slice(start, start := start + len(own.angles))
+    between = tuple(name for own in joined.values() for name in own.between)
+    common = unknown({c: own.angles for c, own in joined.items()})
+    return GroupLayout(joined, columns, between, common)
 
 
 def links_of(
-    group: ComponentGroup, inputs: Mapping[str, Curves], parts: Mapping[str, SeenCurves]
+    group: ComponentGroup, inputs: Mapping[str, Curves], parts: Mapping[str, ObservedCurves]
 ) -> Iterator[Link]:
     """Yield offsets of single components that the group knows and one input leaves open."""
     for (name, curves), part in zip(inputs.items(), parts.values(), strict=True):
@@ -237,7 +231,7 @@ def links_of(
                 seen = contrast @ part.design
                 std = group.factor * max(float(seen @ group.spread @ seen), 0.0) ** 0.5
                 along = part.design[place].T @ way[rows]
-                shown = {n: np.linalg.norm(parts[n].seen(along)) for n in others}
+                shown = {n: np.linalg.norm(parts[n].observable(along)) for n in others}
                 telling = (n for n in others if shown[n] > OPEN * np.linalg.norm(along))
                 yield Link(
                     component=c,
@@ -258,13 +252,8 @@ def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
     return f"{word}, that with {first:.6g} deg against the others"
 
 
-def _with(component: str, inputs: Mapping[str, Curves]) -> list[str]:
-    """Return the names of the inputs that measured a component."""
-    return [name for name, curves in inputs.items() if component in curves]
-
-
 @dataclass(frozen=True, eq=False)
-class SeenCurves:
+class ObservedCurves:
     """What one input says of the n unknowns of a group: ``values`` (m,), in rad or m.
 
     ``design`` (m, n) selects or interpolates the curve at the unknowns, ``free`` (m, q) holds what
@@ -280,28 +269,27 @@ class SeenCurves:
     rows: Mapping[str, Ints]
     grow: Mapping[str, Floats]
 
-    def seen(self, ways: Floats) -> Floats:
+    def observable(self, ways: Floats) -> Floats:
         """Return what its values show (m, k) of ``ways`` (n, k) in which curves may go."""
         seen = self.design @ ways
         return np.asarray(seen - self.free @ (self.free.T @ seen))
 
 
-def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> SeenCurves:
+def part_of(name: str, inputs: Mapping[str, Curves], layout: GroupLayout) -> ObservedCurves:
     """Return what one input says about the unknowns of a group."""
     joined, columns, _, common = layout
     own = {c: inputs[name][c] for c in joined if c in inputs[name]}
-    numbers = {c: _with(c, inputs).index(name) for c in own}
-    rows = {c: joined[c].rows[number] for c, number in numbers.items()}
+    rows = {c: joined[c].rows[name] for c in own}
     designs = []
-    for c, number in numbers.items():
+    for c in own:
         designs.append(np.zeros((len(rows[c]), len(common))))
-        designs[-1][:, columns[c]] = joined[c].designs[number]
+        designs[-1][:, columns[c]] = joined[c].designs[name]
     angles = {c: curve.angles[rows[c]] for c, curve in own.items()}
     values = {c: curve.deviation[rows[c]] for c, curve in own.items()}
     # Columns of the same number are one direction in both of a pair.
     open_zeros = np.concatenate([curve.free_columns[rows[c]] for c, curve in own.items()])
     known = unknown(angles)
-    return SeenCurves(
+    return ObservedCurves(
         values=np.concatenate(list(values.values())),
         design=np.concatenate(designs),
         free=orthonormal(np.hstack([known, open_zeros])),
@@ -370,26 +358,26 @@ LINKING: Final = 2
 class Joined:
     """The angles (n,) rad of a combined curve, ascending, and how each input sees the curve.
 
-    ``designs`` holds for every input the matrix (m_k, n) and ``rows`` which of its values (m_k,)
-    are used. ``interpolated`` (k,) marks inputs with too few angles in common.
+    ``designs`` holds for every input the matrix (m, n) and ``rows`` which of its values (m,) are
+    used. Inputs with too few angles in common are read ``between`` them.
     """
 
     angles: Floats
     period: float
-    designs: tuple[Floats, ...]
-    rows: tuple[Ints, ...]
-    interpolated: tuple[bool, ...]
+    designs: Mapping[str, Floats]
+    rows: Mapping[str, Ints]
+    between: tuple[str, ...]
 
 
-def join_angles(curves: Sequence[MeasuredCurve]) -> Joined:
+def join_angles(curves: Mapping[str, MeasuredCurve]) -> Joined:
     """Return the union of the angles of all curves that are joined by common ones.
 
     Curves that share fewer than two angles with the rest are compared with it by interpolation,
     as :func:`~rotcal_ros.evaluation.compare.compare` does, and add no angles of their own. The
     order of the curves does not matter.
     """
-    turn = any(curve.period for curve in curves)
-    at = [np.mod(curve.angles, TURN) if turn else curve.angles for curve in curves]
+    turn = any(curve.period for curve in curves.values())
+    at = [np.mod(curve.angles, TURN) if turn else curve.angles for curve in curves.values()]
     nodes, places = _merged(at, turn)
     linked = _linked([set(place.tolist()) for place in places])
     # Of groups of equal size the one that begins first: the order of the inputs says nothing.
@@ -397,18 +385,16 @@ def join_angles(curves: Sequence[MeasuredCurve]) -> Joined:
     chosen = np.array(sorted(main))
     angles = nodes[chosen]
     period = TURN if turn or covers_circle(angles) else 0.0
-    designs, rows, interpolated = [], [], []
-    for place, own in zip(places, at, strict=True):
-        member = main.issuperset(place.tolist())
-        row = np.arange(len(own)) if member or period else _within(angles, own)
-        if member:
-            design = (place[:, None] == chosen).astype(np.float64)
-        else:
-            design = interpolation_matrix(angles, own[row], period)
-        designs.append(design)
-        rows.append(row)
-        interpolated.append(not member)
-    return Joined(angles, period, tuple(designs), tuple(rows), tuple(interpolated))
+    designs, rows, between = {}, {}, list[str]()
+    for name, place, own in zip(curves, places, at, strict=True):
+        if main.issuperset(place.tolist()):
+            rows[name] = np.arange(len(own))
+            designs[name] = (place[:, None] == chosen).astype(np.float64)
+            continue
+        between.append(name)
+        rows[name] = np.arange(len(own)) if period else _within(angles, own)
+        designs[name] = interpolation_matrix(angles, own[rows[name]], period)
+    return Joined(angles, period, designs, rows, tuple(between))
 
 
 def union(angles: Sequence[Floats], turn: bool) -> Floats:

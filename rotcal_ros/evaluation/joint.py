@@ -59,12 +59,12 @@ from rotcal_ros.evaluation.component_groups import (
     Enlargement,
     GroupLayout,
     Joined,
-    SeenCurves,
+    ObservedCurves,
     laid_out,
     links_of,
     orthonormal,
     part_of,
-    telling,
+    surest_evaluations,
     unknown,
 )
 from rotcal_ros.foundation.arrays import Bools, Floats
@@ -118,7 +118,7 @@ class _Shared:
 
     inputs: Sequence[CombinationInput]
     layouts: Sequence[GroupLayout]
-    parts: Sequence[Mapping[str, SeenCurves]]
+    parts: Sequence[Mapping[str, ObservedCurves]]
     left: Sequence[Floats]
 
     @classmethod
@@ -287,7 +287,7 @@ class _Known:
         Along the axes of the covariance; every value has ``more`` variance.
         """
         size, axes = np.linalg.eigh(self.covariance + more * self.rows @ self.rows.T)
-        if size[0] < -NONE * size.mean():
+        if size[0] < -ROUNDED * size.sum():
             raise DataError(
                 f"{', '.join(self.names)}: the covariance of the deviations is not positive "
                 "semi-definite: the result is damaged, solve again"
@@ -306,29 +306,30 @@ class _Known:
         )
 
 
-def _covariance(parts: Sequence[tuple[str, SeenCurves]], curves: Mapping[str, Curves]) -> Floats:
+def _covariance(
+    parts: Sequence[tuple[str, ObservedCurves]], curves: Mapping[str, Curves]
+) -> Floats:
     """Return the covariance (m, m) of all values of results, by name, that share observations.
 
     Between components by the influences of the observations; where they are not known, as in a
     combination, errors are what the method left of independent ones.
     """
     each = [(n, c, rows, own.grow[c]) for n, own in parts for c, rows in own.rows.items()]
-    influences = [curves[n][c].raw_data.influence for n, c, _, _ in each]
-    felt = [
-        np.zeros((len(rows), 0)) if found is None else matrix_of(found)[rows]
-        for (_, _, rows, _), found in zip(each, influences, strict=True)
-    ]
-    known = all(found is not None for found in influences)
+    stated = [curves[n][c].raw_data.influence for n, c, _, _ in each]
+    known = [found for found in stated if found is not None]
+    influences = [np.zeros((len(rows), 0)) for _, _, rows, _ in each]
+    if len(known) == len(each):
+        influences = [matrix_of(i)[rows] for i, (_, _, rows, _) in zip(known, each, strict=True)]
     rests = []
-    for (n, c, rows, grow), mine in zip(each, felt, strict=True):
+    for (n, c, rows, grow), mine in zip(each, influences, strict=True):
         own = curves[n][c].covariance[np.ix_(rows, rows)]
-        rests.append(grow @ (own - mine @ mine.T if known else own) @ grow)
-    total, slots = np.asarray(block_diag(*rests)), places_of(len(own) for own in felt)
+        rests.append(grow @ (own - mine @ mine.T) @ grow)
+    total, slots = np.asarray(block_diag(*rests)), places_of(len(own) for own in influences)
     for i, (n, c, rows, _) in enumerate(each):
         for j, (other, its, theirs, _) in enumerate(each[: i + 1]):
-            if n == other and known:
-                total[slots[i], slots[j]] += felt[i] @ felt[j].T
-            elif n != other:
+            if n == other:
+                total[slots[i], slots[j]] += influences[i] @ influences[j].T
+            else:
                 pair = curves[n][c], curves[other][its]
                 both = shared_covariance(*pair, (n, other), alike=c == its)
                 if both is not None:
@@ -604,9 +605,11 @@ def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentG
     (layout,), (parts,) = shared.layouts, shared.parts
     curves = {name: shared.curves_of(name) for name in parts}
     if any(own.free.shape[1] > own.known for own in parts.values()):
-        joining = [own.seen(shared.basis) for n, own in parts.items() if n not in layout.between]
+        joining = [
+            own.observable(shared.basis) for n, own in parts.items() if n not in layout.between
+        ]
         shared = shared.without_open(joining)
-    known, counting = shared.known(curves), telling(curves)
+    known, counting = shared.known(curves), surest_evaluations(curves)
     surest, views = known, _Views.by_results(shared, known)
     best = views
     if len(counting) < len(curves):

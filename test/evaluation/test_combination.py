@@ -1,6 +1,7 @@
 """Combined results against dense least squares written down again, and their coverage."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.linalg import block_diag
 
+from rotcal_ros import read_result
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.evaluation.joint import combine
@@ -18,6 +20,7 @@ from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.units import ARCSEC
 
 RUNS = 400 if LONG else 120
+EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
 
 
 def dense(parts, n):
@@ -168,6 +171,16 @@ def test_a_single_result_returns_itself_about_its_mean():
     assert (found.dof, found.sigma0, found.verdict) == (0, 1.0, "ok")
     assert compare(*(MeasuredCurve(r.angles, r.deviations["ECC"], r.covariance["ECC"], TAU)
                      for r in (found, result))).rms < 1e-9 * ARCSEC  # fmt: skip
+
+
+def test_a_plate_alone_keeps_its_uncertainty():
+    """Between components, too, errors follow from the influences of observations; 0.7 % of U."""
+    result = read_result(EXAMPLES / "result_ball_plate.json")
+    found = combined(result)
+    for c in result.components:
+        np.testing.assert_allclose(found.std[c], result.std[c], rtol=1e-6)
+        apart = np.abs(found.deviations[c] - result.deviations[c])
+        assert apart.max() < 1e-9 * result.std[c].min()
 
 
 @settings(max_examples=25, deadline=None)

@@ -102,7 +102,9 @@ def plan_measurement(
             "both directions are distinguished by the side of the approach: set backlash to true"
         )
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
-    _check_steps(grid, balls, cmm)
+    for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
+        if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
+            raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
     turns, ball = _ordered(order, grid, balls, cmm, rounds, backlash)
     upward = np.ones(len(turns), dtype=np.bool_)
     if bidirectional:
@@ -112,11 +114,7 @@ def plan_measurement(
         turns, ball = _closed(grid, turns, ball, backlash)
         upward = np.append(upward, np.full(len(turns) - n_once, True))
     angle = np.asarray(turns * 2.0 * np.pi / grid, dtype=np.float64)
-    step = 2.0 * np.pi / grid
-    lead_in = float(angle[0]) - (step if backlash else 0.0)
-    moves = np.diff(angle, prepend=lead_in)
-    if bidirectional:
-        moves = _with_overshoot(moves, upward, step)
+    lead_in, moves = _moves(angle, upward, 2.0 * np.pi / grid, backlash, bidirectional)
     directions = np.sign(moves[moves != 0.0])
     return BallPlan(
         grid=grid,
@@ -132,10 +130,18 @@ def plan_measurement(
     )
 
 
-def _check_steps(grid: int, balls: Ints, cmm: Ints) -> None:
-    for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
-        if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
-            raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
+def _moves(
+    angle: Floats, upward: Bools, step: float, backlash: bool, bidirectional: bool
+) -> tuple[float, Floats]:
+    """Return the angle from which the first of ``angle`` (n,) is approached, and all ways (n,)."""
+    lead_in = float(angle[0]) - (step if backlash else 0.0)
+    moves = np.diff(angle, prepend=lead_in)
+    if not bidirectional:
+        return lead_in, moves
+    direction = np.where(upward, 1.0, -1.0)  # a grid step there and back where the side changes
+    along = moves * direction
+    far = (along < 0.0) | (np.diff(upward, prepend=True) & (along <= 0.0))
+    return lead_in, np.where(far, direction * (np.abs(moves) + 2.0 * step), moves)
 
 
 def _ordered(
@@ -165,14 +171,6 @@ def _to_and_back(grid: int, turns: Ints, ball: Ints) -> tuple[Ints, Ints, Bools]
     rows = np.concatenate(order)
     turns = turns - grid * (number + number % 2)
     return turns[rows], ball[rows], np.concatenate(upward)
-
-
-def _with_overshoot(moves: Floats, upward: Bools, step: float) -> Floats:
-    """Return moves (n,), rad, with a grid step there and back where the side changes."""
-    direction = np.where(upward, 1.0, -1.0)
-    along = moves * direction
-    far = (along < 0.0) | (np.diff(upward, prepend=True) & (along <= 0.0))
-    return np.where(far, direction * (np.abs(moves) + 2.0 * step), moves)
 
 
 def _closed(grid: int, turns: Ints, ball: Ints, backlash: bool) -> tuple[Ints, Ints]:
