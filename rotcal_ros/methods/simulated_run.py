@@ -56,9 +56,9 @@ def simulated_run(
         cell.order_probe(command)
         yield Event(cell.now_ns, step.index, command)
         for _ in range(round(_LONGEST_S / slice_s)):
+            out = cell.advance(slice_s)
             events = [
                 Event(record.stamp_ns, step.index, record, capture.feed(record))
-                for out in (cell.advance(slice_s),)
                 for record in (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)
             ]
             yield from events

@@ -106,10 +106,10 @@ def finished(ax: Axes) -> Figure:
     if entries:
         columns = min(len(entries), LEGEND_COLUMNS)
         figure.legend(entries.values(), entries, loc="outside upper left", ncols=columns)
-    for text in figure.findobj(
-        Text
-    ):  # what is ours in the language of the page; names as they are
-        text.set_parse_math(False)  # no formulas, no controls, and nothing wider than the figure
+    # what is ours in the language of the page, and names as they are: no formulas, no controls,
+    # and nothing wider than the figure
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
         text.set_text(shortened(printable_lines(SPOKEN.get()(text.get_text())), LONGEST_NAME))
     vars(figure)["_repr_png_"] = functools.partial(_png, figure)
     return figure

@@ -177,14 +177,8 @@ def station_visits(n_positions: int, per_station: int, shared: int) -> tuple[ran
 
 def nominal_mirror(settings: MirrorPlanSettings) -> FlatMirror:
     """Return the mirror as the plan has it."""
-    width, height = settings.mirror_size_m
-    return FlatMirror(
-        centre=settings.mirror_centre_m,
-        azimuth=settings.mirror_azimuth_deg * DEGREE,
-        lean=settings.mirror_lean_deg * DEGREE,
-        width=width,
-        height=height,
-    )
+    turned = settings.mirror_azimuth_deg * DEGREE, settings.mirror_lean_deg * DEGREE
+    return FlatMirror(settings.mirror_centre_m, *turned, *settings.mirror_size_m)
 
 
 def tracker_sees(settings: MirrorPlanSettings) -> See:

@@ -13,10 +13,9 @@ from rotcal_ros.adjust import alternatives
 from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
-from rotcal_ros.capture.attempt import Attempt, AttemptStreams, CaptureRules, Wait
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
 from rotcal_ros.capture.passage import Line, decide_passage
-from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
@@ -512,7 +511,16 @@ def _axes(balls: BallsOnTable, found: Adjusted, chain: str) -> tuple[AxisLine, .
 def tables(result: Result) -> list[ResultTable]:
     """Return the axes, motions that are no deviations, and what is found of the linear axes."""
     details = result.details
-    found = [_line_table(*each) for each in zip(AXES, result.axes, strict=False)]
+    found, factor = list[ResultTable](), np.array([si for si, _ in AXIS_SHOWN])
+    for name, axis in zip(AXES, result.axes, strict=False):
+        x, y, z = axis.origin / MILLIMETRE
+        titles = (
+            f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
+            f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
+        )
+        columns = {"value": axis.value / factor, "U_value": COVERAGE_FACTOR * axis.std / factor}
+        unit, title = [unit for _, unit in AXIS_SHOWN], titles[AXES.index(name)]
+        found.append(ResultTable.of(name, title, quantity=axis.names, unit=unit, **columns))
     found.append(table_of_ranges(details))
     for name, rows in details["also"].items():
         si, suffix = MICROMETRE, "um" if "motion" in name else "um_per_m"
@@ -529,23 +537,6 @@ def tables(result: Result) -> list[ResultTable]:
             ResultTable.of(name.replace(" ", "_"), name.capitalize(), number=number, **columns)
         )
     return found
-
-
-def _line_table(name: str, axis: AxisLine) -> ResultTable:
-    x, y, z = axis.origin / MILLIMETRE
-    titles = (
-        f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
-        f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
-    )
-    factor = np.array([si for si, _ in AXIS_SHOWN])
-    return ResultTable.of(
-        name,
-        titles[AXES.index(name)],
-        quantity=axis.names,
-        unit=[unit for _, unit in AXIS_SHOWN],
-        value=axis.value / factor,
-        U_value=COVERAGE_FACTOR * axis.std / factor,
-    )
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
@@ -676,14 +667,6 @@ def read_rows(configuration: Configuration, table: Table, targets: Table | None)
     return READERS[measure, ("tilt",) * tilted].read(configuration, table, targets)
 
 
-def decide_displacement(
-    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings
-) -> Observation | Wait:
-    """Return the displacement at an angle where the table rests, or which it passes."""
-    decide = AT_REST if attempt.step.turn is None else decide_passage
-    return decide(attempt, streams, settings)
-
-
 AT_REST: Final = points(mean_point)
 BY_MODEL: Final = ByModel(
     NAME,
@@ -713,7 +696,10 @@ METHOD: Final = BY_MODEL.method(
         {
             PointKind.SURFACE: points(touched_centre),
             PointKind.CENTRE: points(reported_centre),
-            PointKind.READING: decide_displacement,
+            # at an angle where the table rests, or which it passes
+            PointKind.READING: lambda attempt, *more: (
+                AT_REST if attempt.step.turn is None else decide_passage
+            )(attempt, *more),
             PointKind.REFLECTOR: decide_length,
         }
     ),

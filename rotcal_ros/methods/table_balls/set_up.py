@@ -51,10 +51,7 @@ def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwis
     plan = configuration.plan
     for letter in (below_the_table(plan.chain), "C"):
         if letter:
-            as_stated, otherwise_ = letter, f"-{letter}"
-            if otherwise_ in plan.chain:
-                as_stated, otherwise_ = otherwise_, letter
-            chain = plan.chain.replace(as_stated, otherwise_)
+            chain = plan.chain.replace(letter, f"-{letter}").replace("--", "")
             turned = replace(configuration, plan=replace(plan, chain=chain))
             yield Otherwise("sense", f"{letter} turns the other way", turned, read)
     step = float(np.median(np.diff(table_angles(plan)))) / DEGREE

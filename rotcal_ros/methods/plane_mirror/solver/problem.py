@@ -72,13 +72,9 @@ class TrackerNoise:
 
 def noise_of(settings: MirrorSolverSettings) -> TrackerNoise:
     """Return the noise of the tracker that the settings state."""
-    return TrackerNoise(
-        range_std=settings.range_std_m,
-        range_std_per_metre=settings.range_std_relative,
-        transverse_std=settings.transverse_std_m,
-        transverse_std_per_metre=settings.transverse_std_relative,
-        mirror_slope_std=settings.mirror_slope_std_arcsec * ARCSEC,
-    )
+    along = settings.range_std_m, settings.range_std_relative
+    across = settings.transverse_std_m, settings.transverse_std_relative
+    return TrackerNoise(*along, *across, settings.mirror_slope_std_arcsec * ARCSEC)
 
 
 @dataclass(frozen=True)
