@@ -277,12 +277,11 @@ def _read_between(
     groups: Sequence[ComponentGroup], joined: Mapping[str, Joined], count: int, whole: set[str]
 ) -> list[str]:
     """Return in words what was not measured at all ``count`` angles; ``whole``: is there now."""
-    fewer = [
-        f"{c} was measured at {len(own.angles)} of {count} angles: "
-        + ("interpolated at the others" if c in whole else "only on an arc, left out")
-        for c, own in joined.items()
-        if len(own.angles) < count
-    ]
+    fewer = []
+    for c, own in joined.items():
+        if len(own.angles) < count:
+            done = "interpolated at the others" if c in whole else "only on an arc, left out"
+            fewer.append(f"{c} was measured at {len(own.angles)} of {count} angles: {done}")
     names = {name for group in groups for name in group.interpolated}
     return fewer + [
         f"{name} shares fewer than two angles with the others: these are interpolated at its own"
