@@ -432,12 +432,6 @@ class _Views:
         )
 
     @cached_property
-    def of_results(self) -> Bools:
-        """Which observations (n,) are those of results."""
-        each = [np.full(m.size[0], name in self.results) for name, m in self.models.items()]
-        return np.concatenate(each)
-
-    @cached_property
     def together(self) -> Model:
         """What all observed."""
         basis = self.shared.basis
@@ -449,10 +443,7 @@ class _Views:
         design = dense(self.together.equations(self.together.first)[1])
         return replace(
             self.together,
-            effects=[
-                *self.together.effects,
-                *self.differences(design, self.shared.columns),
-            ],
+            effects=[*self.together.effects, *self.differences(design, self.shared.columns)],
         )
 
     @cached_property
@@ -665,24 +656,19 @@ def solve_together(instruments: Sequence[JointInput]) -> Combination:
     cannot be joined, ObservabilityError where they leave deviations open that none says it does.
     """
     with threadpool_limits(1, "blas"):  # as where one instrument is solved
-        return _solved(instruments)
-
-
-def _solved(instruments: Sequence[JointInput]) -> Combination:
-    views = _Views.of(instruments)
-    found = adjust(views.whole)
-    # Closures are judged by the noise of each alone: in that of all together they would hide.
-    factors = [
-        np.ones(1)
-        if each.model is None
-        else adjust(views.alone(each.name, found.fit)).diagnosis.noise.factors
-        for each in instruments
-    ]
-    alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)
-    tested = sum(len(parts) > 1 for parts in views.shared.parts)
-    level = SURE / max(tested, 1)
-    groups = [_group(views, found, alone, k, level) for k in range(len(views.shared.parts))]
-    return Combination(_result(views, found, groups, instruments), tuple(groups))
+        views = _Views.of(instruments)
+        found = adjust(views.whole)
+        # Closures are judged by the noise of each alone: in that of all together they would hide.
+        factors = [
+            np.ones(1)
+            if each.model is None
+            else adjust(views.alone(each.name, found.fit)).diagnosis.noise.factors
+            for each in instruments
+        ]
+        alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)
+        level = SURE / max(1, sum(len(parts) > 1 for parts in views.shared.parts))
+        groups = [_group(views, found, alone, k, level) for k in range(len(views.shared.parts))]
+        return Combination(_result(views, found, groups, instruments), tuple(groups))
 
 
 def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> ComponentGroup:
@@ -697,22 +683,18 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
         test = views.closed(alone, closing, place)
         tested = test.squares, test.rank, test.probability
     if tested[2] >= level:
-        spread = _stated_covariance(views, found)[place, place]
+        # A result that agrees with the others better than it says keeps what it says: its scatter
+        # there says nothing of what it alone knows.
+        of_results = np.concatenate(
+            [np.full(m.size[0], name in views.results) for name, m in views.models.items()]
+        )
+        smaller = np.minimum(found.diagnosis.noise.factors, 1.0)[found.model.of_component]
+        more = np.where(of_results, 1.0 / smaller**2 - 1.0, 0.0)
+        response = found.fit.response[place]
+        spread = found.covariance[place, place] + (response * more) @ response.T
         return views.linked(views.group(k, found.fit, tested, level, spread), k)
     group = views.group(k, alone, tested, level)
     return views.linked(views.contradicting(group, k, alone), k)
-
-
-def _stated_covariance(views: _Views, found: Adjusted) -> Floats:
-    """Return the covariance (s, s) of the deviations.
-
-    A result that agrees with the others better than it says keeps what it says: its scatter there
-    says nothing of what it alone knows.
-    """
-    model, response = found.model, found.fit.response[: len(found.model.outputs)]
-    smaller = np.minimum(found.diagnosis.noise.factors, 1.0)[model.of_component]
-    more = np.where(views.of_results, 1.0 / smaller**2 - 1.0, 0.0)
-    return np.asarray(found.covariance + (response * more) @ response.T)
 
 
 def _result(
