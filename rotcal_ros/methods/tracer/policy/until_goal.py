@@ -286,8 +286,9 @@ class UntilGoal:
             return None
         missed = f"all steps that are left would give {_arcsec(best)} > {_arcsec(goal)}"
         if self._allowance.floor >= goal:
-            alone = "the table's error motion alone, as its circle shows it, gives"
-            missed = f"{alone} {_arcsec(best)}"
+            missed = (
+                f"the table's error motion alone, as its circle shows it, gives {_arcsec(best)}"
+            )
         return f"the goal is out of reach: {missed}, {self._noise_and_doubt}"
 
     def _measure_again(self, result: Stated) -> bool:
