@@ -22,6 +22,7 @@ from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -339,6 +340,16 @@ class Bordered(Kernel):
         if not mine.all():
             found += (place[:, :, None] == place[:, None]) & ~mine[:, :, None]
         return np.asarray(found)
+
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        place = self._place[rows]
+        group = np.where(place < len(self.along), place // self.groups.depth, -1 - place)
+        if len(np.unique(group)) < len(rows):
+            return None  # of rows of one group more is in common
+        low = self._every_low[place]
+        own = np.append((self.basis**2).sum(axis=2), np.ones(len(self.root)))[place]
+        return LowRank(own[:, None, None], low, np.diag(self._signs)).if_low()
 
     @cached_property
     def leverage(self) -> Floats:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import block_diag, lapack
 from scipy.sparse import csr_array
 
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -188,6 +189,10 @@ class Kernel(ABC):
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         return np.stack([self.among(each) for each in rows])
 
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        return None
+
     @property
     @abstractmethod
     def leverage(self) -> Floats:
@@ -321,6 +326,10 @@ class Whole(Kernel):
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return np.asarray(self.basis[rows] @ self.basis[rows].T)
+
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        return LowRank.outer(self.basis[rows]).if_low()
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
@@ -473,6 +482,15 @@ class Updated(Kernel):
         found += low @ self.core @ low.T
         return np.asarray(found)
 
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        base, share = self.base.low_rank(rows), self.share[rows, None]
+        if base is None or base.columns is None:
+            return None
+        alone = LowRank(base.blocks * share[:, :, None] ** 2, base.columns * share, base.core)
+        low = self.design.some_times(rows, self.columns)
+        return (alone + LowRank(0.0 * base.blocks, low, self.core)).if_low()
+
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         share = self.share[rows]
@@ -550,6 +568,10 @@ class Defined(Kernel):
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return self.base.among(rows)
+
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        return self.base.low_rank(rows)
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""

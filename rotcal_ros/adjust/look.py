@@ -40,6 +40,8 @@ MOST_RIVALS: Final = 12
 """Other causes that are compared with the best of a kind."""
 LARGEST_GROUP: Final = 720
 """Observations of a group up to which it is asked which of them are off together."""
+MANY_ROWS: Final = 100
+"""The same from which on it is asked what little they have in common."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -303,7 +305,7 @@ class Look:
         first, each = model.elements[:, 0], model.elements.shape[1]
         used, may_go = fit.used[first], model.may_go[first]
         for grouping in (g.at(first) for g in model.groupings):
-            if not (grouping.gathers or fit.jacobian.divided):
+            if not grouping.gathers:
                 found += self._together_each(grouping)
                 continue
             for number, members in members_of(grouping, may_go).items():
@@ -323,7 +325,7 @@ class Look:
                         found.append(self._group(grouping, of, here, len(part) - len(here)))
         return found
 
-    def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
+    def _together_each(self, grouping: Grouping) -> list[JudgedWhole | Undivided]:
         """Return groups of which it is not asked what gathers, those of one size at once."""
         fit, model = self.fit, self.before.model
         first = model.elements[:, 0]
@@ -331,9 +333,15 @@ class Look:
         kept = {number: each[used[each]] for number, each in every.items()}
         kept = {number: each for number, each in kept.items() if 1 < len(each) < len(used)}
         of = {number: model.rows_of(each) for number, each in kept.items()}
-        found = dict[int, JudgedWhole]()
+        lost = {number: len(every[number]) - len(each) for number, each in kept.items()}
+        found = dict[int, JudgedWhole | Undivided]()
         for size in {len(rows) for rows in of.values()}:
             numbers = [number for number, rows in of.items() if len(rows) == size]
+            names = {number: f"{grouping.kind} {number}" for number in numbers}
+            if size > MANY_ROWS:
+                for k in numbers:
+                    found[k] = _as_a_whole(fit, grouping.kind, names[k], of[k], lost[k])
+                continue
             rows = np.stack([of[number] for number in numbers])
             values, vectors = np.linalg.eigh(np.eye(size) - fit.kernel.among_each(rows))
             along, seen = (fit.white[rows][:, None] @ vectors)[:, 0], values > CHECKED
@@ -342,10 +350,9 @@ class Look:
             each = zip(numbers, squares.tolist(), seen.sum(axis=1).tolist(), checked.tolist(),
                        strict=True)  # fmt: skip
             for number, square, rank, share in each:
-                elements = len(kept[number])
                 found[number] = JudgedWhole(
-                    grouping.kind, f"{grouping.kind} {number}", elements, (square, rank),
-                    (share, size), len(every[number]) - elements,
+                    grouping.kind, names[number], len(kept[number]), (square, rank),
+                    (share, size), lost[number],
                 )  # fmt: skip
         return [found[number] for number in kept]
 
@@ -395,14 +402,18 @@ def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
 def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole | Undivided:
     """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
 
-    T is what chi-squared is less by in the solution without them, where that is firm.
+    Where they have little in common T follows from that; else it is what chi-squared is less by in
+    the solution without them, where that is firm.
     """
-    rest = fit.without(rows)
+    elements = len(np.unique(fit.model.of_element[rows]))
+    low = fit.kernel.low_rank(rows)
+    rest = fit.without(rows) if low is None and not fit.jacobian.divided else None
     if rest is None:
-        cofactor = LowRank.whole(np.eye(len(rows)) - fit.kernel.among(rows))
-        return Undivided(kind, name, fit.white[rows], cofactor, lost)
+        taken = low or LowRank.whole(fit.kernel.among(rows))
+        return Undivided(
+            kind, name, elements, fit.white[rows], taken.scaled(-1.0).lifted(1.0), lost
+        )
     rank = len(rows) - (fit.kernel.rank - rest[1])
     checked = float(fit.redundancy[rows].sum())
     together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
-    elements = len(np.unique(fit.model.of_element[rows]))
     return JudgedWhole(kind, name, elements, together, checks, lost)

@@ -162,3 +162,25 @@ def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, w
     kernel = Updated.of(base, rest, share, (design.rows(out), -np.ones(left_out)), extra)
     assume(kernel is not None)
     agrees(kernel, expected, random)
+
+
+def test_rows_of_as_many_groups_are_a_diagonal_and_a_low_rank():
+    random = np.random.default_rng(7)
+    group = np.repeat(np.arange(60), 5)
+    matrix = np.hstack([np.eye(60)[group], random.standard_normal((300, 3))])
+    matrix[:, :60] *= random.uniform(0.5, 2.0, 300)[:, None]
+    design = FewEach(csr_array(matrix), random.standard_normal((2, 63)))
+    rows = np.arange(60) * 5 + 2
+    share, extra = np.ones(302), random.standard_normal((302, 1))
+    share[0], extra[0] = 0.0, 0.0
+    base = design.kernel()
+    rest = design.weighted(share)
+    changed = (design.rows(np.array([0])), -np.ones(1))
+    for kernel in (base, Updated.of(base, rest, share, changed, extra)):
+        found = kernel.low_rank(rows)
+        assert found.columns is not None
+        assert alike(found.dense(), kernel.among(rows))
+        cofactor, white = found.scaled(-1.0).lifted(1.0), random.standard_normal(60)
+        expected = white @ np.linalg.solve(np.eye(60) - kernel.among(rows), white)
+        assert cofactor.squares(white, 1e-6) == pytest.approx((expected, 60), rel=1e-9)
+    assert base.low_rank(np.arange(60)) is None  # of a few groups: much in common
