@@ -371,10 +371,16 @@ class Bordered(Kernel):
         found = blocks @ blocks.T + 2.0 * beside + turned @ low.reshape(len(share), -1).T
         return np.asarray(found + (known * (1.0 + 2.0 * squares)) @ known.T)
 
-    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
-        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n + m) of each row."""
-        if _dense(outputs):
-            return super().variances_from(outputs, share)
+    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) of what a unit of one row does to each output times one of another.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
+        """
+        if _dense(outputs) or not np.array_equal(first, second):
+            return super().products_of(outputs, first, second, weight)
+        share = np.stack(
+            [np.bincount(first, each, len(self._place)).astype(np.float64) for each in weight]
+        )
         felt, found = self._felt_by(outputs), np.empty((len(outputs), len(share)))
         groups, size = self.groups.own.shape
         common = felt.common.reshape(-1, groups, size)

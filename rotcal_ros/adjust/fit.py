@@ -300,15 +300,21 @@ class Fit:
         """Standard deviations (o + a,) of all outputs, by the noise alone."""
         return np.sqrt(self.variance)
 
+    def products_of(self, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o + a, c) of what a unit of one row does to each output times another's.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k), each as it is.
+        """
+        if self._influence is None:
+            return self.kernel.products_of(self.model.output_rows, first, second, weight)
+        return np.asarray((self._influence[:, first] * self._influence[:, second]) @ weight.T)
+
     def variance_from(self, part: Bools) -> Floats:
         """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
         if len(part) == 1:
             return self.variance[:, None]
-        share = part.astype(np.float64)
-        if self._influence is None:
-            found = self.kernel.variances_from(self.model.output_rows, share)
-        else:
-            found = self._influence**2 @ share.T
+        share, every = part.astype(np.float64), np.arange(len(self.std))
+        found = self.products_of(every, every, share)
         for each, (alone, spread) in zip(self.model.correlated, self._spread, strict=True):
             found += (spread**2 - alone**2) @ share[:, each.rows].T
         return np.maximum(found, 0.0)

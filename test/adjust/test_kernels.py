@@ -55,6 +55,9 @@ def agrees(kernel, expected, random):
     assert alike(kernel.variances_of(outputs), (carried**2).sum(axis=1))
     assert alike(kernel.covariance_of(outputs), carried @ carried.T)
     assert alike(kernel.variances_from(outputs, share), carried**2 @ share.T)
+    pairs = random.integers(n, size=(2, n))
+    products = carried[:, pairs[0]] * carried[:, pairs[1]] @ share.T
+    assert alike(kernel.products_of(outputs, *pairs, share), products)
     assert alike(kernel.squares_between(share), share @ expected.hat**2 @ share.T)
     assert alike(kernel.response(outputs, some), carried[:, some])
     assert alike(kernel.sensitivity(outputs, some).dense(), carried[:, some])
@@ -184,3 +187,29 @@ def test_rows_of_as_many_groups_are_a_diagonal_and_a_low_rank():
         expected = white @ np.linalg.solve(np.eye(60) - kernel.among(rows), white)
         assert cofactor.squares(white, 1e-6) == pytest.approx((expected, 60), rel=1e-9)
     assert base.low_rank(np.arange(60)) is None  # of a few groups: much in common
+
+
+@given(st.integers(5, 12), st.integers(0, 2), st.integers(0, 2**32))
+def test_sums_over_places_of_circles_by_their_orders(size, left_out, seed):
+    """Rows of two settings, where the table stands alike; outputs are counted from one place."""
+    random = np.random.default_rng(seed)
+    weight = np.ones(3 * size)
+    weight[random.choice(3 * size, left_out, replace=False)] = 0.0
+    white = circular(random, size, (0, 1, 3)).weighted(weight)
+    expected, kernel = Reference(white.dense()), white.kernel()
+    assume(expected.firm and kernel is not None)
+    place, turn = np.arange(size), random.uniform(0.0, 6.0, size)
+    few, common = np.zeros((size + 1, expected.design.shape[1])), np.zeros((2, 2 * size + 3))
+    few[place, place], few[place, size + (place + 1) % size] = np.cos(turn), np.sin(turn)
+    common[[0, 1], [2, size]] = -1.0
+    few[-1, -2:] = 1.0, -1.0  # zeros of settings are no places
+    share = np.vstack([np.column_stack([np.cos(turn), np.sin(turn)]), np.zeros((1, 2))])
+    outputs = Outputs(csr_array(few), common, share)
+    assert outputs[:] @ expected.directions == pytest.approx(0.0, abs=1e-9)
+    carried = outputs[:] @ expected.gain
+    first = np.arange(2 * size)
+    second = np.where(first < size, first + size, first)
+    share = random.random((2, 2 * size))
+    products = carried[:, first] * carried[:, second] @ share.T
+    assert alike(kernel.products_of(outputs, first, second, share), products)
+    assert alike(kernel.covariance_of(outputs), carried @ carried.T)
