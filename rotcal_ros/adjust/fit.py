@@ -31,7 +31,8 @@ NEARLY: Final = 1e-6
 FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
 the next one is so much smaller; and how much smaller it is where they hardly change at all."""
-HALVINGS: Final = 20
+HALVINGS: Final = 8
+"""Times that steps are shortened in all before damped ones are taken, which do not creep."""
 MOST_DAMPED: Final = 200
 """Damped steps on the way to a minimum: many, for long bent valleys."""
 LEAST_DAMPING, STIFF = 1e-12, 1e12
@@ -441,7 +442,7 @@ def fitted(
         x = steps.defined(x)
         computed, jacobian = _computed(model, x, extra)
         solved = jacobian
-    slow = False
+    slow, halved = False, 0
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
@@ -457,15 +458,15 @@ def fitted(
             left_over = model.observed - _computed(model, x, extra)[0]
             return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
         slow, before = left > SHRINKS * before, left
-        for _halved in range(HALVINGS):
+        while halved < HALVINGS:
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
             finite = np.isfinite(after).all() and jacobian.finite
             if finite and (near or float(after @ after) <= square):
                 break
-            step = 0.5 * step
+            step, halved = 0.5 * step, halved + 1
         else:
-            break  # no step makes it better
+            break  # these steps creep
         x = x + step
     found = _damped(model, x, weight, extra)
     if found is None:
