@@ -1,13 +1,15 @@
-"""What ``make docs`` does beyond MkDocs: pages from outside docs/, the command line, a last look.
+"""What ``make docs`` does beyond MkDocs: pages from elsewhere, the command line, a last look.
 
 The pages link to other files of the repository, as on a code host: those files come along
-under ``repository/``. A page asks nothing of any server, which is looked at in the end.
+under ``repository/``. Some pages are made of the code. A page asks nothing of any server, which is
+looked at in the end.
 """
 
 from __future__ import annotations
 
 import posixpath
 import re
+import runpy
 from pathlib import Path
 
 import click
@@ -27,6 +29,12 @@ PAGES = (
     "examples/own_method/README.md",
 )
 """Pages that live beside what they are about, and belong to the site."""
+MADE = {
+    "settings.md": ("settings_page.py", "page"),
+    "troubleshooting.md": ("troubleshooting.py", "page"),
+    "result.schema.json": ("result_schema.py", "text"),
+}
+"""Files of the site that scripts make: the script, and its function."""
 LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)\s#]+)(?P<anchor>#[^)]*)?\)")
 COMMANDS = "command_line.md"
 REFERENCE = """
@@ -52,7 +60,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Bring the pages that live elsewhere and every file that some page links to."""
+    """Bring what is made, the pages that live elsewhere and every file that some page links to."""
     inside = [file.src_uri for file in files.documentation_pages()]
     wanted = set(PAGES)
     for page in [*(f"docs/{uri}" for uri in inside), *PAGES]:
@@ -60,6 +68,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         wanted |= {target for target in targets if _is_outside(target)}
     for path in sorted(wanted):
         files.append(File.generated(config, f"{FOLDER}/{path}", abs_src_path=str(ROOT / path)))
+    for uri, (script, function) in MADE.items():
+        text = runpy.run_path(str(ROOT / "scripts" / script))[function]()
+        files.append(File.generated(config, uri, content=text))
     return files
 
 

@@ -1,4 +1,4 @@
-"""Writes docs/result.schema.json from the tables of docs/result_json.md and from the code.
+"""Prints the JSON Schema of results, from the tables of docs/result_json.md and from the code.
 
 The page states field, shape, unit and meaning; names that a field chooses among, and the group
 identity, come from the dataclasses. The keyword ``unit`` is an annotation of our own.
@@ -18,8 +18,7 @@ from rotcal_ros.foundation.identity import Identity, InstrumentIdentity, Instrum
 from rotcal_ros.foundation.protection import ALL_EFFECTS, TREATMENTS
 from rotcal_ros.foundation.results import COUNTS_FROM, SCHEMA, Verdict
 
-DOCS = Path(__file__).parents[1] / "docs"
-PAGE, FILE = DOCS / "result_json.md", DOCS / "result.schema.json"
+PAGE = Path(__file__).parents[1] / "docs" / "result_json.md"
 KINDS = {"number": "number", "whole": "integer", "text": "string", "flag": "boolean"}
 ISO, NAME = "ISO", "NAME"
 """Parts of a path that stand for several names: deviations, and any."""
@@ -109,7 +108,7 @@ def schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "result.json of rotcal",
-        "description": "SI; written by scripts/result_schema.py from docs/result_json.md.",
+        "description": "SI; made by scripts/result_schema.py from docs/result_json.md.",
         **whole,
         "$defs": {
             method: _object((field.path, field) for field in mine) for method, mine in own.items()
@@ -167,4 +166,4 @@ def text() -> str:
 
 
 if __name__ == "__main__":
-    FILE.write_text(text(), encoding="utf-8")
+    print(text(), end="")

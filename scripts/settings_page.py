@@ -1,14 +1,9 @@
-"""Writes docs/settings.md from the declarations of the settings.
-
-usage: python scripts/settings_page.py [check]     check: only see whether the page is current
-"""
+"""Prints the page of the settings, from their declarations; `make docs` puts it into the site."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING
-from pathlib import Path
 
 from rotcal_ros.foundation.settings import Declaration
 from rotcal_ros.methods import find_method, method_names
@@ -27,7 +22,6 @@ from rotcal_ros.methods.settings_reference import (
 )
 
 BAR = "\\|"
-PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 HEAD = """# Settings
 
 A configuration is a YAML file: the name of a `method` and groups of settings, at the top or, as in
@@ -39,8 +33,7 @@ with which the meaning ends.
 
 On the command line: `--set GROUP.NAME=VALUE`; `rotcal settings METHOD` prints what to state first
 and the names of the others, `rotcal settings METHOD GROUP` what those of a group mean, `--expert`
-those [for experts](#for-experts) too. This page is written by `python scripts/settings_page.py`
-from the declarations.
+those [for experts](#for-experts) too.
 """
 FIRST = """## What to state first
 
@@ -134,7 +127,4 @@ def _code(text: str) -> str:
 
 
 if __name__ == "__main__":
-    text = page()
-    if sys.argv[1:] == ["check"]:
-        sys.exit(None if PAGE.read_text() == text else f"{PAGE} is old: write it again")
-    PAGE.write_text(text)
+    print(page(), end="")

@@ -1,6 +1,4 @@
-"""Writes docs/troubleshooting.md: what errors say, and the part of them that says what to do.
-
-usage: python scripts/troubleshooting.py [check]     check: only see whether the page is current
+"""Prints a page of what errors say, and the part of them that says what to do; see `make docs`.
 
 The texts are those of all errors of the package's own kinds, as they stand in the source.
 """
@@ -10,21 +8,19 @@ from __future__ import annotations
 import ast
 import builtins
 import re
-import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "rotcal_ros"
-PAGE = ROOT / "docs" / "troubleshooting.md"
 GROUPS = (
     ("Starting, running, attaching", "running.md", (
         "sessions/", "nodes/", "cli/attach", "foundation/middleware", "foundation/plugins",
     )),
     ("Machine and instruments", "interfaces.md#why-nothing-is-accepted", (
         "capture/", "extensions/ipp_dme", "extensions/instrument_plugins",
-        "extensions/ros2_control", "methods/simulat", "methods/clock_errors",
+        "extensions/ros2_control", "methods/simulat", "methods/added_errors",
     )),
     ("Bags, tables, replay", "recording.md#checking-and-repairing", (
         "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
@@ -55,7 +51,7 @@ column says what to do. Three kinds of errors are not listed, because they need 
 
 First aid: `rotcal doctor` looks at the machine, `rotcal cell check` at the cell, `rotcal bag
 check` at a bag. Why nothing is accepted: [interfaces](interfaces.md#why-nothing-is-accepted).
-Other questions: [FAQ](faq.md). This page is written by `python scripts/troubleshooting.py`.
+Other questions: [FAQ](faq.md).
 """
 VERBS = (
     "accept add allow announce apply apt ask attach average begin bring call change check "
@@ -187,7 +183,4 @@ def _name(node: ast.expr) -> str:
 
 
 if __name__ == "__main__":
-    text = page()
-    if sys.argv[1:] == ["check"]:
-        sys.exit(None if PAGE.read_text() == text else f"{PAGE} is old: write it again")
-    PAGE.write_text(text)
+    print(page(), end="")

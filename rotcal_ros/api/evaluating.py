@@ -10,13 +10,13 @@ from typing import Any, TypeAlias
 
 from rotcal_ros.api.reading import Frame, Name
 from rotcal_ros.evaluation.combination import CombinationInput
-from rotcal_ros.evaluation.combination import combine as combine_measured
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.compare import compare as compare_curves
 from rotcal_ros.evaluation.component_groups import Enlargement
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, require_runs
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
 from rotcal_ros.evaluation.joint import JointInput
+from rotcal_ros.evaluation.joint import combine as combine_measured
 from rotcal_ros.evaluation.joint import solve_together as solve_instruments
 from rotcal_ros.evaluation.monte_carlo import Propagated, propagated
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check

@@ -29,7 +29,7 @@ limits_option = click.option(
     multiple=True,
     metavar="reading.NAME=VALUE",
     callback=lambda _context, _option, changes: changed_limits(changes),
-    help="Change a limit of reading; docs/settings.md lists them.",
+    help="Change a limit of reading: see `rotcal settings reading`.",
 )
 
 

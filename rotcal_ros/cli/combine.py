@@ -54,7 +54,7 @@ def command(
     than independent measurements would. An input with the verdict failed is refused. The exit code
     is 0 for the verdict ok and 1 for suspect.
     """
-    from rotcal_ros.evaluation.combination import combine
+    from rotcal_ros.evaluation.joint import combine
     from rotcal_ros.recordings.result_sources import read_measured
 
     how = references(sources, reference_std, changes, polygon, remembers=remember)

@@ -154,7 +154,7 @@ def reliability(
     from rotcal_ros.evaluation.reliability import effects_on_deviations
     from rotcal_ros.evaluation.reliability import reliability as reliability_of
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
-    from rotcal_ros.methods.prospect import prospects
+    from rotcal_ros.methods.dry_run import prospects
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes)).of_distances
     expected = list(prospects(calibration))

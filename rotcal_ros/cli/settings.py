@@ -41,8 +41,6 @@ def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
     comma. Without METHOD, those of all methods. Settings for experts, such as thresholds and
     waits, which need no change in ordinary use, are left out without --expert or --all.
     --json has every setting, and marks the ones to state first and those for experts.
-    docs/settings.md has the same content: both come from the declarations that configurations
-    are checked against.
     """
     methods = plugins.names(plugins.METHODS)
     method = names[0] if names and names[0] in methods else ""

@@ -1,8 +1,4 @@
-"""The best estimate of a table's deviations from several results: methods, campaigns, references.
-
-Generalised least squares with the full covariance of every input, whose zeros are unknown. Inputs
-that rest on the same observations vary together, see :mod:`.common_angles`; all others are taken
-for independent.
+"""Results of one table as inputs of a combination, and the result that is made of them.
 
 What is done about each effect when several results are combined: the weakest of them counts.
 
@@ -24,21 +20,18 @@ import numpy as np
 from rotcal_ros.evaluation.common_angles import require_one_table
 from rotcal_ros.evaluation.compare import SURE, TOO_ALIKE, too_alike
 from rotcal_ros.evaluation.component_groups import (
-    ENLARGEMENTS,
     GROUPS,
     OPEN,
     ComponentGroup,
     Curves,
-    Enlargement,
     Joined,
-    combine_group,
     union,
 )
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
 from rotcal_ros.foundation.protection import (
     ALL_EFFECTS,
@@ -123,36 +116,6 @@ class Combination:
     groups: tuple[ComponentGroup, ...]
 
 
-def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") -> Combination:
-    """Return the best estimate of all components that any of ``inputs`` measured.
-
-    Each component counts from its own mean, and the pairs have no part that turns with the table.
-    The angles are those of all inputs; a component that was measured at only some of them is
-    interpolated at the others, with a warning. If the inputs contradict each other (chi-square, 1
-    % over all groups of components) the uncertainties are enlarged as ``enlarge`` says and the
-    verdict is suspect. An offset that one input leaves open, such as that between two groups of
-    table positions, comes from the others; a sentence says from which, and what it adds to U. A
-    component whose offset no input holds is left out if others are whole; if none is, all stay and
-    the result keeps the open :class:`Zeros`. The order of the inputs does not matter. Raises
-    DataError for inputs that cannot be joined.
-    """
-    if enlarge not in ENLARGEMENTS:
-        raise ConfigurationError(
-            f"enlargement {enlarge!r}: expected one of {', '.join(ENLARGEMENTS)}"
-        )
-    present = wanted_groups(inputs)
-    owners = [
-        {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
-        for group in present
-    ]
-    tests = max(1, sum(len(own) > 1 for own in owners))
-    groups = [
-        combine_group(group, own, enlarge, SURE / tests)
-        for group, own in zip(present, owners, strict=True)
-    ]
-    return Combination(result_of(groups, inputs), tuple(groups))
-
-
 def wanted_groups(inputs: Sequence[CombinationInput]) -> list[list[str]]:
     """Return the components of each group that any of ``inputs`` measured.
 
@@ -164,20 +127,6 @@ def wanted_groups(inputs: Sequence[CombinationInput]) -> list[list[str]]:
             f"inputs {', '.join(names) or 'none'}: give at least one, and each only once: a "
             "second time it would count as an independent measurement"
         )
-    _require_one_table(inputs)
-    _require_different(inputs)
-    found = {c for measured in inputs for c in measured.curves}
-    wanted: list[list[str]] = [[c for c in group if c in found] for group in GROUPS]
-    return [group for group in wanted if group]
-
-
-def owners_of(group: Sequence[str], inputs: Sequence[CombinationInput]) -> dict[str, Curves]:
-    """Return the curves of those inputs, by name, that measured any component of a ``group``."""
-    return {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
-
-
-def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
-    """Raise DataError if inputs state two items, two axes or two tables in force."""
     circumstances = [(m.name, m.circumstances) for m in inputs if m.circumstances]
     require_one_table({
         "serial number": {name: around.identity.serial for name, around in circumstances},
@@ -186,18 +135,22 @@ def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
             m.name: m.measured_on[:12] for m in inputs if m.measured_on != UNKNOWN
         },
     })  # fmt: skip
-
-
-def _require_different(inputs: Sequence[CombinationInput]) -> None:
-    """Raise DataError for two inputs with the same numbers: a bag and its result, a copy."""
     for first, second in combinations(inputs, 2):
         for c in first.curves.keys() & second.curves.keys():
             ours, theirs = first.curves[c].deviation, second.curves[c].deviation
-            if np.array_equal(ours, theirs) and np.any(ours):
+            if np.array_equal(ours, theirs) and np.any(ours):  # a bag and its result, a copy
                 raise DataError(
                     f"{first.name} and {second.name} hold the same {c} to the last bit: the same "
                     "measurement, which counts only once"
                 )
+    found = {c for measured in inputs for c in measured.curves}
+    wanted: list[list[str]] = [[c for c in group if c in found] for group in GROUPS]
+    return [group for group in wanted if group]
+
+
+def owners_of(group: Sequence[str], inputs: Sequence[CombinationInput]) -> dict[str, Curves]:
+    """Return the curves of those inputs, by name, that measured any component of a ``group``."""
+    return {m.name: m.curves for m in inputs if any(c in m.curves for c in group)}
 
 
 def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> Result:
@@ -214,11 +167,12 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
         for group in groups
         if too_alike(group.chi2_of_noise, group.dof, SURE / len(groups))
     ]
-    unchecked = _unchecked(groups, inputs)
+    checked = {n for group in groups if group.dof for names in group.members for n in names}
+    unchecked = [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
     notes = [link.in_words() for group in groups for link in group.links] + left_out
     notes += [f"{name}: {UNCHECKED}" for name in unchecked]
     chi2, dof = sum(group.chi2 for group in groups), sum(group.dof for group in groups)
-    step_deviation, step_std = _adjacent(deviations, covariance)
+    steps = np.diff(np.eye(len(angles)), axis=0) if "ECC" in deviations else None
     result = Result(
         method=METHOD,
         angles=angles,
@@ -229,9 +183,9 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
         dof=dof,
         n_observations=sum(len(c.angles) for m in inputs for c in m.curves.values()),
         verdict="suspect" if warnings else "ok",
-        warnings=(*warnings, *_interpolated(closed, angles, deviations), *_unlinked(groups)),
-        adjacent_deviations=step_deviation,
-        adjacent_std=step_std,
+        warnings=(*warnings, *_read_between(groups, closed, len(angles), {*deviations})),
+        adjacent_deviations=None if steps is None else steps @ deviations["ECC"],
+        adjacent_std=None if steps is None else std_of(steps @ covariance["ECC"] @ steps.T),
         details=_details(groups, inputs),
         protections=join_protections(
             {
@@ -269,7 +223,7 @@ def _curves(
             if whole and group.open_of(c).shape[1]:
                 left_out.setdefault(words, []).append(c)
                 continue
-            deviations[c] = to_all @ group.values(c)
+            deviations[c] = to_all @ group.value[group.columns[c]]
             covariance[c] = to_all @ group.covariance(c) @ to_all.T
         for column in () if whole else group.open.T:
             parts = {c: to_all @ column[group.columns[c]] for c, to_all in maps.items()}
@@ -324,39 +278,18 @@ def _to_all(own: Joined, angles: Floats) -> Floats | None:
     return interpolation_matrix(own.angles, angles, own.period)
 
 
-def _adjacent(
-    deviations: Mapping[str, Floats], covariance: Mapping[str, Floats]
-) -> tuple[Floats | None, Floats | None]:
-    """Return the deviations of the steps between neighbouring angles and their std, rad."""
-    if "ECC" not in deviations:
-        return None, None
-    steps = np.diff(np.eye(len(deviations["ECC"])), axis=0)
-    return steps @ deviations["ECC"], std_of(steps @ covariance["ECC"] @ steps.T)
-
-
-def _unchecked(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> list[str]:
-    """Return the tables of values that no other input measured again."""
-    checked = {n for group in groups if group.dof for names in group.members for n in names}
-    return [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
-
-
-def _interpolated(
-    joined: Mapping[str, Joined], angles: Floats, deviations: Mapping[str, Floats]
+def _read_between(
+    groups: Sequence[ComponentGroup], joined: Mapping[str, Joined], count: int, whole: set[str]
 ) -> list[str]:
-    """Return in words which components were not measured at all angles."""
-    fewer = [c for c, own in joined.items() if len(own.angles) < len(angles)]
-    then = {True: "interpolated at the others", False: "only on an arc, left out"}
-    return [
-        f"{c} was measured at {len(joined[c].angles)} of {len(angles)} angles: "
-        f"{then[c in deviations]}"
-        for c in fewer
+    """Return in words what was not measured at all ``count`` angles; ``whole``: is there now."""
+    fewer = [
+        f"{c} was measured at {len(own.angles)} of {count} angles: "
+        + ("interpolated at the others" if c in whole else "only on an arc, left out")
+        for c, own in joined.items()
+        if len(own.angles) < count
     ]
-
-
-def _unlinked(groups: Sequence[ComponentGroup]) -> list[str]:
-    """Return, in words, inputs that share too few angles with the others."""
     names = {name for group in groups for name in group.interpolated}
-    return [
+    return fewer + [
         f"{name} shares fewer than two angles with the others: these are interpolated at its own"
         for name in sorted(names)
     ]
@@ -366,7 +299,7 @@ def _largest_shares(groups: Sequence[ComponentGroup]) -> dict[str, float]:
     """Return by input its largest share of any standard uncertainty of the result, 0 to 1."""
     shares: dict[str, float] = {}
     for group in groups:
-        parts = np.sqrt(np.clip(group.pooled.variance_parts, 0.0, 1.0)).max(axis=1)
+        parts = np.sqrt(np.clip(group.shares, 0.0, 1.0)).max(axis=1)
         for names, part in zip(group.members, parts.tolist(), strict=True):
             shares |= {name: max(part, shares.get(name, 0.0)) for name in names}
     return shares
@@ -426,7 +359,7 @@ def join_protections(
         return ()
     named = {p.effect for protections in inputs.values() for p in protections}
     return tuple(
-        _joined(effect, _concerned(effect, inputs), shares)
+        _joined(effect, inputs, shares)
         for effect in ALL_EFFECTS
         if effect in named or effect not in PARTICULAR
     )
@@ -441,15 +374,6 @@ def weaker(first: Protection, second: Protection) -> Protection:
     return max(first, second, key=left)
 
 
-def _concerned(
-    effect: Effect, inputs: Mapping[str, Sequence[Protection]]
-) -> Mapping[str, Sequence[Protection]]:
-    """Return the inputs that may have ``effect``: for a particular one, those that mention it."""
-    if effect not in PARTICULAR:
-        return inputs
-    return {n: ps for n, ps in inputs.items() if any(p.effect == effect for p in ps)}
-
-
 def _joined(
     effect: Effect, inputs: Mapping[str, Sequence[Protection]], shares: Mapping[str, float]
 ) -> Protection:
@@ -457,6 +381,8 @@ def _joined(
     stated = {
         name: next((p for p in protections if p.effect == effect), silent)
         for name, protections in inputs.items()
+        # A particular effect concerns those that mention it.
+        if effect not in PARTICULAR or any(p.effect == effect for p in protections)
     }
     rank = WEAKEST_FIRST.index
     weakest = min((p.treatment for p in stated.values()), key=rank)

@@ -69,7 +69,9 @@ def pair(
         first_covariance=first.covariance[np.ix_(rows, rows)],
         second_covariance=weights @ second.covariance @ weights.T,
         shared=None if shared is None else shared[rows] @ weights.T,
-        interpolated=~_coincide(angles, second),
+        interpolated=np.asarray(
+            ~same_angles(angles, second.angles, second.period).any(axis=1), dtype=np.bool_
+        ),
         outside=len(first.angles) - len(rows),
         free=np.hstack([first.free_columns[rows], weights @ second.free_columns]),
     )
@@ -88,11 +90,6 @@ def require_one_table(stated: Mapping[str, Mapping[str, str]]) -> None:
                 f"the inputs are not of one table: {what} {named}; give measurements of one table "
                 "in one state"
             )
-
-
-def _coincide(angles: Floats, curve: MeasuredCurve) -> Bools:
-    """Return which of ``angles`` (n,) rad ``curve`` was measured at."""
-    return np.asarray(same_angles(angles, curve.angles, curve.period).any(axis=1))
 
 
 def same_angles(angles: Floats, others: Floats, period: float) -> Bools:
@@ -125,11 +122,11 @@ NONLINEAR: Final = 1e-4
 
 
 def shared_covariance(
-    first: MeasuredCurve, second: MeasuredCurve, names: tuple[str, str]
+    first: MeasuredCurve, second: MeasuredCurve, names: tuple[str, str], *, alike: bool = True
 ) -> Floats | None:
-    """Return the covariance (n1, n2) of two curves of one component by shared observations.
+    """Return the covariance (n1, n2) of two curves by shared observations; None without any.
 
-    None where they share nothing. Raises DataError where its effect on both is not known.
+    ``alike``: they are of one component. Raises DataError where its effect on both is not known.
     """
     here, there = first.raw_data.shared_with(second.raw_data)
     if not len(here):
@@ -144,7 +141,7 @@ def shared_covariance(
         )
     causes = [cause for cause in ours.causes if cause in set(theirs.causes)]
     both = _columns(ours, here, causes) @ _columns(theirs, there, causes).T
-    return np.asarray(both + _rest(first, second), dtype=np.float64)
+    return np.asarray(both + _rest(first, second) if alike else both, dtype=np.float64)
 
 
 def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
@@ -154,14 +151,17 @@ def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
     agree better than U says, and so does noise that is stated larger than the residuals show. The
     test whether results agree too well leaves out both.
     """
-    influence = curve.raw_data.influence
-    if influence is None or not np.any(_matrix(influence)):
+    raw = curve.raw_data
+    if raw.influence is None:
         return curve
-    matrix = curve.shown * _matrix(influence)
-    return replace(curve, covariance=matrix @ matrix.T) if np.any(matrix) else curve
+    by_name = {c: curve.shown * matrix for c, matrix in raw.influence.deviations.items()}
+    matrix = matrix_of(influence := replace(raw.influence, deviations=by_name))
+    if not np.any(matrix):
+        return curve
+    return replace(curve, covariance=matrix @ matrix.T, raw_data=replace(raw, influence=influence))
 
 
-def _matrix(influence: Influence) -> Floats:
+def matrix_of(influence: Influence) -> Floats:
     """Return the influences (m, k) on the one component of a curve."""
     (matrix,) = influence.deviations.values()
     return matrix
@@ -169,7 +169,7 @@ def _matrix(influence: Influence) -> Floats:
 
 def _columns(influence: Influence, wanted: Ints, causes: list[str]) -> Floats:
     """Return the influences of the ``wanted`` observations, zero for unused ones, and causes."""
-    matrix, c = _matrix(influence), influence.coordinates
+    matrix, c = matrix_of(influence), influence.coordinates
     width = len(influence.rows) * c
     index = {row: at for at, row in enumerate(influence.rows.tolist())}
     at = np.array([index.get(row, -1) for row in wanted.tolist()], dtype=np.int64)
@@ -192,7 +192,7 @@ def _rest(first: MeasuredCurve, second: MeasuredCurve) -> Floats:
 def _root(curve: MeasuredCurve) -> Floats:
     """Return the symmetric root (n, n) of the covariance beyond the influences."""
     assert curve.raw_data.influence is not None
-    matrix = _matrix(curve.raw_data.influence)
+    matrix = matrix_of(curve.raw_data.influence)
     values, vectors = np.linalg.eigh(curve.covariance - matrix @ matrix.T)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 

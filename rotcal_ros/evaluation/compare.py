@@ -121,7 +121,13 @@ def compare(
     common angles than the alignment needs.
     """
     if len(second.angles) < len(first.angles):
-        return _turned(compare(second, first, align_order, (names[1], names[0])))
+        turned = compare(second, first, align_order, (names[1], names[0]))
+        return replace(
+            turned,
+            difference=-turned.difference,
+            normalised_error=-turned.normalised_error,
+            offset=-turned.offset,
+        )
     both = pair(first, second, names)
     angles, raw = both.angles, both.first - both.second
     covariance = _of_difference(both)
@@ -131,7 +137,11 @@ def compare(
     normalised = _normalised(difference, std)
     p_value = 0.0 if exact and np.any(normalised) else chi2_sf(chi2, dof)
     agree = _agree(normalised, p_value)
-    why = None if agree else _suspicion(both.first, both.second, second, angles)
+    why = mirrored = None
+    if not agree:
+        if second.period:
+            mirrored = -interpolation_matrix(second.angles, -angles, TURN) @ second.deviation
+        why = suspicion(both.first, both.second, mirrored)
     if both.shared is None and not exact:
         bare = pair(of_observations_alone(first), of_observations_alone(second), names)
         least = _align(raw, _of_difference(bare), basis)[2]
@@ -179,16 +189,12 @@ def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floa
     keep = np.eye(n) - basis @ basis.T
     aligned = keep @ raw
     std = std_of(keep @ covariance @ keep)
-    chi2 = _chi_square(aligned, basis, covariance) if np.any(covariance) else 0.0
-    return aligned, std, chi2, n - unknowns
-
-
-def _chi_square(difference: Floats, basis: Floats, covariance: Floats) -> float:
-    """Return the weighted sum of squares that no choice of the unknowns can make smaller."""
+    if not np.any(covariance):
+        return aligned, std, 0.0, n - unknowns
     root = regular_root(covariance)
-    white = np.linalg.solve(root, difference)
+    white = np.linalg.solve(root, aligned)
     q, _ = np.linalg.qr(np.linalg.solve(root, basis))
-    return float(np.sum((white - q @ (q.T @ white)) ** 2))
+    return aligned, std, float(np.sum((white - q @ (q.T @ white)) ** 2)), n - unknowns
 
 
 def compare_all(
@@ -215,15 +221,6 @@ def _normalised(difference: Floats, std: Floats) -> Floats:
     zero = np.abs(difference) <= 1e-15
     scaled = difference / np.maximum(COVERAGE_FACTOR * std, tiny)
     return np.asarray(np.where(zero, 0.0, np.clip(scaled, -1e6, 1e6)), dtype=np.float64)
-
-
-def _turned(comparison: Comparison) -> Comparison:
-    return replace(
-        comparison,
-        difference=-comparison.difference,
-        normalised_error=-comparison.normalised_error,
-        offset=-comparison.offset,
-    )
 
 
 def _notes(both: PairedCurves, why: str | None, exact: bool) -> list[str]:
@@ -254,14 +251,6 @@ def _alike(chi2: float, dof: int, exact: bool) -> list[str]:
 def too_alike(chi2: float, dof: int, level: float = SURE) -> bool:
     """Return whether chance makes so small a chi-square less often than ``level``."""
     return dof > 0 and 1.0 - chi2_sf(chi2, dof) < level
-
-
-def _suspicion(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floats) -> str | None:
-    """Return what may be wrong with one of two curves that disagree, ``curve`` the second."""
-    mirrored = None
-    if curve.period:
-        mirrored = -interpolation_matrix(curve.angles, -angles, TURN) @ curve.deviation
-    return suspicion(first, second, mirrored)
 
 
 ALIKE: Final = 0.9

@@ -158,43 +158,25 @@ class Iso230(ByAngle):
 
 def iso230(runs: BidirectionalRuns) -> Iso230:
     """Evaluate ``runs`` after ISO 230-2:2014."""
-    up, down = runs.forward.mean(axis=1), runs.reverse.mean(axis=1)
-    s_up, s_down = runs.forward.std(axis=1, ddof=1), runs.reverse.std(axis=1, ddof=1)
-    mean, reversal = (up + down) / 2.0, up - down
-    repeat = np.max([2.0 * (s_up + s_down) + np.abs(reversal), 4.0 * s_up, 4.0 * s_down], axis=0)
-    means = np.vstack([up, down])
-    spread = 2.0 * np.vstack([s_up, s_down])
+    both = np.stack([runs.forward, runs.reverse])
+    mean, s = both.mean(axis=2), both.std(axis=2, ddof=1)
     m, n = runs.forward.shape
     common = np.zeros((m, m)) if runs.common is None else runs.common
+    weights = _weights(mean, s)
     return Iso230(
         targets=runs.targets,
-        mean_forward=up,
-        mean_reverse=down,
-        mean=mean,
-        s_forward=s_up,
-        s_reverse=s_down,
-        reversal_i=reversal,
-        repeatability_i=repeat,
-        reversal=float(np.max(np.abs(reversal))),
-        mean_reversal=float(np.mean(reversal)),
-        repeatability_forward=float(4.0 * np.max(s_up)),
-        repeatability_reverse=float(4.0 * np.max(s_down)),
-        repeatability=float(np.max(repeat)),
-        systematic_forward=float(np.ptp(up)),
-        systematic_reverse=float(np.ptp(down)),
-        systematic=float(np.ptp(means)),
-        mean_range=float(np.ptp(mean)),
-        accuracy_forward=_range(means[:1], spread[:1]),
-        accuracy_reverse=_range(means[1:], spread[1:]),
-        accuracy=_range(means, spread),
+        mean_forward=mean[0],
+        mean_reverse=mean[1],
+        mean=mean.mean(axis=0),
+        s_forward=s[0],
+        s_reverse=s[1],
+        reversal_i=mean[0] - mean[1],
+        repeatability_i=_repeatabilities(mean, s).max(axis=0),
         warnings=tuple(_short_of_the_standard(runs)),
-        uncertainties=figure_uncertainties(TargetStatistics(means, spread / 2.0, n, common)),
+        uncertainties={name: _propagated(s, n, common, *each) for name, each in weights.items()},
         measurement_stated=runs.common is not None,
+        **{name: float((a * mean + b * s).sum()) for name, (a, b) in weights.items()},
     )
-
-
-def _range(means: Floats, spread: Floats) -> float:
-    return float(np.max(means + spread) - np.min(means - spread))
 
 
 def _short_of_the_standard(runs: BidirectionalRuns) -> list[str]:
@@ -239,64 +221,61 @@ class FigureUncertainty:
         return {**plain_fields(self), "std": self.std, "expanded": self.expanded}
 
 
-@dataclass(frozen=True, eq=False)
-class TargetStatistics:
-    """Means and standard deviations (2, m) in rad of both directions, each of ``n`` runs.
-
-    ``common`` (m, m) is the covariance of the errors that all runs share, rad^2.
-    """
-
-    mean: Floats
-    s: Floats
-    n: int
-    common: Floats
-
-
-def figure_uncertainties(statistics: TargetStatistics) -> dict[str, FigureUncertainty]:
-    """Return the uncertainty of every figure, by its name in Iso230."""
-    return {
-        name: _propagated(statistics, *weights) for name, weights in _weights(statistics).items()
-    }
-
-
-def _propagated(statistics: TargetStatistics, of_mean: Floats, of_s: Floats) -> FigureUncertainty:
-    """Return the uncertainty of sum(of_mean * mean) + sum(of_s * s)."""
-    n = statistics.n
+def _propagated(
+    s: Floats, n: int, common: Floats, of_mean: Floats, of_s: Floats
+) -> FigureUncertainty:
+    """Return the uncertainty of sum(of_mean * mean) + sum(of_s * s), of n runs."""
     # Of n normal values: var(mean) = s^2 / n, var(s) = s^2 / (2 (n - 1)), independently.
-    terms = statistics.s**2 * (of_mean**2 / n + of_s**2 / (2.0 * (n - 1)))
+    terms = s**2 * (of_mean**2 / n + of_s**2 / (2.0 * (n - 1)))
     # An error that all runs share moves the means of both directions alike.
     shared = of_mean.sum(axis=0)
     sampling = float(terms.sum())
-    measurement = max(float(shared @ statistics.common @ shared), 0.0)
+    measurement = max(float(shared @ common @ shared), 0.0)
     # Welch and Satterthwaite: n - 1 degrees of freedom per term, no limit for the measurement.
     share = float(np.sum(terms**2)) / (n - 1)
     dof = (sampling + measurement) ** 2 / share if share > 0.0 else inf
     return FigureUncertainty(sqrt(sampling), sqrt(measurement), dof)
 
 
-def _weights(statistics: TargetStatistics) -> Mapping[str, tuple[Floats, Floats]]:
-    """Return for every figure its derivatives (2, m) by the means and by the s."""
-    mean, s = statistics.mean, statistics.s
+def _weights(mean: Floats, s: Floats) -> Mapping[str, tuple[Floats, Floats]]:
+    """Return every figure as weights (2, m) of the means and of the s: they are its derivatives.
+
+    Both directions of m targets.
+    """
     reversal = np.array([[1.0], [-1.0]])
     gap, none = mean[0] - mean[1], np.zeros_like(mean)
     middle = np.repeat(_ends(mean.mean(axis=0)[None, :]) / 2.0, 2, axis=0)
-    both, up, down = slice(None), slice(0, 1), slice(1, 2)
+    way, target = np.unravel_index(
+        np.argmax(repeat := _repeatabilities(mean, s)), repeat.shape
+    )  # of both directions with B_i, or of one
+    of_mean, of_s = none.copy(), none.copy()
+    if way == 0:
+        of_mean[:, target] = np.sign(gap[target]) * reversal[:, 0]
+        of_s[:, target] = 2.0
+    else:
+        of_s[way - 1, target] = 4.0
     figures = {
         "reversal": (reversal * _at(np.abs(gap)) * np.sign(gap), none),
         "mean_reversal": (reversal * np.full(len(gap), 1.0 / len(gap)), none),
         "mean_range": (middle, none),
-        "repeatability": _repeatability(gap, s),
+        "repeatability": (of_mean, of_s),
     }
-    for name, side in (("", both), ("_forward", up), ("_reverse", down)):
-        width = none.copy()
+    sides = {"": slice(None), "_forward": slice(0, 1), "_reverse": slice(1, 2)}
+    for name, side in sides.items():
+        width, of_mean, of_s, scatter = np.zeros((4, *mean.shape))
         width[side] = _ends(mean[side])
-        figures[f"systematic{name}"] = (width, none)
-        figures[f"accuracy{name}"] = _accuracy(mean, s, side)
+        high, low = _at(mean[side] + 2.0 * s[side]), _at(2.0 * s[side] - mean[side])
+        of_mean[side], of_s[side] = high - low, 2.0 * (high + low)
+        figures |= {f"systematic{name}": (width, none), f"accuracy{name}": (of_mean, of_s)}
         if name:
-            scatter = none.copy()
             scatter[side] = 4.0 * _at(s[side])
-            figures[f"repeatability{name}"] = (none, scatter)
+            figures[f"repeatability{name}"] = none, scatter
     return figures
+
+
+def _repeatabilities(mean: Floats, s: Floats) -> Floats:
+    """Return what R_i (m,) is the largest of, (3, m): of both directions, and of each."""
+    return np.array([2.0 * s.sum(axis=0) + np.abs(mean[0] - mean[1]), 4.0 * s[0], 4.0 * s[1]])
 
 
 def _at(values: Floats) -> Floats:
@@ -309,26 +288,6 @@ def _at(values: Floats) -> Floats:
 def _ends(values: Floats) -> Floats:
     """Return the derivatives of the range of ``values``."""
     return _at(values) - _at(-values)
-
-
-def _accuracy(mean: Floats, s: Floats, side: slice) -> tuple[Floats, Floats]:
-    of_mean, of_s = np.zeros_like(mean), np.zeros_like(mean)
-    high, low = _at(mean[side] + 2.0 * s[side]), _at(2.0 * s[side] - mean[side])
-    of_mean[side], of_s[side] = high - low, 2.0 * (high + low)
-    return of_mean, of_s
-
-
-def _repeatability(gap: Floats, s: Floats) -> tuple[Floats, Floats]:
-    """Return the derivatives of the largest R_i: of one direction, or of both with B_i."""
-    ways = np.array([2.0 * s.sum(axis=0) + np.abs(gap), 4.0 * s[0], 4.0 * s[1]])
-    way, target = np.unravel_index(np.argmax(ways), ways.shape)
-    of_mean, of_s = np.zeros_like(s), np.zeros_like(s)
-    if way == 0:
-        of_mean[:, target] = np.sign(gap[target]) * np.array([1.0, -1.0])
-        of_s[:, target] = 2.0
-    else:
-        of_s[way - 1, target] = 4.0
-    return of_mean, of_s
 
 
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")

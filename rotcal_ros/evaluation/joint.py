@@ -1,10 +1,11 @@
-"""One solution of what several instruments observed of one table.
+"""One solution of what several instruments observed of one table, or of their results.
 
 The deviations at all angles are unknowns that every instrument shares. An instrument brings its
 observations, with unknowns, noise, effects and groups of its own, even where these say nothing
 without the others. Where they are not at hand its result stands for them: values with all their
 covariance, free of the zeros that it leaves open. That is exact for a linear method; what it left
-out stays left out.
+out stays left out. Of results alone that is a combination, by generalised least squares; those
+that rest on the same observations vary together, see :mod:`.common_angles`.
 
 The zeros of every instrument are unknown: an offset of each component and what turns with the
 table. Two measurements of one angle that contradict each other are found by closures: what
@@ -13,7 +14,7 @@ chi-squared falls by if every instrument had a curve of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -21,12 +22,14 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
+from scipy.optimize import brentq
 from threadpoolctl import threadpool_limits
 
 from rotcal_ros.adjust.designs import dense
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.effects import EffectTest, effect_test
 from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
-from rotcal_ros.adjust.fit import Fit
+from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Model, Unit, linear
 from rotcal_ros.adjust.seen import seen_by
@@ -39,25 +42,34 @@ from rotcal_ros.evaluation.combination import (
     wanted_groups,
     weaker,
 )
-from rotcal_ros.evaluation.common_angles import same_angles
-from rotcal_ros.evaluation.compare import SURE
+from rotcal_ros.evaluation.common_angles import (
+    floor,
+    matrix_of,
+    of_observations_alone,
+    same_angles,
+    shared_covariance,
+)
+from rotcal_ros.evaluation.compare import SURE, too_alike
 from rotcal_ros.evaluation.component_groups import (
-    FLOOR,
+    ENLARGEMENTS,
     GROUPS,
+    SHARED,
     ComponentGroup,
     Curves,
+    Enlargement,
     GroupLayout,
     Joined,
-    Pooled,
-    SeenCurves,
+    ObservedCurves,
     laid_out,
     links_of,
+    orthonormal,
     part_of,
+    surest_evaluations,
     unknown,
 )
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.foundation.results import Rejection, Result
 
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
@@ -71,6 +83,12 @@ NONE: Final = 1e-9
 """Share of a direction that is rounding."""
 DETERMINED: Final = 1e-7
 """Share of what observations feel of a direction from which on they separate it from others."""
+MOST: Final = 0.5
+"""Share of a contradiction from which on it is that of one order."""
+FLOOR: Final = 1e-12
+"""Smallest variance of any direction, in mean variances; keeps exact results finite."""
+ROUNDED: Final = 1e-6
+"""Variance, in mean variances, by which influences that a file rounds may miss a covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,33 +118,53 @@ class _Shared:
 
     inputs: Sequence[CombinationInput]
     layouts: Sequence[GroupLayout]
-    parts: Sequence[Mapping[str, SeenCurves]]
+    parts: Sequence[Mapping[str, ObservedCurves]]
     left: Sequence[Floats]
 
     @classmethod
-    def of(cls, instruments: Sequence[JointInput]) -> _Shared:
-        """Return what the instruments share; DataError where nothing joins them."""
-        inputs = [each.alone for each in instruments]
-        _require_own_observations(inputs)
+    def of(cls, inputs: Sequence[CombinationInput], groups: Sequence[Sequence[str]]) -> _Shared:
+        """Return what inputs share in ``groups`` of components; DataError where nothing does."""
         layouts, every = [], []
-        for group in wanted_groups(inputs):
+        for group in groups:
             curves = owners_of(group, inputs)
-            layout = laid_out(group, curves)
-            if layout.between:
-                raise DataError(
-                    f"{', '.join(group)} of {', '.join(layout.between)}: fewer than two angles in "
-                    "common with the others: nothing joins their zeros; measure at common angles "
-                    "(rotcal combine reads between angles, and says so)"
-                )
-            layouts.append(layout)
+            layouts.append(layout := laid_out(group, curves))
             every.append({name: part_of(name, curves, layout) for name in curves})
         nothing = [np.zeros((len(layout.common), 0)) for layout in layouts]
         return cls(inputs, layouts, every, nothing)
 
-    def leaving(self, directions: Floats) -> _Shared:
-        """Return the same without ``directions`` (s, k) of the unknowns, which are open."""
+    def without_open(self, known: Sequence[Floats]) -> _Shared:
+        """Return the same without what is open: combinations that no rows (r, s) determine."""
+        rows = np.linalg.qr(np.concatenate(known), mode="r")
+        if not (open_ := null_space(rows, rcond=DETERMINED)).size:
+            return self
+        directions = self.basis @ open_
         parts = (np.linalg.svd(directions[place], full_matrices=False) for place in self.places)
         return replace(self, left=[ways[:, size > DETERMINED] for ways, size, _ in parts])
+
+    @cached_property
+    def clusters(self) -> dict[str, frozenset[str]]:
+        """By the name of an input the names of all that rest on the same observations."""
+        found = {m.name: frozenset([m.name]) for m in self.inputs}
+        for first, second in combinations(self.inputs, 2):
+            if len(first.raw_data.shared_with(second.raw_data)[0]):
+                both = found[first.name] | found[second.name]
+                found |= dict.fromkeys(both, both)
+        return found
+
+    def known(self, curves: Mapping[str, Curves]) -> dict[tuple[str, ...], _Known]:
+        """Return what results of ``curves`` know; those that share observations together."""
+        clusters = dict.fromkeys(self.clusters.values())
+        members = [tuple(n for n in curves if n in cluster) for cluster in clusters]
+        return {names: _Known.of(self, names, curves) for names in members if names}
+
+    def of_observations(self, curves: Mapping[str, Curves]) -> dict[str, Curves]:
+        """Return curves; those that share nothing have the covariance of observations alone."""
+        return {
+            name: {c: of_observations_alone(curve) for c, curve in own.items()}
+            if len(self.clusters[name]) == 1
+            else own
+            for name, own in curves.items()
+        }
 
     @cached_property
     def places(self) -> list[slice]:
@@ -166,17 +204,6 @@ class _Shared:
         return same_angles(angles, joined.angles, joined.period)
 
 
-def _require_own_observations(inputs: Sequence[CombinationInput]) -> None:
-    """Raise DataError for inputs that rest on the same observations."""
-    for first, second in combinations(inputs, 2):
-        here, _ = first.raw_data.shared_with(second.raw_data)
-        if len(here):
-            raise DataError(
-                f"{first.name} and {second.name} share {len(here)} observations: solve one of "
-                "them with the others (rotcal combine weighs results of the same data)"
-            )
-
-
 def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     """Return the observations of an instrument over the shared unknowns and its own.
 
@@ -214,71 +241,105 @@ def _observable(model: Model, own: Floats) -> Floats:
     return np.asarray((ways[seen].T / size[seen]) / scale[:, None])
 
 
-def _narrowed(model: Model, to: Floats) -> Model:
-    """Return the model of fewer shared unknowns, which ``to`` (s, t) takes to the present ones."""
-    own = model.size[1] - len(to)
-    blocks = {CURVES: to.shape[1], "own unknown": own}
-    return reparametrised(model, block_diag(to, np.eye(own)), blocks)
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What results of ``names`` that share observations know: combinations of their values.
 
-
-def _by_result(shared: _Shared, name: str) -> Model:
-    """Return the result of an instrument as observations of the shared unknowns, not judged.
-
-    In the space of what it knows, along the axes of its covariance.
+    ``rows`` (k, m) of them are free of what it leaves open, and make lengths and angles numbers of
+    one size; ``values`` (k,), ``design`` (k, s) and ``covariance`` (k, k) are those of the
+    combinations.
     """
-    parts = [
-        (group[name], place)
-        for group, place in zip(shared.parts, shared.places, strict=True)
-        if name in group
-    ]
-    values = np.concatenate([own.part.values for own, _ in parts])
-    design = np.concatenate([own.part.design @ shared.basis[place] for own, place in parts])
-    covariance = _whole_covariance([own for own, _ in parts], shared.curves_of(name))
-    # Lengths and angles are compared in their own mean uncertainties.
-    scale = np.concatenate([
-        np.full(len(rows), np.sqrt(shared.curves_of(name)[c].covariance.diagonal().mean()))
-        for own, _ in parts
-        for c, rows in own.rows.items()
-    ])  # fmt: skip
-    open_ = block_diag(*(own.part.free for own, _ in parts)) / scale[:, None]
-    known = null_space(open_.T).T
-    size, axes = np.linalg.eigh(known @ (covariance / np.outer(scale, scale)) @ known.T)
-    white = (axes / np.sqrt(np.maximum(size, FLOOR * size.mean()))).T @ known / scale
-    return Model(
-        blocks={CURVES: design.shape[1]},
-        observed=white @ values,
-        std=np.ones(len(white)),
-        equations=linear(white @ design),
-        outputs=np.zeros((0, design.shape[1])),
-        words=WORDS,
-        components=("the result",),
-        judged=np.zeros(len(white), dtype=np.bool_),
-        row_names=[f"value {k}" for k in range(len(white))],
-    )
+
+    names: Sequence[str]
+    rows: Floats
+    values: Floats
+    design: Floats
+    covariance: Floats
+
+    @classmethod
+    def of(cls, shared: _Shared, names: Sequence[str], curves: Mapping[str, Curves]) -> _Known:
+        """Return what results know, by their ``names``, with the covariance of ``curves``."""
+        found = [
+            (name, group[name], slot, left[:, : left.shape[1] * (name in layout.between)])
+            for name in names
+            for group, slot, left, layout in zip(
+                shared.parts, shared.places, shared.left, shared.layouts, strict=True
+            )
+            if name in group
+        ]
+        values = np.concatenate([own.values for _, own, _, _ in found])
+        design = np.concatenate([own.design @ shared.basis[slot] for _, own, slot, _ in found])
+        # A line between angles joins no zeros: it follows values with several zeros up and down.
+        free = [orthonormal(np.hstack([own.free, own.design @ left])) for _, own, _, left in found]
+        covariance = _covariance([(name, own) for name, own, _, _ in found], curves)
+        # Lengths and angles are compared in their own mean uncertainties.
+        scale = np.concatenate([
+            np.full(len(rows), np.sqrt(curves[name][c].covariance.diagonal().mean()))
+            for name, own, _, _ in found
+            for c, rows in own.rows.items()
+        ])  # fmt: skip
+        rows = null_space((block_diag(*free) / scale[:, None]).T).T / scale
+        return cls(names, rows, rows @ values, rows @ design, rows @ covariance @ rows.T)
+
+    def model(self, more: float = 0.0) -> Model:
+        """Return it as observations of the shared unknowns, not judged.
+
+        Along the axes of the covariance; every value has ``more`` variance.
+        """
+        size, axes = np.linalg.eigh(self.covariance + more * self.rows @ self.rows.T)
+        if size[0] < -ROUNDED * size.sum():
+            raise DataError(
+                f"{', '.join(self.names)}: the covariance of the deviations is not positive "
+                "semi-definite: the result is damaged, solve again"
+            )
+        white = (axes / np.sqrt(np.maximum(size, FLOOR * size.mean()))).T
+        return Model(
+            blocks={CURVES: self.design.shape[1]},
+            observed=white @ self.values,
+            std=np.ones(len(white)),
+            equations=linear(white @ self.design),
+            outputs=np.zeros((0, self.design.shape[1])),
+            words=WORDS,
+            components=("the result",),
+            judged=np.zeros(len(white), dtype=np.bool_),
+            row_names=[f"value {k}" for k in range(len(white))],
+        )
 
 
-def _whole_covariance(parts: Sequence[SeenCurves], curves: Curves) -> Floats:
-    """Return the covariance (m, m) of all values of a result.
+def _covariance(
+    parts: Sequence[tuple[str, ObservedCurves]], curves: Mapping[str, Curves]
+) -> Floats:
+    """Return the covariance (m, m) of all values of results, by name, that share observations.
 
-    Between components by the influences of its observations; where they are not known, as in a
-    combination.
+    Between components by the influences of the observations; where they are not known, as in a
+    combination, errors are what the method left of independent ones.
     """
-    rows = {c: taken for own in parts for c, taken in own.rows.items()}
-    influences = [curves[c].raw_data.influence for c in rows]
-    felt = [
-        matrix[taken]
-        for found, taken in zip(influences, rows.values(), strict=True)
-        if found is not None
-        for matrix in found.deviations.values()
-    ]
-    if len(felt) < len(rows):
-        return np.asarray(block_diag(*(own.part.covariance for own in parts)))
-    rest = [
-        curves[c].covariance[np.ix_(taken, taken)] - own @ own.T
-        for (c, taken), own in zip(rows.items(), felt, strict=True)
-    ]
-    together = np.concatenate(felt)
-    return np.asarray(together @ together.T + block_diag(*rest))
+    each = [(n, c, rows, own.grow[c]) for n, own in parts for c, rows in own.rows.items()]
+    stated = [curves[n][c].raw_data.influence for n, c, _, _ in each]
+    known = [found for found in stated if found is not None]
+    influences = [np.zeros((len(rows), 0)) for _, _, rows, _ in each]
+    if len(known) == len(each):
+        influences = [matrix_of(i)[rows] for i, (_, _, rows, _) in zip(known, each, strict=True)]
+    rests = []
+    for (n, c, rows, grow), mine in zip(each, influences, strict=True):
+        own = curves[n][c].covariance[np.ix_(rows, rows)]
+        rests.append(grow @ (own - mine @ mine.T) @ grow)
+    total, slots = np.asarray(block_diag(*rests)), places_of(len(own) for own in influences)
+    for i, (n, c, rows, _) in enumerate(each):
+        for j, (other, its, theirs, _) in enumerate(each[: i + 1]):
+            if n == other:
+                total[slots[i], slots[j]] += influences[i] @ influences[j].T
+            else:
+                pair = curves[n][c], curves[other][its]
+                both = shared_covariance(*pair, (n, other), alike=c == its)
+                if both is not None:
+                    total[slots[i], slots[j]] = both[np.ix_(rows, theirs)]
+            total[slots[j], slots[i]] = total[slots[i], slots[j]].T
+    if len({n for n, _ in parts}) > 1:
+        rounded = max(-np.linalg.eigvalsh(total)[0], 0.0)
+        rounded = min(rounded, ROUNDED * float(np.mean(total.diagonal())))
+        total += floor(total) + rounded * np.eye(len(total))
+    return total
 
 
 def _determined(white: Floats, shared: int) -> Floats:
@@ -295,31 +356,60 @@ def _determined(white: Floats, shared: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """The models of all instruments, over the shared unknowns, and all of them as one."""
+    """The models of all instruments, over the shared unknowns, and all of them as one.
+
+    ``members``: the names of the inputs of each, several where they share observations.
+    ``results``: names of the instruments whose results stand for them.
+    """
 
     shared: _Shared
     models: Mapping[str, Model]
+    members: Mapping[str, tuple[str, ...]]
     results: frozenset[str]
-    """Names of the instruments whose results stand for them."""
 
     @classmethod
     def of(cls, instruments: Sequence[JointInput]) -> _Views:
-        shared = _Shared.of(instruments)
-        models = {
-            each.name: _by_result(shared, each.name)
-            if each.model is None
-            else _by_observations(shared, each.model)
-            for each in instruments
-        }
+        inputs = [each.alone for each in instruments]
+        for first, second in combinations(inputs, 2):
+            here, _ = first.raw_data.shared_with(second.raw_data)
+            if len(here):
+                raise DataError(
+                    f"{first.name} and {second.name} share {len(here)} observations: solve one of "
+                    "them with the others (rotcal combine weighs results of the same data)"
+                )
+        shared = _Shared.of(inputs, wanted_groups(inputs))
+        for layout in shared.layouts:
+            if layout.between:
+                raise DataError(
+                    f"{', '.join(layout.joined)} of {', '.join(layout.between)}: fewer than two "
+                    "angles in common with the others: nothing joins their zeros; measure at "
+                    "common angles (rotcal combine reads between angles, and says so)"
+                )
+
+        def models() -> dict[str, Model]:
+            return {
+                each.name: _Known.of(shared, [each.name], {each.name: each.alone.curves}).model()
+                if each.model is None
+                else _by_observations(shared, each.model)
+                for each in instruments
+            }
+
+        found, width = models(), shared.basis.shape[1]
+        white = [dense(model.equations(model.first)[1]) for model in found.values()]
+        shared = shared.without_open([_determined(each, width) for each in white])
+        if shared.basis.shape[1] < width:
+            found = models()
         results = frozenset(each.name for each in instruments if each.model is None)
-        wide = shared.basis
-        white = [dense(model.equations(model.first)[1]) for model in models.values()]
-        known = np.concatenate([_determined(each, wide.shape[1]) for each in white])
-        if (open_ := null_space(known, rcond=DETERMINED)).size:
-            shared = shared.leaving(wide @ open_)
-            to = wide.T @ shared.basis
-            models = {name: _narrowed(model, to) for name, model in models.items()}
-        return cls(shared, models, results)
+        return cls(shared, found, {name: (name,) for name in found}, results)
+
+    @classmethod
+    def by_results(
+        cls, shared: _Shared, known: Mapping[tuple[str, ...], _Known], more: float = 0.0
+    ) -> _Views:
+        """Return results by the names of their inputs; each value has ``more`` variance."""
+        members = {SHARED.join(names): names for names in known}
+        models = {name: known[of].model(more) for name, of in members.items()}
+        return cls(shared, models, members, frozenset(members))
 
     def alone(self, name: str, fit: Fit) -> Model:
         """Return what one instrument observed, linear about the ``fit`` of all.
@@ -348,12 +438,28 @@ class _Views:
         return np.concatenate(each)
 
     @cached_property
+    def together(self) -> Model:
+        """What all observed."""
+        basis = self.shared.basis
+        return stacked(self.models, {CURVES: basis.shape[1]}, basis, WORDS)
+
+    @cached_property
     def whole(self) -> Model:
         """What all observed, with what the instruments may differ in."""
-        basis = self.shared.basis
-        model = stacked(self.models, {CURVES: basis.shape[1]}, basis, WORDS)
-        design = dense(model.equations(model.first)[1])
-        return replace(model, effects=[*model.effects, *self._differences(design)])
+        design = dense(self.together.equations(self.together.first)[1])
+        return replace(
+            self.together,
+            effects=[
+                *self.together.effects,
+                *self.differences(design, self.shared.columns),
+            ],
+        )
+
+    @cached_property
+    def fit(self) -> Fit:
+        """Least squares of what all observed, with the noise that is stated."""
+        n, p = self.together.size
+        return fitted(self.together, np.ones(n, dtype=np.bool_), np.ones(n), np.zeros(p))
 
     @cached_property
     def rows(self) -> dict[str, slice]:
@@ -371,10 +477,22 @@ class _Views:
         found[rows] = design[rows, : basis.shape[1]] @ (basis.T @ curves)
         return found
 
-    def _differences(self, design: Floats) -> Iterator[Disturbing]:
+    def differences(self, design: Floats, components: Iterable[str]) -> Iterator[Disturbing]:
         """Yield what one instrument may see otherwise than the others, by orders of a curve."""
-        names = [(m.name, c) for m in self.shared.inputs for c in m.curves]
-        several = [(name, c) for name, c in names if sum(c == other for _, other in names) > 1]
+        seeing = {
+            c: [
+                name
+                for name, of in self.members.items()
+                if any(m.name in of and c in m.curves for m in self.shared.inputs)
+            ]
+            for c in components
+        }
+        several = [
+            (name, c)
+            for name in self.members
+            for c, names in seeing.items()
+            if len(names) > 1 and name in names
+        ]
         for (name, c), order in product(several, ORDERS):
             turned = order * self.shared.joined(c).angles
             curves = np.zeros((len(self.shared.basis), 2))
@@ -387,6 +505,155 @@ class _Views:
                 LARGEST * factor,
                 Unit(label.replace("µ", "u"), factor),
             )
+
+    def closed(self, fit: Fit, names: Sequence[str], place: slice) -> EffectTest:
+        """Test whether some instruments see curves of their own of the unknowns at ``place``."""
+        curves = np.eye(len(self.shared.basis))[:, place]
+        columns = [self.own_curve(fit.design, name, curves) for name in names]
+        return effect_test(seen_by(fit, np.hstack(columns)))
+
+    def group(
+        self,
+        k: int,
+        fit: Fit,
+        tested: tuple[float, int, float],
+        level: float,
+        spread: Floats | None = None,
+    ) -> ComponentGroup:
+        """Return group ``k`` of components as it is in ``fit``; ``spread``: its covariance.
+
+        ``tested``: chi-squared of closures, degrees of freedom, and how often chance makes more.
+        """
+        place, layout = self.shared.places[k], self.shared.layouts[k]
+        response = fit.response[place]
+        parts = np.array([(response[:, rows] ** 2).sum(axis=1) for rows in self.rows.values()])
+        chi2, dof, chance = tested
+        return ComponentGroup(
+            members=tuple(self.members.values()),
+            joined=layout.joined,
+            columns=layout.columns,
+            value=fit.value[place],
+            spread=response @ response.T if spread is None else spread,
+            shares=parts / np.maximum(parts.sum(axis=0), np.finfo(np.float64).tiny),
+            chi2=chi2,
+            dof=dof,
+            p_value=chance,
+            consistent=chance >= level,
+            chi2_of_noise=chi2,
+            open=self.shared.left[k],
+            interpolated=layout.between,
+        )
+
+    def contradicting(self, group: ComponentGroup, k: int, fit: Fit) -> ComponentGroup:
+        """Return a group whose inputs contradict each other, with Birge's factor and who is off.
+
+        By ``fit`` with the noise that each has alone.
+        """
+        place, farthest = self.shared.places[k], ""
+        names = [
+            n for n, of in self.members.items() if not self.shared.parts[k].keys().isdisjoint(of)
+        ]
+        if len(names) > 2:
+            squares = {name: self.closed(fit, [name], place).squares for name in names}
+            farthest = max(names, key=squares.__getitem__)
+        tests = [
+            (effect_test(seen_by(fit, effect.whole(fit.computed))), effect.what)
+            for effect in self.differences(fit.design, group.joined)
+        ]
+        differs = ""
+        if tests:  # of one alone nothing is another
+            best, what = max(tests, key=lambda test: test[0].squares)
+            most = best.squares - best.rank > MOST * (group.chi2 - group.dof)
+            differs = what if most and len(tests) * best.probability < SURE else ""
+        factor = float(np.sqrt(group.chi2 / group.dof))
+        return replace(
+            group, enlargement="birge", factor=factor, farthest=farthest, differs=differs
+        )
+
+    def linked(self, group: ComponentGroup, k: int) -> ComponentGroup:
+        """Return a group with the offsets that one input leaves open and others measured."""
+        parts = self.shared.parts[k]
+        curves = {name: self.shared.curves_of(name) for name in parts}
+        return replace(group, links=tuple(links_of(group, curves, parts)))
+
+
+def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") -> Combination:
+    """Return the best estimate of all components that any of ``inputs`` measured.
+
+    Each component counts from its own mean, and the pairs have no part that turns with the table.
+    The angles are those of all inputs; a component that was measured at only some of them is
+    interpolated at the others, with a warning. If the inputs contradict each other (chi-square, 1
+    % over all groups of components) the uncertainties are enlarged as ``enlarge`` says and the
+    verdict is suspect. An offset that one input leaves open, such as that between two groups of
+    table positions, comes from the others; a sentence says from which, and what it adds to U. A
+    component whose offset no input holds is left out if others are whole; if none is, all stay and
+    the result keeps the open :class:`Zeros`. The order of the inputs does not matter. Raises
+    DataError for inputs that cannot be joined.
+    """
+    if enlarge not in ENLARGEMENTS:
+        raise ConfigurationError(
+            f"enlargement {enlarge!r}: expected one of {', '.join(ENLARGEMENTS)}"
+        )
+    every = [_Shared.of(inputs, [group]) for group in wanted_groups(inputs)]
+    level = SURE / max(1, sum(len(shared.parts[0]) > 1 for shared in every))
+    groups = [_combined(shared, enlarge, level) for shared in every]
+    return Combination(result_of(groups, inputs), tuple(groups))
+
+
+def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentGroup:
+    """Return the one group of results: consistent if chance makes more than ``level``."""
+    (layout,), (parts,) = shared.layouts, shared.parts
+    curves = {name: shared.curves_of(name) for name in parts}
+    if any(own.free.shape[1] > own.known for own in parts.values()):
+        joining = [
+            own.observable(shared.basis) for n, own in parts.items() if n not in layout.between
+        ]
+        shared = shared.without_open(joining)
+    known, counting = shared.known(curves), surest_evaluations(curves)
+    surest, views = known, _Views.by_results(shared, known)
+    best = views
+    if len(counting) < len(curves):
+        surest = shared.known({name: curves[name] for name in counting})
+        best = _Views.by_results(shared, surest)
+    try:
+        chi2, dof = views.fit.chi2, views.fit.dof
+    except ObservabilityError as error:
+        raise DataError(
+            f"{', '.join(layout.joined)} of {', '.join(parts)}: the inputs share too few angles "
+            "to be joined: measure at two common angles or more"
+        ) from error
+    tested = chi2, dof, chi2_sf(chi2, dof) if dof else 1.0
+    group = best.group(0, best.fit, tested, level)
+    if too_alike(chi2, dof):  # by less noise they agree less well
+        noise = _Views.by_results(shared, shared.known(shared.of_observations(curves)))
+        group = replace(group, chi2_of_noise=noise.fit.chi2)
+    if not group.consistent:
+        group = views.contradicting(group, 0, views.fit)
+        if enlarge != "birge":
+            group = replace(group, enlargement=enlarge, factor=1.0)
+        if enlarge == "mandel-paule":
+            variance = _common_variance(shared, known)
+            best = _Views.by_results(shared, surest, variance)
+            wide = best.group(0, best.fit, tested, level)
+            group = replace(group, value=wide.value, spread=wide.spread, shares=wide.shares)
+            group = replace(group, common_std=float(np.sqrt(variance)))
+    return views.linked(replace(group, members=tuple(known)), 0)
+
+
+def _common_variance(shared: _Shared, known: Mapping[tuple[str, ...], _Known]) -> float:
+    """Return the variance that, added to every value, makes chi-square equal to dof.
+
+    This is Mandel and Paule's between-laboratory component, here for every single value.
+    """
+
+    def missing(variance: float) -> float:
+        fit = _Views.by_results(shared, known, variance).fit
+        return fit.dof / fit.chi2 - 1.0  # nearly a straight line
+
+    high = max(1.0 / float(np.mean((own.rows**2).sum(axis=1))) for own in known.values())
+    while missing(high) < 0.0:
+        high *= 4.0
+    return float(brentq(missing, 0.0, high, xtol=1e-6 * high, rtol=1e-9))
 
 
 def solve_together(instruments: Sequence[JointInput]) -> Combination:
@@ -424,51 +691,19 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
     ``alone`` is the solution with the noise that each instrument has alone; it is the result where
     they contradict each other.
     """
-    shared, names, members = views.shared, list(views.models), list(views.shared.parts[k])
-    layout, place = shared.layouts[k], shared.places[k]
-
-    def closed(closing: Sequence[str]) -> EffectTest:
-        curves = np.eye(len(shared.basis))[:, place]
-        columns = [views.own_curve(alone.design, name, curves) for name in closing]
-        return effect_test(seen_by(alone, np.hstack(columns)))
-
-    squares, rank, chance = 0.0, 0, 1.0
-    if len(members) > 1:
-        test = closed(members[1:])
-        squares, rank, chance = test.squares, test.rank, test.probability
-    consistent = chance >= level
-    fit = found.fit if consistent else alone
-    response = fit.response[place]
-    stated = _covariance(views, found)[place, place]
-    covariance = stated if consistent else response @ response.T
-    parts = np.array([(response[:, views.rows[name]] ** 2).sum(axis=1) for name in names])
-    variances = np.maximum(parts.sum(axis=0), np.finfo(np.float64).tiny)
-    group = ComponentGroup(
-        inputs=tuple(names),
-        members=tuple((name,) for name in names),
-        joined=layout.joined,
-        columns=layout.columns,
-        pooled=Pooled(fit.value[place], covariance, parts / variances, squares, rank),
-        chi2=squares,
-        dof=rank,
-        p_value=chance,
-        consistent=consistent,
-        chi2_of_noise=squares,
-        open=shared.left[k],
-    )
-    if not consistent:
-        by_name = {name: closed([name]).squares for name in members}
-        farthest = max(by_name, key=by_name.__getitem__) if len(members) > 2 else ""
-        factor = float(np.sqrt(squares / rank))
-        group = replace(group, enlargement="birge", factor=factor, farthest=farthest)
-    curves = {name: shared.curves_of(name) for name in members}
-    return replace(
-        group,
-        links=tuple(links_of(group, curves, [own.part for own in shared.parts[k].values()])),
-    )
+    place, (_, *closing) = views.shared.places[k], views.shared.parts[k]
+    tested = (0.0, 0, 1.0)
+    if closing:
+        test = views.closed(alone, closing, place)
+        tested = test.squares, test.rank, test.probability
+    if tested[2] >= level:
+        spread = _stated_covariance(views, found)[place, place]
+        return views.linked(views.group(k, found.fit, tested, level, spread), k)
+    group = views.group(k, alone, tested, level)
+    return views.linked(views.contradicting(group, k, alone), k)
 
 
-def _covariance(views: _Views, found: Adjusted) -> Floats:
+def _stated_covariance(views: _Views, found: Adjusted) -> Floats:
     """Return the covariance (s, s) of the deviations.
 
     A result that agrees with the others better than it says keeps what it says: its scatter there

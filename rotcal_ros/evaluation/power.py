@@ -128,10 +128,11 @@ class Bench:
             return Trial(result.verdict != "ok", None)
         truth = self._truth(measured)
         error = _error(result, plain, {name: truth[name] - before[name] for name in truth})
-        scatters = {d.effect for d in self.listed() if d.scatters}
-        return Trial(
-            result.verdict != "ok", _pooled(error) if effect in scatters else _worst(error)
-        )
+        if effect in {d.effect for d in self.listed() if d.scatters}:  # all angles are alike
+            error = {
+                name: np.sqrt(np.mean(part**2, keepdims=True)) for name, part in error.items()
+            }
+        return Trial(result.verdict != "ok", np.concatenate(list(error.values())))
 
     def listed(self) -> tuple[Disturbance, ...]:
         """Return the disturbances that the method lists; empty if it lists none."""
@@ -205,16 +206,6 @@ def _error(result: Result, plain: Result, moved: Mapping[str, Floats]) -> dict[s
             caused = caused - moved[name]
         parts[name] = caused[std > 0.0] / std[std > 0.0]
     return parts
-
-
-def _worst(error: Mapping[str, Floats]) -> Floats:
-    """Return the errors of a pattern, angle by angle."""
-    return np.concatenate(list(error.values()))
-
-
-def _pooled(error: Mapping[str, Floats]) -> Floats:
-    """Return the errors of scattering effects: rms over the angles, which are all equivalent."""
-    return np.array([np.sqrt(np.mean(np.square(part))) for part in error.values()])
 
 
 FACTOR: Final = 2.0

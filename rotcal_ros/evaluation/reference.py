@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import DataError
@@ -121,11 +120,8 @@ def _curve(
         )
     period = period_of(angles)
     if period and abs(angles[-1] - angles[0] - TURN) < SAME_ANGLE:
-        gap, limit = (
-            abs(deviation[-1] - deviation[0]),
-            4.0 * math.hypot(uncertainty[0], uncertainty[-1]),
-        )
-        if gap > limit + SAME_ANGLE:
+        gap = abs(deviation[-1] - deviation[0])
+        if gap > 4.0 * math.hypot(uncertainty[0], uncertainty[-1]) + SAME_ANGLE:
             raise DataError(
                 f"{name}: the rows at {angles[0] / DEGREE:g} and {angles[-1] / DEGREE:g} deg "
                 f"differ by {gap / ARCSEC:.4g} arcsec, expected the same table position to agree"
@@ -136,7 +132,12 @@ def _curve(
             f"{name} states no uncertainty: add a column u_arcsec, or state one for all rows with "
             "--reference-u (standard uncertainty, k = 1)"
         )
-    return _sorted(angles, deviation, uncertainty, period, name)
+    position = np.array([wrapped(a) for a in angles]) if period else angles
+    order = np.argsort(position)
+    if np.any(np.diff(position[order]) < SAME_ANGLE):
+        raise DataError(f"{name}: more than one turn; give every table position once")
+    covariance = np.diag(uncertainty[order] ** 2)
+    return MeasuredCurve(position[order], deviation[order], covariance, period)
 
 
 def without_polygon(reading: MeasuredCurve, polygon: MeasuredCurve) -> MeasuredCurve:
@@ -161,13 +162,3 @@ def without_polygon(reading: MeasuredCurve, polygon: MeasuredCurve) -> MeasuredC
         deviation=reading.deviation - polygon.deviation[rows],
         covariance=reading.covariance + faces,
     )
-
-
-def _sorted(
-    angles: Floats, deviation: Floats, std: Floats, period: float, name: str
-) -> MeasuredCurve:
-    position = np.array([wrapped(a) for a in angles]) if period else angles
-    order = np.argsort(position)
-    if np.any(np.diff(position[order]) < SAME_ANGLE):
-        raise DataError(f"{name}: more than one turn; give every table position once")
-    return MeasuredCurve(position[order], deviation[order], np.diag(std[order] ** 2), period)

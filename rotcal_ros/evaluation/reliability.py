@@ -191,15 +191,10 @@ def _gain(
             raise DataError(
                 "a small error changes which angles are solved: the plan is too weak; add lengths"
             )
-        squares = squares + np.square(_in_std(result, again) / step)
+        stated = {name: std > 0.0 for name, std in result.std.items()}
+        changes = [
+            (again.deviations[c] - result.deviations[c])[stated[c]] / result.std[c][stated[c]]
+            for c in result.components
+        ]
+        squares = squares + np.square(np.concatenate(changes) / step)
     return np.asarray(np.sqrt(squares), dtype=np.float64)
-
-
-def _in_std(result: Result, again: Result) -> Floats:
-    """Return all changes of deviations between two solutions, in standard uncertainties."""
-    changes = []
-    for name in result.components:
-        std = result.std[name]
-        stated = std > 0.0
-        changes.append((again.deviations[name] - result.deviations[name])[stated] / std[stated])
-    return np.concatenate(changes)

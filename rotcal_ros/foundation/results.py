@@ -410,6 +410,11 @@ class Result:
         within, verdict = _at_best_suspect(self.zeros.within), _at_best_suspect(self.verdict)
         return replace(self, verdict=verdict, zeros=replace(self.zeros, within=within))
 
+    def protected(self, by: Protection) -> Result:
+        """Return the result with ``by`` in place of what it says of that effect."""
+        every = tuple(by if p.effect == by.effect else p for p in self.protections)
+        return replace(self, protections=every)
+
     def counted_from(self, counts_from: str, free: Iterable[FreeDirection] = ()) -> Result:
         """Return the result with its :class:`Zeros`: suspect at best where some are open."""
         zeros = Zeros(counts_from, tuple(free), self.verdict)

@@ -1,7 +1,7 @@
 """Settings: typed, documented and range-checked fields of frozen dataclasses.
 
 One declaration serves everybody: the YAML reader checks against it, the ROS nodes declare their
-parameters from it (description, unit, range), and ``docs/settings.md`` is written from it.
+parameters from it (description, unit, range), and the page of settings is made of it.
 """
 
 from __future__ import annotations

@@ -18,7 +18,8 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.refraction import EQUATIONS, Air, Equation, Sensors, index_std
-from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.added_errors import with_errors
 from rotcal_ros.methods.air_settings import AirSettings
 
 if TYPE_CHECKING:
@@ -185,22 +186,11 @@ def with_common(result: Result, moved: Result) -> Result:
             "every index larger by its standard uncertainty; measure more lengths"
         )
     shift = {n: moved.deviations[n] - values for n, values in result.deviations.items()}
-    return replace(
-        result,
-        std={n: np.hypot(values, shift[n]) for n, values in result.std.items()},
-        covariance={n: c + np.outer(shift[n], shift[n]) for n, c in result.covariance.items()},
-        adjacent_std=_adjacent_std(result, moved),
-        directions={n: _both(d, moved.directions[n]) for n, d in result.directions.items()},
-    )
-
-
-def _adjacent_std(result: Result, moved: Result) -> Floats | None:
-    before, after = result.adjacent_deviations, moved.adjacent_deviations
-    if result.adjacent_std is None or before is None or after is None:
-        return result.adjacent_std
-    return np.asarray(np.hypot(result.adjacent_std, after - before), dtype=np.float64)
-
-
-def _both(sides: Directions, moved: Directions) -> Directions:
-    shift = np.append(moved.forward - sides.forward, moved.reverse - sides.reverse)
-    return replace(sides, covariance=sides.covariance + np.outer(shift, shift))
+    sides = {
+        n: np.append(
+            moved.directions[n].forward - d.forward, moved.directions[n].reverse - d.reverse
+        )
+        for n, d in result.directions.items()
+    }
+    columns = ({n: values[:, None] for n, values in each.items()} for each in (shift, sides))
+    return with_errors(result, *columns)

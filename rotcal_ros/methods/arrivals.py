@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +22,9 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Directions, RepeatedRuns, Result
+from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.planning.table_angles import visits
+from rotcal_ros.planning.table_angles import table_angles, visits
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,13 @@ def arrivals_of(angles: Sequence[float], runs: int, *, bidirectional: bool) -> A
     )
 
 
+def both_ways(plan: Any) -> Arrivals | None:
+    """Return the arrivals of the settings of a plan that measures both directions; else None."""
+    if not plan.bidirectional:
+        return None
+    return arrivals_of(table_angles(plan), runs=1, bidirectional=True)
+
+
 def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True) -> Result:
     """Return ``result`` of all arrivals as the mean curves at the targets, with its ``runs``.
 
@@ -119,7 +128,7 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
         zeros=result.zeros.mapped(tied),
         raw_data=result.raw_data.tied(tied),
     )
-    return _with_steps(mean) if from_first else mean
+    return with_steps(mean) if from_first else mean
 
 
 def mean_of_arrivals(
@@ -174,16 +183,6 @@ class RepeatedTrials:
         scatter = self.repeatability_std[:, None]
         values = values + scatter * rng.standard_normal(values.shape)
         return np.asarray((values @ self.mean.T).reshape(count, -1), dtype=np.float64)
-
-
-def _with_steps(result: Result) -> Result:
-    """Return ``result`` with the deviations of the steps between its neighbouring angles."""
-    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
-    step = np.diff(np.eye(len(ecc)), axis=0)
-    variance = np.diag(step @ covariance @ step.T)
-    return replace(
-        result, adjacent_deviations=np.diff(ecc), adjacent_std=np.sqrt(np.maximum(variance, 0.0))
-    )
 
 
 def _directions(

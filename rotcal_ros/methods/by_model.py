@@ -164,7 +164,11 @@ class ByModel:
         model = self.model(configuration, Readings.of(observations))
         parts, count = self._parts(configuration, model)
         curves = {name: model.outputs[part] for name, part in parts.items()}
-        untold, arrivals = self.untold(configuration), self.arrivals(configuration)
+        arrivals, width = self.arrivals(configuration), model.size[1]
+        untold = {  # of the unknowns before those of what scatters
+            c: np.pad(rows, ((0, 0), (0, width - rows.shape[1])))
+            for c, rows in self.untold(configuration).items()
+        }
         found = CurveModel(
             model, np.array(plan.table_angles[:count]), {**curves, **untold}, tuple(untold)
         )

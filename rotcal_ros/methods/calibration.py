@@ -24,9 +24,9 @@ from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
 from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.geometry.rotations import carried
+from rotcal_ros.methods.added_errors import arrival_std, require_settled, with_clock_errors
 from rotcal_ros.methods.air import Refraction
 from rotcal_ros.methods.air_settings import AirSettings
-from rotcal_ros.methods.clock_errors import arrival_std, require_settled, with_clock_errors
 from rotcal_ros.methods.configuration import Configuration, read_policy
 from rotcal_ros.methods.continuation import Continuation, continued
 from rotcal_ros.methods.disturbance import DisturbedMeasurement, Sizes
@@ -116,8 +116,10 @@ class Calibration:
             result = replace(result, measured_on=measured_on)
         conflicts = frame_conflicts(self.configuration.cell, self.plan, result, frames)
         warnings = (*result.warnings, *conflicts)
-        if not self.method.set_by_hand:
-            result = _numbered_by_feedback(result, used)
+        if not self.method.set_by_hand and all(o.captured for o in used):
+            # it cannot be numbered off, as a table that is written down can
+            why = "all was captured while the table's own feedback stood at the commanded angle"
+            result = result.protected(Protection("numbering", "harmless", why))
         raw = replace(RawData.of(used, _DATED_NS), influence=result.raw_data.influence)
         return replace(
             result, warnings=warnings, circumstances=self._circumstances(used), raw_data=raw
@@ -382,19 +384,6 @@ def prepare_whole(configuration: Configuration) -> Calibration:
         except PlanError as error:
             raise PlanError(f"{configuration.source}: plan: {error}") from error
     return calibration
-
-
-def _numbered_by_feedback(result: Result, used: Sequence[Observation]) -> Result:
-    """Return the result; what was captured cannot be numbered off, as a table written down can."""
-    if not all(o.captured for o in used):
-        return result
-    captured = Protection(
-        "numbering",
-        "harmless",
-        "all was captured while the table's own feedback stood at the commanded angle",
-    )
-    protections = [captured if p.effect == captured.effect else p for p in result.protections]
-    return replace(result, protections=tuple(protections))
 
 
 def last_accepted(observations: Iterable[Observation]) -> dict[RunStep, Observation]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,8 @@ ALL_AXES: Final = np.full(3, 1.0 / np.sqrt(3.0))
 
 Sizes = Mapping[Effect, float]
 """How large each effect is, in the SI unit of its :class:`Disturbance`; absent: not there."""
+Stated: TypeAlias = "Callable[[Configuration], float] | None"
+"""What reads how much of an effect a configuration allows for, SI; None: nothing is stated."""
 Streams = tuple[np.random.Generator, np.random.Generator]
 """Random numbers of the stated noise, and of what is beside it."""
 
@@ -45,7 +47,7 @@ class Disturbance:
     start: float
     largest: float
     scatters: bool = False
-    stated: Callable[[Configuration], float] | None = None
+    stated: Stated = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,28 +76,25 @@ def repeatability(start: float, largest: float) -> Disturbance:
     return Disturbance("repeatability", what, "arcsec", ARCSEC, start, largest, scatters=True)
 
 
-def error_motion(
-    start: float, largest: float, stated: Callable[[Configuration], float] | None = None
-) -> Disturbance:
-    """Return the error motion of the table, beyond what is ``stated``; sizes in um."""
-    what = f"EXC and EYC scatter from position to position by so much{_beyond(stated)}"
-    return Disturbance(
-        "error motion", what, "um", MICROMETRE, start, largest, scatters=True, stated=stated
-    )
+def error_motion(start: float, largest: float, allowed: Stated = None) -> Disturbance:
+    """Return the error motion of the table, beyond what is ``allowed`` for; sizes in um."""
+    what = f"EXC and EYC scatter from position to position by so much{_beyond(allowed)}"
+    return Disturbance("error motion", what, "um", MICROMETRE, start, largest, True, allowed)
 
 
-def tilt(
-    start: float, largest: float, stated: Callable[[Configuration], float] | None = None
-) -> Disturbance:
-    """Return the tilts of the table, beyond what is ``stated``; sizes in arcsec."""
-    what = f"EAC and EBC scatter from position to position by so much{_beyond(stated)}"
-    return Disturbance(
-        "tilt", what, "arcsec", ARCSEC, start, largest, scatters=True, stated=stated
-    )
+def tilt(start: float, largest: float, allowed: Stated = None) -> Disturbance:
+    """Return the tilts of the table, beyond what is ``allowed`` for; sizes in arcsec."""
+    what = f"EAC and EBC scatter from position to position by so much{_beyond(allowed)}"
+    return Disturbance("tilt", what, "arcsec", ARCSEC, start, largest, True, allowed)
 
 
-def _beyond(stated: Callable[[Configuration], float] | None) -> str:
-    return " (k = 1)" if stated is None else " more (k = 1) than is stated"
+def stated(name: str, unit_si: float = 1.0) -> Callable[[Configuration], float]:
+    """Return what reads a statement of the solver's settings, SI."""
+    return lambda configuration: float(getattr(configuration.solver, name)) * unit_si
+
+
+def _beyond(allowed: Stated) -> str:
+    return " (k = 1)" if allowed is None else " more (k = 1) than is stated"
 
 
 def table_deviations(count: int, sizes: Sizes, other: np.random.Generator) -> dict[str, Floats]:

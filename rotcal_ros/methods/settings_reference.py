@@ -1,4 +1,4 @@
-"""The reference of all settings, in words: what ``docs/settings.md`` and ``rotcal settings`` say.
+"""The reference of all settings, in words: what the page of settings and ``rotcal settings`` say.
 
 Both are written from the declarations, so that neither can say anything else than is checked.
 """

@@ -1,15 +1,9 @@
-"""The settings of the capture are those of the page."""
+"""Settings of the capture that have to fit each other."""
 
 import pytest
-from settings_page import assert_documented
 
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.foundation.errors import ConfigurationError
-
-
-def test_every_setting_is_as_documented():
-    assert CaptureSettings() == CaptureSettings(temperature_expected=True)  # they go together
-    assert assert_documented(CaptureSettings, "capture") == 25
 
 
 def test_settling_ends_before_the_timeout():

@@ -6,7 +6,6 @@ import re
 
 import pytest
 from click.testing import CliRunner
-from settings_page import rows
 
 from rotcal_ros.cli.main import rotcal
 
@@ -18,17 +17,6 @@ METHODS = (
 
 def run(*arguments, **env):
     return CliRunner().invoke(rotcal, ["settings", *arguments], prog_name="rotcal", env=env)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_method_has_its_settings_and_the_shared_ones_as_the_page_has_them(method):
-    groups = json.loads(run(method, "--json").stdout)["groups"]
-    printed = {setting["name"]: setting for group in groups for setting in group["settings"]}
-    page = rows() | rows(method)
-    assert printed.keys() == {n for n in page if "." in n and not n.startswith("reading.")}
-    for name, setting in printed.items():
-        assert setting["kind"] == page[name].kind
-        assert setting["required"] == page[name].required
 
 
 def test_a_range_a_default_and_a_unit_by_hand():

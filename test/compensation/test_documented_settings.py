@@ -1,4 +1,4 @@
-"""Settings of the bridge and of every controller are those that the pages name."""
+"""Settings of every controller are those that its page names."""
 
 import re
 from dataclasses import MISSING
@@ -6,22 +6,13 @@ from pathlib import Path
 
 import pytest
 from compensation_examples import d4_table
-from settings_page import assert_documented
 
-from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.foundation.settings import declarations
 
 DOCS = Path(__file__).parents[2] / "docs" / "controllers.md"
 NUMBER = r"[-+\d.e]+"
 WORDS = {"empty": "", "none": None, "true": True, "false": False}
-
-
-def test_the_bridge_is_as_documented():
-    assert BridgeSettings().controller_settings == {}
-    own = [one for one in declarations(BridgeSettings) if "." not in one.name]
-    assert len(own) == 16
-    assert assert_documented(BridgeSettings, "bridge") >= len(own)
 
 
 def documented(name):

@@ -12,7 +12,8 @@ import rotcal_ros as rc
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods.ball_plate.solver import solve
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 

@@ -1,6 +1,7 @@
 """Combined results against dense least squares written down again, and their coverage."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +12,15 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.linalg import block_diag
 
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros import read_result
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.units import ARCSEC
 
 RUNS = 400 if LONG else 120
+EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
 
 
 def dense(parts, n):
@@ -169,6 +173,16 @@ def test_a_single_result_returns_itself_about_its_mean():
                      for r in (found, result))).rms < 1e-9 * ARCSEC  # fmt: skip
 
 
+def test_a_plate_alone_keeps_its_uncertainty():
+    """Between components, too, errors follow from the influences of observations; 0.7 % of U."""
+    result = read_result(EXAMPLES / "result_ball_plate.json")
+    found = combined(result)
+    for c in result.components:
+        np.testing.assert_allclose(found.std[c], result.std[c], rtol=1e-6)
+        apart = np.abs(found.deviations[c] - result.deviations[c])
+        assert apart.max() < 1e-9 * result.std[c].min()
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3))
 def test_offsets_of_the_inputs_do_not_matter(offsets):
@@ -227,3 +241,17 @@ def test_components_that_only_some_measured():
     np.testing.assert_allclose(found.deviations["EXC"][::2], both.deviations["EXC"], atol=1e-15)
     assert "EXC was measured at 12 of 24 angles: interpolated at the others" in found.warnings
     assert found.verdict == "ok"
+
+
+def test_what_an_input_sees_otherwise_is_named():
+    """Of four campaigns one saw 1 arcsec of order 2 more; of a scatter no order is named."""
+    rng = np.random.default_rng(23)
+    grid = np.arange(12) * TAU / 12
+    good = [campaign(grid, 0.2 * ARCSEC, rng)[2] for _ in range(3)]
+    raw, cov, _ = campaign(grid, 0.2 * ARCSEC, rng)
+    odd = result_of(grid, *about_mean(raw + ARCSEC * np.cos(2 * grid - 1.0), cov))
+    (words, *_) = combined(good[0], odd, *good[1:]).warnings
+    assert "r1 is farthest off; order 2 of ECC (cosine, sine) is another for r1" in words
+    wild = result_of(grid, *about_mean(raw + 1.5 * ARCSEC * (-1.0) ** np.arange(12), cov))
+    (words, *_) = combined(good[0], wild, *good[1:]).warnings
+    assert "r1 is farthest off): " in words

@@ -12,7 +12,8 @@ from scipy import stats
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.table import check_verdict, table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import ConfigurationError, DataError

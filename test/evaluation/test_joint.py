@@ -8,8 +8,7 @@ from chances import LONG, most, scatter, share
 from joint_world import BALLS_NOISE, POLYGON_NOISE, balls, drawn, instrument, polygon, truth
 from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 
-from rotcal_ros.evaluation.combination import combine
-from rotcal_ros.evaluation.joint import JointInput, predicted_together, solve_together
+from rotcal_ros.evaluation.joint import JointInput, combine, predicted_together, solve_together
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate.solver import solve

@@ -12,8 +12,7 @@ from test_joint_methods import MEAN, ROUGH, dense_polygon
 from two_groups import ALTERNATING, ANGLES, GRID
 
 import rotcal_ros as rc
-from rotcal_ros.evaluation.combination import combine
-from rotcal_ros.evaluation.joint import JointInput, solve_together
+from rotcal_ros.evaluation.joint import JointInput, combine, solve_together
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.arrivals import arrivals_of, mean_of_arrivals, mean_of_runs

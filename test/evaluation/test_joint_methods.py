@@ -16,8 +16,7 @@ from rotcal_ros.adjust.effects import effect_test
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.model import Disturbing, Model, linear
 from rotcal_ros.adjust.seen import seen_by
-from rotcal_ros.evaluation.combination import combine
-from rotcal_ros.evaluation.joint import JointInput, solve_together
+from rotcal_ros.evaluation.joint import JointInput, combine, solve_together
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.foundation.results import FreeDirection, Result, Zeros

@@ -7,8 +7,9 @@ import one_table
 import pytest
 from chances import LONG, most, scatter, share
 
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare, compare_all
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.evaluation.reference import without_polygon
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from two_groups import ALTERNATING, ANGLES, ARCSEC, GRID, plate_problem
 
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.evaluation.harmonics import harmonic_content
 from rotcal_ros.evaluation.iso230 import runs_of
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.evaluation.marks import conformities
 from rotcal_ros.evaluation.quick_check import quick_check
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve

@@ -18,8 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rotcal_ros as rc
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind

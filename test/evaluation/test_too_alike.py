@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from chances import LONG
 
-from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
+from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver import solve as solve_plate

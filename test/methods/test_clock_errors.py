@@ -10,8 +10,8 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.evaluation.budget import contributions
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.methods.added_errors import arrival_std, with_clock_errors
 from rotcal_ros.methods.calibration import prepare, prepare_to_measure
-from rotcal_ros.methods.clock_errors import arrival_std, with_clock_errors
 from rotcal_ros.methods.configuration import changed, read_configuration
 
 CONFIG = Path(__file__).parents[2] / "config"

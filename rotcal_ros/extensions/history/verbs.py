@@ -75,7 +75,7 @@ def asked(function: Callable[..., Any]) -> Callable[..., Any]:
         multiple=True,
         metavar="history.NAME=VALUE",
         callback=_settings,
-        help="Change a setting, such as history.promise=0.99; docs/settings.md lists them.",
+        help="Change a setting, such as history.promise=0.99: see `rotcal settings history`.",
     )
     @wraps(function)
     def verb(*args: Any, database: str | None, settings: HistorySettings, **kwargs: Any) -> Any:

@@ -35,7 +35,7 @@ from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonSolverSettings,
 )
 from rotcal_ros.methods.angle_comparison.simulation import SimulatedComparison
-from rotcal_ros.methods.arrivals import Arrivals, arrivals_of
+from rotcal_ros.methods.arrivals import both_ways
 from rotcal_ros.methods.by_model import TRUE_SIZE, ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration, changed
 from rotcal_ros.methods.disturbance import harmless, of_readings, repeatability
@@ -44,7 +44,6 @@ from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import planned_table
 from rotcal_ros.planning.plan import Plan, numbered_steps, pauses_at_stations
 from rotcal_ros.planning.readings import Readings
-from rotcal_ros.planning.table_angles import table_angles
 
 NAME: Final = "angle_comparison"
 NOWHERE: Final = (0.0, 0.0, 0.0)
@@ -131,7 +130,8 @@ def states(
     for protection in rival.protections():
         if protection.treatment == "not protected" or protection.effect != "gauge":
             stated[protection.effect] = protection
-    return Statement(doubts, tuple(stated.values()), _details(configuration))
+    details = {"reference_angles": Circles.of(configuration.plan).marks}
+    return Statement(doubts, tuple(stated.values()), details)
 
 
 def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
@@ -150,11 +150,6 @@ def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
     if checked:
         return Protection("gauge", "bounded", "the shifts check the certificate of the reference")
     return Protection("gauge", "not protected", "nothing checks the certificate of the reference")
-
-
-def _details(configuration: Configuration) -> dict[str, Any]:
-    """Return the angles that the reference shows, rad, beside their errors."""
-    return {"reference_angles": Circles.of(configuration.plan).marks}
 
 
 def _unread() -> Iterator[Protection]:
@@ -195,14 +190,6 @@ def check(
         for o in observations
         if (o.station, o.table_position) == (newest, 0) and abs(o.mean[0]) > limit * ARCSEC
     )
-
-
-def arrivals(configuration: Configuration) -> Arrivals | None:
-    """Return the arrivals of a plan that measures both directions."""
-    plan: ComparisonPlanSettings = configuration.plan
-    if not plan.bidirectional:
-        return None
-    return arrivals_of(table_angles(plan), runs=1, bidirectional=True)
 
 
 def drawn(configuration: Configuration, model: Model, random: np.random.Generator) -> Floats:
@@ -267,7 +254,7 @@ METHOD: Final = ByModel(
     NAME,
     model,
     states,
-    arrivals=arrivals,
+    arrivals=lambda configuration: both_ways(configuration.plan),
     sign=lambda configuration: SIGNS[configuration.solver.readings_count],
     drawn=drawn,
 ).method(

@@ -134,7 +134,12 @@ def _moves(
     """Return the angle from which the first of ``angle`` (n,) is approached, and all ways (n,)."""
     lead_in = float(angle[0]) - (step if backlash else 0.0)
     moves = np.diff(angle, prepend=lead_in)
-    return lead_in, _with_overshoot(moves, upward, step) if bidirectional else moves
+    if not bidirectional:
+        return lead_in, moves
+    direction = np.where(upward, 1.0, -1.0)  # a grid step there and back where the side changes
+    along = moves * direction
+    far = (along < 0.0) | (np.diff(upward, prepend=True) & (along <= 0.0))
+    return lead_in, np.where(far, direction * (np.abs(moves) + 2.0 * step), moves)
 
 
 def _check_steps(grid: int, balls: Ints, cmm: Ints) -> None:
@@ -171,14 +176,6 @@ def _to_and_back(grid: int, turns: Ints, ball: Ints) -> tuple[Ints, Ints, Bools]
     rows = np.concatenate(order)
     turns = turns - grid * (number + number % 2)
     return turns[rows], ball[rows], np.concatenate(upward)
-
-
-def _with_overshoot(moves: Floats, upward: Bools, step: float) -> Floats:
-    """Return moves (n,), rad, with a grid step there and back where the side changes."""
-    direction = np.where(upward, 1.0, -1.0)
-    along = moves * direction
-    far = (along < 0.0) | (np.diff(upward, prepend=True) & (along <= 0.0))
-    return np.where(far, direction * (np.abs(moves) + 2.0 * step), moves)
 
 
 def _closed(grid: int, turns: Ints, ball: Ints, backlash: bool) -> tuple[Ints, Ints]:

@@ -22,7 +22,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.foundation.tables import Header, Table, hashes
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.arrivals import (
     Arrivals,
@@ -52,7 +52,7 @@ from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
-from rotcal_ros.methods.method import Method, See, TableReader, Trials
+from rotcal_ros.methods.method import Method, TableReader, Trials
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.readings import Readings
 
@@ -79,11 +79,10 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     solution = ball_plate.adjust(_chosen(configuration, plan, observations))
     result, arrivals = ball_plate.result_of(solution), _arrivals(configuration, plan)
     number = {o.step: k for k, o in enumerate(observations)}  # the rows of the plate are steps
-    result = replace(
-        result,
-        raw_data=result.raw_data.renumbered(number),
-        protections=_told_by_touches(result.protections, observations),
-    )
+    result = replace(result, raw_data=result.raw_data.renumbered(number))
+    if all(o.kind == PointKind.SURFACE and o.captured for o in observations):
+        why = "touch points that lie below the centre of a ball are refused by the capture"
+        result = result.protected(Protection("sign of z", "harmless", why))
     if configuration.plan.bidirectional:
         return mean_of_runs(result, arrivals.take(solution.table_positions), from_first=False)
     return replace(result, angles=arrivals.targets[solution.table_positions])
@@ -103,20 +102,6 @@ def of_curves(
     chosen = _chosen(configuration, plan, observations)
     found, positions = ball_plate.of_curves(chosen, arrivals.targets[arrivals.target])
     return mean_of_arrivals(found, arrivals.take(positions))
-
-
-def _told_by_touches(
-    protections: Sequence[Protection], observations: Sequence[Observation]
-) -> tuple[Protection, ...]:
-    """Return the protections; balls whose touches were captured show which way z points."""
-    if any(o.kind != PointKind.SURFACE or not o.captured for o in observations):
-        return tuple(protections)
-    touched = Protection(
-        "sign of z",
-        "harmless",
-        "touch points that lie below the centre of a ball are refused by the capture",
-    )
-    return tuple(touched if p.effect == touched.effect else p for p in protections)
 
 
 def trials(
@@ -236,7 +221,10 @@ def read(
     observations = []
     for number, row in enumerate(table.rows()):
         observation = find(row).observed(row.point(), PointKind.CENTRE)
-        std = tuple(_stated_std(row, name) for name in STD) if stated else observation.std
+        std = tuple(row.metres(name, farthest=1e-2) for name in STD) if stated else observation.std
+        if stated and not min(std) > 0.0:
+            name, value = min(zip(STD, std, strict=True), key=lambda each: each[1])
+            raise DataError(f"{row.place}: {name} must be positive, found {value:g} m")
         observations.append(replace(observation, step=number, std=std))
     return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 
@@ -250,19 +238,6 @@ def short_setup(entries: Mapping[str, Any]) -> Mapping[str, Any]:
     several = isinstance(entries.get(SIGMA), list)
     named = {AXES if name == SIGMA and several else name: v for name, v in entries.items()}
     return {"measure": CENTRE, **named}
-
-
-def _stated_std(row: Row, name: str) -> float:
-    """Return a standard deviation, metres; raises DataError unless it is positive."""
-    value = row.metres(name, farthest=1e-2)
-    if not value > 0.0:
-        raise DataError(f"{row.place}: {name} must be positive, found {value:g} m")
-    return value
-
-
-def nominal(_configuration: Configuration, _plan: Plan) -> See:
-    """Return the planned places of the balls."""
-    return lambda step: step.position
 
 
 def simulated_instrument(
@@ -294,7 +269,7 @@ METHOD: Final = Method(
     of_curves=of_curves,
     trials=trials,
     gauge=gauge.without_axis_and_artefact,
-    nominal=nominal,
+    nominal=lambda _configuration, _plan: lambda step: step.position,
     table=TableReader(HEADERS, read, COLUMNS),
     short_setup=short_setup,
     figures=figures,

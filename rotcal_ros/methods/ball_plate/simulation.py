@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints, Stamps
+from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
@@ -291,10 +291,17 @@ def measure(
     position = angle_numbers(plan)[[step.table_position for step in plan.steps]]
     place = np.array([step.position for step in plan.steps])
     centres = _true_centres(configuration, plan, position, sizes, true, (noise, other))
-    centres = centres + np.array(configuration.plan.centre_m) + _machine_error(place, noise)
+    # the machine's systematic error, the same whenever it is at a place
+    which = np.unique(np.round(place, 6), axis=0, return_inverse=True)[1].ravel()
+    machine = MACHINE_STD * noise.standard_normal((int(which.max()) + 1, 3))
+    centres = centres + np.array(configuration.plan.centre_m) + machine[which]
     centres[:, 0] *= 1.0 + sizes.get("scale", 0.0)
     centres += sizes.get("drift", 0.0) * np.outer(times(plan), ALL_AXES)
-    centres += sizes.get("one place", 0.0) * np.outer(_in_one_place(plan), ALL_AXES)
+    # a quarter of the balls, neighbours, at a middle position
+    ball, at = np.array([(step.target, step.table_position) for step in plan.steps]).T
+    balls = np.unique(ball)
+    spoiled = np.isin(ball, balls[: max(len(balls) // 4, 2)]) & (at == len(plan.table_angles) // 3)
+    centres += sizes.get("one place", 0.0) * np.outer(spoiled, ALL_AXES)
     std = np.broadcast_to(configuration.solver.sigma_centre_m or USUAL_STD, 3).copy()
     std[2] *= sizes.get("axis noise", 1.0)
     centres += std * noise.standard_normal(centres.shape)
@@ -303,16 +310,6 @@ def measure(
         for step, (x, y, z) in zip(plan.steps, centres.tolist(), strict=True)
     )
     return DisturbedMeasurement(observations, true)
-
-
-def _in_one_place(plan: Plan) -> Bools:
-    """Return which steps (n,) are a quarter of the balls, neighbours, at a middle position."""
-    position = np.array([step.table_position for step in plan.steps])
-    ball = np.array([step.target for step in plan.steps])
-    balls = np.unique(ball)
-    some = balls[: max(len(balls) // 4, 2)]
-    here = position == len(plan.table_angles) // 3
-    return np.asarray(here & np.isin(ball, some))
 
 
 def _true_centres(
@@ -342,14 +339,6 @@ def _true_centres(
     balls = np.einsum("nij,nj->ni", rotation_from_vector(lean), balls)
     balls = balls + np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[position]
     return np.asarray(balls @ rotation_from_vector(np.array([off, 0.0, 0.0])).T)
-
-
-def _machine_error(place: Floats, noise: np.random.Generator) -> Floats:
-    """Return the machine's systematic error (n, 3), m: the same whenever it is at a place."""
-    _, which = np.unique(np.round(place, 6), axis=0, return_inverse=True)
-    which = which.ravel()
-    errors = MACHINE_STD * noise.standard_normal((int(which.max()) + 1, 3))
-    return np.asarray(errors[which], dtype=np.float64)
 
 
 DISTURBANCES: Final = Disturbances(LISTED, measure)

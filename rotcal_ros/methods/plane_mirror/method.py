@@ -27,19 +27,19 @@ from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.foundation.tables import Header, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.methods.arrivals import (
     Arrivals,
     RepeatedTrials,
-    arrivals_of,
+    both_ways,
     mean_curve,
     mean_of_arrivals,
     mean_of_runs,
 )
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import measured_in_words
-from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials, zero_at_the_first
+from rotcal_ros.methods.method import Method, Stations, TableReader, Trials, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.plane_mirror.figures import figures, tables
 from rotcal_ros.methods.plane_mirror.plan import (
@@ -57,13 +57,11 @@ from rotcal_ros.methods.plane_mirror.settings import (
     MirrorSolverSettings,
 )
 from rotcal_ros.methods.plane_mirror.simulation import DISTURBANCES, SimulatedTracker
-from rotcal_ros.methods.plane_mirror.solver import mirror_trials
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
 from rotcal_ros.methods.plane_mirror.solver.set_up import MIN_APART, not_an_image
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
 from rotcal_ros.methods.plane_mirror.solver.solve import MirrorSolution
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.table_angles import table_angles
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
@@ -83,40 +81,24 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     out; details["left_out"] names it.
     """
     problem, left_out = _problem(configuration, plan, observations)
-    return _solve_ways(problem, {"left_out": left_out}, _arrivals(configuration))
-
-
-def of_curves(
-    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> CurveModel:
-    """Return what the accepted points determine of ECC, to be solved with other instruments."""
-    return _of_curves(configuration, _problem(configuration, plan, observations)[0])
+    return _solve_ways(configuration, problem, {"left_out": left_out})
 
 
 def _of_curves(configuration: Configuration, problem: PlaneMirrorProblem) -> CurveModel:
+    """Return what points determine of ECC, to be solved with other instruments."""
     found, positions = plane_mirror.curves(problem)
-    arrivals = _arrivals(configuration)
+    arrivals = both_ways(configuration.plan)
     return found if arrivals is None else mean_of_arrivals(found, arrivals.take(positions))
 
 
-def trials(
-    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> Trials:
-    """Prepare Monte Carlo trials about the accepted observations of a plane-mirror plan."""
-    problem = _problem(configuration, plan, observations)[0]
-    prepared, arrivals = plane_mirror.mirror_trials(problem), _arrivals(configuration)
+def _trials(configuration: Configuration, problem: PlaneMirrorProblem) -> Trials:
+    """Prepare Monte Carlo trials about points."""
+    solution, arrivals = MirrorSolution.of(problem), both_ways(configuration.plan)
+    prepared = solution.found.trials
     if arrivals is None:
         return prepared
-    result, positions = plane_mirror.solved(problem)
-    return RepeatedTrials.of(prepared, result, arrivals.take(positions))
-
-
-def _arrivals(configuration: Configuration) -> Arrivals | None:
-    """Return the arrivals of all positions of a plan that measures both directions."""
-    settings: MirrorPlanSettings = configuration.plan
-    if not settings.bidirectional:
-        return None
-    return arrivals_of(table_angles(settings), runs=1, bidirectional=True)
+    measured = arrivals.take(solution.layout.positions)
+    return RepeatedTrials.of(prepared, solution.result(), measured)
 
 
 def _problem(
@@ -144,11 +126,6 @@ def _to_solve(problem: PlaneMirrorProblem, configuration: Configuration) -> Plan
     return configured(problem, configuration)
 
 
-def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> Result:
-    """Solve points that come without a plan, as the configuration says."""
-    return _solve_ways(_to_solve(problem, configuration), {}, _arrivals(configuration))
-
-
 def check(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> tuple[str, ...]:
@@ -169,7 +146,7 @@ def check(
 def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
     """Return a problem with noise, way and limits of the configuration."""
     settings: MirrorSolverSettings = configuration.solver
-    arrivals = _arrivals(configuration)
+    arrivals = both_ways(configuration.plan)
     return replace(
         problem,
         upward=None if arrivals is None else arrivals.upward,
@@ -183,10 +160,10 @@ def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> Pla
 
 
 def _solve_ways(
-    problem: PlaneMirrorProblem, details: dict[str, Any], arrivals: Arrivals | None
+    configuration: Configuration, problem: PlaneMirrorProblem, details: dict[str, Any]
 ) -> Result:
     """Solve the chosen way; the other ways of the same points go into the details."""
-    solution = MirrorSolution.of(problem)
+    solution, arrivals = MirrorSolution.of(problem), both_ways(configuration.plan)
     result, measured = solution.result(), None
     if arrivals is not None:
         measured = arrivals.take(solution.layout.positions)
@@ -289,18 +266,21 @@ class TrackerPoints:
     def solve(self) -> Result:
         """Return the result."""
         points = self._points()
-        return replace(solve_points(self.configuration, points), raw_data=_raw(points))
+        named = zip(points.xyz.tolist(), points.kind, strict=True)
+        hashed = RawData(tuple(hash_of(xyz, int(kind)) for xyz, kind in named))
+        return replace(_solve_ways(self.configuration, points, {}), raw_data=hashed)
 
     def of_curves(self) -> CurveModel:
         """Return what the points determine of ECC, to be solved with other instruments."""
-        return _of_curves(self.configuration, _to_solve(self._points(), self.configuration))
+        return _of_curves(self.configuration, self._points())
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the points."""
-        return mirror_trials(_to_solve(self._points(), self.configuration))
+        return _trials(self.configuration, self._points())
 
     def _points(self) -> PlaneMirrorProblem:
-        return read_points(self.table, np.array(position_angles(self.configuration.plan)))
+        points = read_points(self.table, np.array(position_angles(self.configuration.plan)))
+        return _to_solve(points, self.configuration)
 
 
 def read(configuration: Configuration, table: Table, _targets: Table | None) -> TrackerPoints:
@@ -319,7 +299,12 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
     stations: dict[str, int] = {}
     rows, points, seconds = [], [], []
     for row in table.rows():
-        kind, station = _kind_and_station(row)
+        word, station = row.cells["kind"], row.cells["tracker_station"]
+        if word not in KINDS:
+            raise DataError(f"{row.place}: kind {word!r}, expected {', '.join(KINDS)}")
+        if not station:
+            raise DataError(f"{row.place}: the tracker station is missing")
+        kind = KINDS[word]
         position = -1 if kind is PointKind.NEST else row.index("position")
         number = stations.setdefault(station, len(stations))
         rows.append((position, number, kind, row.index("nest")))
@@ -341,21 +326,6 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
     )
 
 
-def _raw(points: PlaneMirrorProblem) -> RawData:
-    """Return the hashes of the points as they stand in the table."""
-    named = zip(points.xyz.tolist(), points.kind, strict=True)
-    return RawData(tuple(hash_of(xyz, int(kind)) for xyz, kind in named))
-
-
-def _kind_and_station(row: Row) -> tuple[PointKind, str]:
-    word, station = row.cells["kind"], row.cells["tracker_station"]
-    if word not in KINDS:
-        raise DataError(f"{row.place}: kind {word!r}, expected {', '.join(KINDS)}")
-    if not station:
-        raise DataError(f"{row.place}: the tracker station is missing")
-    return KINDS[word], station
-
-
 def zero(result: Result) -> tuple[str, ...]:
     """Return what the curve counts from, and how a whole turn closes."""
     first, details = zero_at_the_first(result), result.details
@@ -365,16 +335,6 @@ def zero(result: Result) -> tuple[str, ...]:
     expanded = COVERAGE_FACTOR * float(details["closure_std_rad"]) / ARCSEC
     closes = f"The whole turn closes to {value_with_uncertainty(error, expanded)} arcsec (k = 2)."
     return (*first, closes)
-
-
-def nominal(configuration: Configuration, _plan: Plan) -> See:
-    """Return what the tracker sees where nothing is wrong."""
-    return tracker_sees(configuration.plan)
-
-
-def stations(configuration: Configuration) -> Stations:
-    """Return where the tracker stands."""
-    return Stations(tuple(stand.place for stand in tracker_stands(configuration.plan)))
 
 
 METHOD: Final = Method(
@@ -394,11 +354,13 @@ METHOD: Final = Method(
         lambda _plan: (TrackerCheck(),),
     ),
     solve=solve,
-    of_curves=of_curves,
-    trials=trials,
+    of_curves=lambda *measured: _of_curves(measured[0], _problem(*measured)[0]),
+    trials=lambda *measured: _trials(measured[0], _problem(*measured)[0]),
     check=check,
-    nominal=nominal,
-    stations=stations,
+    nominal=lambda configuration, _plan: tracker_sees(configuration.plan),
+    stations=lambda configuration: Stations(
+        tuple(stand.place for stand in tracker_stands(configuration.plan))
+    ),
     table=TableReader((HEADER, TIMED), read, COLUMNS),
     figures=figures,
     tables=tables,

@@ -29,6 +29,7 @@ from rotcal_ros.methods.disturbance import (
     error_motion,
     repeatability,
     scatter_in_plane,
+    stated,
     streams,
     tilt,
     times,
@@ -181,14 +182,7 @@ def _same_place(before: Command | None, after: Command) -> bool:
     )
 
 
-def _tilt(configuration: Configuration) -> float:
-    return float(configuration.solver.tilt_std_arcsec * ARCSEC)
-
-
-def _swing(configuration: Configuration) -> float:
-    return float(configuration.solver.uneven_drift_std_arcsec * ARCSEC)
-
-
+TILT: Final = stated("tilt_std_arcsec", ARCSEC)
 LISTED: Final = (
     Disturbance(
         "drift",
@@ -198,7 +192,7 @@ LISTED: Final = (
     Disturbance(
         "uneven drift",
         "the tracker's azimuth swings by so much at every station, one sine while it stands",
-        "arcsec", ARCSEC, 0.3, 100.0, stated=_swing,
+        "arcsec", ARCSEC, 0.3, 100.0, stated=stated("uneven_drift_std_arcsec", ARCSEC),
     ),
     Disturbance(
         "one place",
@@ -225,7 +219,7 @@ LISTED: Final = (
     Disturbance(
         "scale", "the tracker's distances are too long by so much", "ppm", PPM, 1.0, 1000.0
     ),
-    tilt(0.1, 100.0, _tilt),
+    tilt(0.1, 100.0, TILT),
     Disturbance(
         "gauge",
         "the table's axis leans by so much against the vertical",
@@ -296,7 +290,7 @@ def _table(
     position = np.array([step.table_position for step in plan.steps])
     arrived = arrival_errors(plan, sizes, other)
     angle = np.array([step.table_angle for step in plan.steps]) + arrived
-    lean = scatter_in_plane(m, _tilt(configuration), noise)
+    lean = scatter_in_plane(m, TILT(configuration), noise)
     lean += scatter_in_plane(m, sizes.get("tilt", 0.0), other)
     shift = scatter_in_plane(m, sizes.get("error motion", 0.0), other)
     axis = rotation_from_vector(np.array([sizes.get("gauge", 0.0), 0.0, 0.0]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -42,6 +42,7 @@ from rotcal_ros.methods.disturbance import (
     harmless,
     of_readings,
     repeatability,
+    stated,
     tilt,
 )
 from rotcal_ros.methods.figures import Figure, style
@@ -387,14 +388,14 @@ def _check_lengths(balls: BallsOnTable, read: Readings) -> None:
 
 
 def states(
-    configuration: Configuration, read: Readings, found: Adjusted, stated: Configuration
+    configuration: Configuration, read: Readings, found: Adjusted, given: Configuration
 ) -> Statement:
     """Return what is done about effects that the engine does not know, and the axis."""
     balls, ways = balls_of(configuration), trajectories(balls_of(configuration, read), found)
     details: dict[str, Any] = {"untold": [name for name in COMPONENTS if name not in balls.shown]}
     if balls.tilting is not None:
         details["tilts"] = np.array(balls.tilting.degrees) * DEGREE
-    every = set_up.compared(stated, read, found.why, partial(model, whole=True))
+    every = set_up.compared(given, read, found.why, partial(model, whole=True))
     protections = (*_protections(configuration, balls, found), *alternatives.protections(every))
     doubts = tuple(alternatives.doubts(every))
     axes = _axes(balls, found, configuration.plan.chain)
@@ -442,10 +443,10 @@ def _protections(
             yield Protection(effect, "estimated", "the balls determine it at every angle")
     yield Protection("refraction", "harmless", "no light measures")
     for name, effect in OF_AXES.items():
-        stated, left = LINEAR[name](configuration), found.also[name][1].max()
+        size, left = LINEAR[name](configuration), found.also[name][1].max()
         why = (
             f"the uncertainty holds the {name} of the linear axes: stated are "
-            f"{stated / MICROMETRE:.3g} um/m, the balls leave {left / MICROMETRE:.3g} um/m of the "
+            f"{size / MICROMETRE:.3g} um/m, the balls leave {left / MICROMETRE:.3g} um/m of the "
             "worst"
         )
         beside = [worst["bar"]] if effect == "gauge" and "bar" in worst else []
@@ -616,12 +617,7 @@ def _polar(result: Result) -> str:
     )
 
 
-def _stated(name: str, unit_si: float) -> Callable[[Configuration], float]:
-    """Return what reads a statement of the solver's settings, SI."""
-    return lambda configuration: float(getattr(configuration.solver, name)) * unit_si
-
-
-LINEAR: Final = {name: _stated(f"{name}_std_um_per_m", MICROMETRE) for name in OF_AXES}
+LINEAR: Final = {name: stated(f"{name}_std_um_per_m", MICROMETRE) for name in OF_AXES}
 """What is stated of the linear axes."""
 KNOWN: Final = {
     "position": "table_position", "ball": "target", "bar": "target", "tilt": "station"
@@ -747,23 +743,14 @@ METHOD: Final = BY_MODEL.method(
     disturbances=(
         *(d for d in of_readings(1.0, 200.0, "um", MICROMETRE) if d.effect != "scale"),
         *(
-            Disturbance(
-                OF_AXES[name],
-                what,
-                "um/m",
-                MICROMETRE,
-                1.0,
-                1e3,
-                scatters=True,
-                stated=LINEAR[name],
-            )
+            Disturbance(OF_AXES[name], what, "um/m", MICROMETRE, 1.0, 1e3, True, LINEAR[name])
             for name, what in (
                 ("scale", "x, y and z read more by so much each"),
                 ("squareness", "each pair of linear axes is out of square by so much"),
             )
         ),
-        error_motion(0.5, 100.0, _stated("error_motion_std_m", 1.0)),
-        tilt(0.5, 100.0, _stated("tilt_std_arcsec", ARCSEC)),
+        error_motion(0.5, 100.0, stated("error_motion_std_m")),
+        tilt(0.5, 100.0, stated("tilt_std_arcsec", ARCSEC)),
         repeatability(0.5, 100.0),
         *harmless("refraction"),
     ),

@@ -12,7 +12,7 @@ from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.angle_comparison.model import model_of, readings_of
-from rotcal_ros.methods.prospect import prospects
+from rotcal_ros.methods.dry_run import prospects
 
 
 def shifted(world, shifts):

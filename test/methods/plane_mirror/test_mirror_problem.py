@@ -4,7 +4,6 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from settings_page import rows
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach, PointKind
@@ -27,11 +26,8 @@ def test_the_noise_of_the_settings_in_metres_and_radians():
     )
     expected = (1e-6, 2e-7, 3e-6, 4e-7, np.radians(5.0 / 3600.0))
     assert astuple(noise_of(settings)) == pytest.approx(expected, rel=1e-12)
-    page = rows("plane_mirror")
-    names = ("range_std_m", "range_std_relative", "transverse_std_m", "transverse_std_relative")
-    usual = [float(page[f"solver.{name}"].default) for name in names]
-    slope = np.radians(float(page["solver.mirror_slope_std_arcsec"].default) / 3600.0)
-    assert TrackerNoise() == TrackerNoise(*usual, slope) == noise_of(MirrorSolverSettings())
+    usual = TrackerNoise(2.5e-6, 2.5e-7, 3.75e-6, 1.5e-6, 0.0)
+    assert TrackerNoise() == usual == noise_of(MirrorSolverSettings())
 
 
 @pytest.mark.parametrize("place", range(5))
@@ -72,7 +68,7 @@ def test_a_problem_of_accepted_points():
     assert problem.angles.tolist() == [0.0, 0.5]
     for name in ("kind", "station", "nest", "position"):
         assert getattr(problem, name).dtype == np.int64
-    assert problem.way == rows("plane_mirror")["solver.way"].default.strip("`")
+    assert problem.way == "joint"
     with pytest.raises(DataError, match="points must be"):
         problem_from_observations([], np.array([0.0, 0.5]))
 
@@ -100,14 +96,9 @@ def test_rows_are_named_by_their_places():
     assert named.row_name(2) == "line 8 (nest, tracker station B, nest 3)"
     assert (named.place(0), named.station_name(0)) == ("line 3", "A")
     assert named.position_name(1) == "position 1 (90 deg)"
-    page = rows("plane_mirror")
-    assert problem.tilt_std == pytest.approx(
-        float(page["solver.tilt_std_arcsec"].default) * ARCSEC
-    )
-    assert problem.significance == float(page["solver.significance"].default)
-    assert problem.incidence_limit == pytest.approx(
-        np.radians(float(page["plan.incidence_limit_deg"].default))
-    )
+    assert problem.tilt_std == pytest.approx(ARCSEC)
+    assert problem.significance == 0.005
+    assert problem.incidence_limit == pytest.approx(np.radians(50.0))
 
 
 @pytest.mark.parametrize(

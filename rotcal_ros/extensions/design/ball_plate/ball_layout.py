@@ -3,9 +3,9 @@
 :func:`plan_plate` finds the layout with the smallest predicted uncertainty. Layouts are judged by
 their mean variances when all CMM positions are measured, in closed form, many at once. With
 P(q) = sum over the balls of exp(-2 pi i q j / N) the normal matrices of a harmonic (see
-:mod:`rotcal_ros.methods.ball_plate.solver.harmonics`) are 3 x 3 with entries made of P at q - 1,
-q, q + 1 and of P(1), P(2): their inverse is written out, so a layout costs one short transform and
-a few hundred operations.
+:mod:`~rotcal_ros.methods.ball_plate.solver.separability`) are 3 x 3 with entries made of P at
+q - 1, q, q + 1 and of P(1), P(2): their inverse is written out, so a layout costs one short
+transform and a few hundred operations.
 
 :func:`required_effort` looks for the fewest centres of a given plate and machine.
 :func:`plate_trade` measures all positions and says how large the plate or how quiet the machine
@@ -34,9 +34,9 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, ROTATI
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.measuring_order import spread_out
-from rotcal_ros.methods.ball_plate.solver.harmonics import couplings, multiplicity
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.separability import couplings, multiplicity
 
 EXHAUSTIVE_LIMIT = 4_000_000
 """Layouts up to which all are looked at; beyond it exchange search takes over."""
@@ -123,7 +123,11 @@ def plan_plate(
     if subset_of is None:
         batches, count = _necklaces(grid, balls, min_gap), count_layouts(grid, balls, min_gap)
     else:
-        batches, count = _subsets(grid, places, balls, min_gap), comb(len(places), balls)
+        count = comb(len(places), balls)
+        batches = (
+            layouts[np.diff(layouts, append=layouts[:, :1] + grid).min(axis=1) >= min_gap]
+            for layouts in _choices(places.tolist(), balls)
+        )
     if exact and count <= EXHAUSTIVE_LIMIT:
         found = _exhaustive(grid, batches, weight, count, progress)
     else:
@@ -182,13 +186,6 @@ def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
             others = others[others[:, 0] <= others[:, -1]]
             start = np.zeros((len(others), 1), dtype=np.int64)
             yield np.hstack([start, start + gap, gap + np.cumsum(others[:, :-1], axis=1)])
-
-
-def _subsets(grid: int, places: Ints, n_balls: int, min_gap: int) -> Iterator[Ints]:
-    """Yield batches of all subsets of the places that keep the gaps."""
-    for layouts in _choices(places.tolist(), n_balls):
-        gaps = np.diff(layouts, axis=1, append=layouts[:, :1] + grid)
-        yield layouts[gaps.min(axis=1) >= min_gap]
 
 
 def _choices(values: Iterable[int], count: int) -> Iterator[Ints]:
@@ -287,17 +284,11 @@ def _steps_between(grid: int, step: Ints, other: Ints | int) -> Ints:
 def _best_of(grid: int, layouts: Ints, weights: Floats) -> tuple[float, Ints, Floats]:
     """Return score, layout and variances (4,) of the best of ``layouts`` (L, R)."""
     variances = mean_variances(grid, layouts)
-    scores = _scores(variances, weights)
+    # layouts that do not separate count as infinite, whatever the weights
+    scores = np.where(np.isfinite(variances), variances, 0.0) @ weights
+    scores[~np.isfinite(variances).all(axis=1)] = np.inf
     first = int(np.argmin(scores))
     return float(scores[first]), layouts[first], variances[first]
-
-
-def _scores(variances: Floats, weights: Floats) -> Floats:
-    """Return the weighted sums (L,); layouts that do not separate count as infinite."""
-    good = np.isfinite(variances).all(axis=1)
-    scores = np.full(len(variances), np.inf)
-    scores[good] = variances[good] @ weights
-    return scores
 
 
 def _layout(

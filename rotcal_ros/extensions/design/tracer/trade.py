@@ -18,7 +18,7 @@ from rotcal_ros.extensions.design.settings import TracerDesignSettings
 from rotcal_ros.extensions.design.tracer.candidates import candidates, scene_of
 from rotcal_ros.extensions.design.tracer.optimum import ideal_plan
 from rotcal_ros.extensions.design.tracer.search import Checks, checks_of, demands_of, segments_of
-from rotcal_ros.foundation.arrays import Bools, Ints
+from rotcal_ros.foundation.arrays import Bools
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
@@ -84,6 +84,9 @@ def _traded(settings: TracerDesignSettings, time: TimeModel) -> Trade:
         plan = _enough(scene, pairs, segments, goal, settings)
     if plan is None:
         return Trade(radius, scene.length_std, COVERAGE_FACTOR * every.rms_std)
+    # closed: all positions once round, and the first again
+    turns, order = time.turns(scene.table_angles), np.unique(plan.lengths.position)
+    turning = float(turns[order[:-1], order[1:]].sum() + turns[order[-1], order[0]])
     return Trade(
         radius=radius,
         sigma=scene.length_std,
@@ -92,15 +95,8 @@ def _traded(settings: TracerDesignSettings, time: TimeModel) -> Trade:
         targets=len(np.unique(plan.lengths.target)),
         bound=ideal_plan(scene, pairs, segments, goal).bound,
         redundancy=float(_checks(plan, settings).redundancy.min()),
-        seconds=_seconds(scene, plan.lengths.position, time),
+        seconds=turning + len(plan.lengths) * (time.dwell + time.report),
     )
-
-
-def _seconds(scene: Scene, position: Ints, time: TimeModel) -> float:
-    """Return how long it takes (s), closed: all positions once round, and the first again."""
-    turns, order = time.turns(scene.table_angles), np.unique(position)
-    turning = float(turns[order[:-1], order[1:]].sum() + turns[order[-1], order[0]])
-    return turning + len(position) * (time.dwell + time.report)
 
 
 def _enough(

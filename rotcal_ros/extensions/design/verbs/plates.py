@@ -112,7 +112,12 @@ def plate(
             n: order_dict(o) | forecast_dict(forecasts[n], material, warming_k)
             for n, o in orders.items()
         }
-        print_json(_layout_dict(layout) | {"predicted_std": std, "orders": in_words})
+        facts = ("score", "bound", "gap", "optimal", "evaluated")
+        named = {name: getattr(layout, name) for name in facts}
+        print_json({
+            "grid": grid, "ball_steps": list(layout.steps), **named, "predicted_std": std,
+            "orders": in_words,
+        })  # fmt: skip
         return 0
     _print_layout(layout, std)
     for name, rows in orders.items():
@@ -198,12 +203,6 @@ def _orders(layout: BallLayout, radius: float, kinematics: Kinematics) -> dict[s
         )
         for name in get_args(Order)
     }
-
-
-def _layout_dict(layout: BallLayout) -> dict[str, Any]:
-    facts = ("score", "bound", "gap", "optimal", "evaluated")
-    named = {name: getattr(layout, name) for name in facts}
-    return {"grid": layout.grid, "ball_steps": list(layout.steps), **named}
 
 
 def _print_layout(layout: BallLayout, std: dict[str, float]) -> None:

@@ -87,7 +87,14 @@ def sequence(
         "listed_s": model.seconds(steps),
         "bound_s": best.bound,
         "best": best.name,
-        "orders": [_order_to_dict(way) for way in ways],
+        "orders": [
+            {
+                "order": way.name,
+                "seconds": way.seconds,
+                "unseen_std": {} if way.forecast is None else way.forecast.to_dict(),
+            }
+            for way in ways
+        ],
     }
     if clock:
         data["clock_s"] = cell_seconds(calibration)
@@ -149,11 +156,6 @@ def cell_seconds(calibration: Calibration, tick_s: float = 0.01) -> float:
     return (max(ends.values()) - min(ends.values())) * NANOSECOND
 
 
-def _order_to_dict(way: MeasuringOrder) -> dict[str, Any]:
-    unseen = {} if way.forecast is None else way.forecast.to_dict()
-    return {"order": way.name, "seconds": way.seconds, "unseen_std": unseen}
-
-
 def _print_sequence(data: dict[str, Any]) -> None:
     print_words(
         f"{data['lengths']} lengths: {data['listed_s']:.0f} s as listed, no order takes less than "
@@ -163,7 +165,10 @@ def _print_sequence(data: dict[str, Any]) -> None:
         print_words(f"the simulated cell takes {data['clock_s']:.1f} s for it as listed")
     orders = data["orders"]
     unseen = {
-        name: [_size_or_any(row["unseen_std"].get(name)) for row in orders]
+        name: [
+            "any" if (u := row["unseen_std"].get(name)) is None or not isfinite(u) else u
+            for row in orders
+        ]
         for name in ("drift", "knock")
     }
     print_table(
@@ -174,7 +179,3 @@ def _print_sequence(data: dict[str, Any]) -> None:
             Column("taken", ["yes" * (row["order"] == data["best"]) for row in orders]),
         ]
     )
-
-
-def _size_or_any(value: float | None) -> float | str:
-    return "any" if value is None or not isfinite(value) else value

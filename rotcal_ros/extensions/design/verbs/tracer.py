@@ -62,7 +62,7 @@ def tracer(
     what it assumes, the bound that no plan can beat, how well the lengths check each other, and
     what the protection against drift costs.
 
-    GOAL.yaml has settings by name: docs/settings.md lists them.
+    GOAL.yaml has settings by name: docs/planning.md names them.
     """
     from rotcal_ros.extensions.design.tracer.ordering import ordered_design
 

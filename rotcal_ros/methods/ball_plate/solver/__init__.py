@@ -7,32 +7,19 @@ To read in this order:
 
 * :mod:`.problem`: the centres; :mod:`.screening`: mistakes that are found before any fit
 * :mod:`.layout`: unknowns, equations, what is open, definitions
-* :mod:`.separability`: whether balls and positions suffice, in words, by :mod:`.harmonics`
+* :mod:`.separability`: whether balls and positions suffice, in words
 * :mod:`.plate_model`: noise, groups and effects for the engine, which solves it
 * :mod:`.closed_form`: the second paper as printed
 * :mod:`.result`: the result
 """
 
-from rotcal_ros.methods.ball_plate.solver.closed_form import ClosedForm, closed_form
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
-from rotcal_ros.methods.ball_plate.solver.result import (
-    adjust,
-    of_curves,
-    plate_trials,
-    result_of,
-    solve,
-    trials_about,
-)
-
-__all__ = [
-    "BallPlateProblem",
-    "ClosedForm",
-    "adjust",
-    "closed_form",
-    "of_curves",
-    "plate_trials",
-    "result_of",
-    "select",
-    "solve",
-    "trials_about",
-]
+from rotcal_ros.methods.ball_plate.solver.closed_form import ClosedForm as ClosedForm
+from rotcal_ros.methods.ball_plate.solver.closed_form import closed_form as closed_form
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem as BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.problem import select as select
+from rotcal_ros.methods.ball_plate.solver.result import adjust as adjust
+from rotcal_ros.methods.ball_plate.solver.result import of_curves as of_curves
+from rotcal_ros.methods.ball_plate.solver.result import plate_trials as plate_trials
+from rotcal_ros.methods.ball_plate.solver.result import result_of as result_of
+from rotcal_ros.methods.ball_plate.solver.result import solve as solve
+from rotcal_ros.methods.ball_plate.solver.result import trials_about as trials_about

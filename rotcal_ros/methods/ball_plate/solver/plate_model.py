@@ -6,6 +6,7 @@ tangential and axial where x and y have the same noise, else as x, y and z.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -186,7 +187,12 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
     std, least = rows.noise(design, observed - rows.computed(start))
     blocks = {"table shift": 3 * table, "table turn": 3 * table, "CMM": 3 * cmm, "ball": 3 * ball}
     blocks |= {name: k for name, k in (("drift", drifts), (AGAIN, again)) if k}
-    found = _wider(Outputs.alone(layout.curves()), more)
+    curves = layout.curves()
+    shape = (
+        curves.shape[0],
+        len(start),
+    )  # they do not feel the unknowns behind those of the table
+    found = Outputs.alone(csr_array((curves.data, curves.indices, curves.indptr), shape=shape))
     closing = np.eye(again, len(start), len(start) - again)
     relation = KnownRelation(NOT_CLOSED, np.eye(again, found.shape[0] + again, found.shape[0]))
     return Model(
@@ -209,13 +215,6 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         unstated=problem.std is None and problem.sigma is None,
         least=least,
     )
-
-
-def _wider(outputs: Outputs, more: int) -> Outputs:
-    """Return ``outputs`` beside ``more`` unknowns, which they do not feel."""
-    few, (o, p) = outputs.few, outputs.shape
-    few = csr_array((few.data, few.indices, few.indptr), shape=(o, p + more))
-    return Outputs(few, np.pad(outputs.common, ((0, 0), (0, more))), outputs.share)
 
 
 def _groupings(rows: PlateRows) -> list[Grouping]:
@@ -275,10 +274,8 @@ def curve_model(layout: PlateLayout, angles: Floats) -> CurveModel:
     more = model.size[1] - layout.unknowns
     curves = np.pad(layout.curves().toarray(), ((0, 0), (0, more)))
     each = {name: curves[k * count : (k + 1) * count] for k, name in enumerate(COMPONENTS)}
-    alone = Model(
-        blocks=model.blocks, observed=model.observed, std=model.std, equations=model.equations,
-        outputs=np.zeros((0, model.size[1])), words=model.words, unit=model.unit,
-        components=model.components, component=model.component, groupings=model.groupings,
-        effects=model.effects, row_names=model.row_names, element=model.element,
+    alone = replace(
+        model, outputs=np.zeros((0, model.size[1])), also={}, closures=[], definitions=None,
+        unstated=False, least=0.0,
     )  # fmt: skip
     return CurveModel(alone, angles[np.sort(layout.table_positions)], each)

@@ -23,8 +23,10 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.foundation.protection import TOLERABLE, Protection
+from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Result
 from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.added_errors import with_errors
 from rotcal_ros.methods.ball_plate.materials import kelvin
 from rotcal_ros.methods.ball_plate.solver.closed_form import curves_of_groups
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
@@ -59,18 +61,10 @@ MOST_OPEN: Final = 0.25
 """Part of the table positions that may be left out for lack of balls."""
 FEW_BALLS: Final = 2 * MIN_BALLS
 """Balls at a table position below which dirt may leave its errors open."""
-DIRTY_POSITION: Final = (
-    "without what is far off, too few balls are left at this table position, which leaves its six "
-    "errors open: the angle is left out"
-)
 PLAUSIBLE_K: Final = 20.0
 """Kelvin from which on a growth is not laid to the plate's temperature."""
 PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 """Components that a plate shifted or tilted on the table takes back together."""
-NOT_CLOSED: Final = (
-    "not all centres are left with equal weights, which the closed form needs: the least squares "
-    "took its place (they are the same where both exist)"
-)
 
 
 @dataclass(frozen=True)
@@ -164,13 +158,9 @@ class PlateSolution:
         """Whether the closed form exists: all centres of all balls once, and with one weight."""
         table, _, ball = self.layout.counts
         complete = len(self.fitted.centres) == table * ball // self.layout.groups
-        square = ball == table == self.problem.n_positions
-        return (
-            square
-            and complete
-            and bool(self.found.fit.used.all())
-            and (self.fitted.weighed_alike and not self.problem.bidirectional)
-        )
+        square = ball == table == self.problem.grid and not self.problem.bidirectional
+        alike = self.fitted.weighed_alike and bool(self.found.fit.used.all())
+        return square and complete and alike
 
 
 def solve(problem: BallPlateProblem) -> Result:
@@ -224,8 +214,12 @@ def _without_dirty_position(
     count = balls_at_positions(fitted)
     for position in np.flatnonzero((count > 0) & (count < FEW_BALLS)).tolist():
         away = fitted.position == position
+        why = (
+            "without what is far off, too few balls are left at this table position, which leaves "
+            "its six errors open: the angle is left out"
+        )
         rejected = [
-            Rejection(int(fitted.rows[r]), f"{fitted.row_name(r)}: {DIRTY_POSITION}")
+            Rejection(int(fitted.rows[r]), f"{fitted.row_name(r)}: {why}")
             for r in np.flatnonzero(away).tolist()
         ]
         less = fitted.take(~away)
@@ -290,12 +284,15 @@ def _prepared(
     problem: BallPlateProblem, *, connected: bool = True
 ) -> tuple[BallPlateProblem, tuple[Rejection, ...], PlateLayout]:
     """Return the rows worth fitting, why others are not, and their layout."""
-    whole, rejected = screen(_once(problem) if problem.closed_form else problem)
+    if problem.closed_form:  # of each ball at each table position the first measurement
+        order = np.argsort(problem.rows, kind="stable")
+        once = order[np.unique(problem.cell[order], return_index=True)[1]]
+        problem = problem.take(np.sort(once))
+    whole, rejected = screen(problem)
     groups = common_divisor(whole.grid, whole.balls) if whole.separate_groups else 1
     measured = grid_step(whole.position, whole.grid) % groups
-    missing = np.setdiff1d(np.arange(groups), measured)
-    if len(missing):
-        first = int(missing[0])
+    if missing := set(range(groups)) - set(measured.tolist()):
+        first = min(missing)
         raise ObservabilityError(
             f"no centre was measured at the table positions {first}, {first + groups}, ...: "
             "one group is missing altogether; measure it"
@@ -324,12 +321,6 @@ def _prepared(
     return fitted, tuple(rejected), layout
 
 
-def _once(problem: BallPlateProblem) -> BallPlateProblem:
-    """Return the first measurement of each ball at each table position."""
-    order = np.argsort(problem.rows, kind="stable")
-    return problem.take(np.sort(order[np.unique(problem.cell[order], return_index=True)[1]]))
-
-
 def result_of(solution: PlateSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share.
 
@@ -347,34 +338,18 @@ def result_of(solution: PlateSolution) -> Result:
         protections=list(_protections(solution)),
         details=_details(solution),
     )  # fmt: skip
+    rejected = (replace(r, index=int(rows[r.index])) for r in result.rejected)
     result = replace(
         result,
         deviations={name: solution.value[part] for name, part in solution.parts.items()},
         n_observations=len(solution.problem.centres),
-        rejected=tuple(
-            sorted(
-                (
-                    *solution.unusable,
-                    *(replace(r, index=int(rows[r.index])) for r in result.rejected),
-                ),
-                key=lambda r: r.index,
-            )
-        ),
+        rejected=tuple(sorted((*solution.unusable, *rejected), key=lambda r: r.index)),
         warnings=(*_warnings(solution), *result.warnings),
-        raw_data=_in_machine_axes(result, solution),
+        raw_data=_in_machine_axes(result.raw_data, solution),
     )
     if solution.allowed.any():
         own = {name: solution.allowed[part] for name, part in solution.parts.items()}
-        variance = {
-            name: std**2 + (own[name] ** 2).sum(axis=1) for name, std in result.std.items()
-        }
-        result = replace(
-            result,
-            std={name: np.sqrt(each) for name, each in variance.items()},
-            covariance={
-                name: whole + own[name] @ own[name].T for name, whole in result.covariance.items()
-            },
-        )
+        result = with_errors(result, own)
     if groups == 1:
         return result.counted_from("mean")
     free = () if solution.problem.group_allowance else _free_directions(solution)
@@ -383,11 +358,8 @@ def result_of(solution: PlateSolution) -> Result:
 
 def trials_about(solution: PlateSolution) -> Trials:
     """Prepare Monte Carlo trials about a solution, with the noise that its result states."""
-    prepared = solution.found.trials
-    if not solution.allowed.shape[1]:
-        return replace(prepared, value=solution.value)
-    causes = np.hstack([prepared.causes, solution.allowed])
-    return replace(prepared, value=solution.value, causes=causes)
+    causes = np.hstack([solution.found.trials.causes, solution.allowed])
+    return replace(solution.found.trials, value=solution.value, causes=causes)
 
 
 def plate_trials(problem: BallPlateProblem) -> Trials:
@@ -395,18 +367,18 @@ def plate_trials(problem: BallPlateProblem) -> Trials:
     return trials_about(adjust(problem))
 
 
-def _in_machine_axes(result: Result, solution: PlateSolution) -> Any:
+def _in_machine_axes(raw_data: RawData, solution: PlateSolution) -> RawData:
     """Return the raw data with what errors of x, y and z do, in the numbers of the rows."""
-    influence, layout = result.raw_data.influence, solution.layout
+    influence, layout = raw_data.influence, solution.layout
     if influence is None:
-        return result.raw_data
+        return raw_data
     back = solution.rows.frame[influence.rows]
     turned = {
         name: np.einsum("mri,rij->mrj", felt.reshape(len(felt), -1, 3), back).reshape(felt.shape)
         for name, felt in influence.deviations.items()
     }
     rows = solution.fitted.rows[layout.row[influence.rows]]
-    return replace(result.raw_data, influence=replace(influence, rows=rows, deviations=turned))
+    return replace(raw_data, influence=replace(influence, rows=rows, deviations=turned))
 
 
 def _directions(own: Floats, angles: Floats) -> Iterator[dict[str, Floats]]:
@@ -485,7 +457,10 @@ def _warnings(solution: PlateSolution) -> Iterator[str]:
     elif problem.complete:
         yield from separability(problem.grid, problem.balls).sentences()
     if solution.problem.closed_form and not solution.closes:
-        yield NOT_CLOSED
+        yield (
+            "not all centres are left with equal weights, which the closed form needs: the least "
+            "squares took its place (they are the same where both exist)"
+        )
     if problem.drift:
         first = slice(solution.layout.unknowns, solution.layout.unknowns + 3)
         size = found.fit.x[first] / MICROMETRE
@@ -505,10 +480,7 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
         std = found.scale * np.sqrt(kernel.variances_of(rows))
         each[name] = rows.times(found.fit.x).reshape(-1, 3), std.reshape(-1, 3)
     table, cmm, ball = layout.group
-    of_group = {
-        "plate_errors": ball, "cmm_errors": cmm,
-        "axis_rotation": np.arange(layout.groups), "axis_shift": np.arange(layout.groups),
-    }  # fmt: skip
+    of_group = {"plate_errors": ball, "cmm_errors": cmm}
     back = np.swapaxes(solution.rows.frame, 1, 2)
     left = (back @ found.fit.residual.reshape(-1, 3, 1))[:, :, 0]
     return {
@@ -521,7 +493,7 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
                 "cmm_positions": layout.cmm_steps[cmm == group],
             }
             | {
-                f"{name}{of}": _squeezed(name, value[of_group[name] == group])
+                f"{name}{of}": value[group if name.startswith("axis") else of_group[name] == group]
                 for name, pair in each.items()
                 for of, value in zip(("", "_std"), pair, strict=True)
             }
@@ -533,11 +505,6 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
             "vector": left,
         },
     }
-
-
-def _squeezed(name: str, values: Floats) -> Floats:
-    """Return the one vector (3,) of an axis, all (k, 3) of others."""
-    return values[0] if name.startswith("axis") else values
 
 
 def _protections(solution: PlateSolution) -> Iterator[Protection]:
@@ -585,7 +552,12 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
             "harmless",
             "mean values, and what a shifted or tilted plate causes, are no part of the curves",
         )
-    yield _repeatability(solution)
+    if len(solution.fitted.rows) < 1.4 * (int(solution.fitted.stop.max()) + 1):
+        why = "every centre has a stop of its own, so it is part of the residuals"
+        yield Protection("repeatability", "estimated", why)
+    else:
+        why = "not included: the table came to each position once, or too seldom to estimate it"
+        yield Protection("repeatability", "not protected", why)
     yield Protection(
         "numbering",
         "not protected",
@@ -599,17 +571,4 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
         "that z points away from the table is taken from the frame: a z column of the other sign "
         "fits every centre as well and turns the signs of EZC, EAC and EBC; touch points on the "
         "upper half of the balls would show which",
-    )
-
-
-def _repeatability(solution: PlateSolution) -> Protection:
-    problem = solution.fitted
-    stops = int(problem.stop.max()) + 1
-    if len(problem.rows) / stops < 1.4:
-        why = "every centre has a stop of its own, so it is part of the residuals"
-        return Protection("repeatability", "estimated", why)
-    return Protection(
-        "repeatability",
-        "not protected",
-        "not included: the table came to each position once, or too seldom to estimate it",
     )

@@ -128,7 +128,8 @@ def _spans_at(layout: PointLayout, station: int) -> Iterator[Span]:
     if moment[rows].min() >= others.min() or moment[rows].max() <= others.max():
         return  # no nest before the first position, or none behind the last
     knots = _knots(layout, rows)
-    shares = _shares(moment, knots)
+    # how much of the way from each knot to the next is done
+    shares = np.clip((moment[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
     to_mean = nests.point[here][:, None] == nests.point[here]
     contrast = np.eye(len(rows)) - to_mean / to_mean.sum(axis=1)[:, None]
     if len(np.unique(nests.point[here][to_mean.sum(axis=1) > 1])) < MIN_NESTS:
@@ -164,11 +165,6 @@ def _knots(layout: PointLayout, rows: Ints) -> Floats:
     begun = max(first.min(), middle - REACH * (first.max() - middle))
     done = min(last.max(), end + REACH * (end - last.min()))
     return np.unique([begun, *inner, done])
-
-
-def _shares(time: Floats, knots: Floats) -> Floats:
-    """Return how much (n, R) of the way from each knot to the next is done by ``time`` (n,)."""
-    return np.clip((time[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
 
 
 def movement(places: Floats) -> Floats:
@@ -245,15 +241,11 @@ def _of_normals(layout: PointLayout, poses: Poses) -> tuple[Poses, Floats, Float
     psi = layout.angles + joining @ error
     rotation = poses.rotation.copy()
     for at, _ in sets:
-        own, c, s = _frame(axes[at[0]], seen[at[0]]), *_cos_sin(psi[pairs.position[at[0]]])
-        rotation[pairs.station[at[0]]] = (own @ [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]).T
+        own, back = _frame(axes[at[0]], seen[at[0]]), rotation_about_z(-psi[pairs.position[at[0]]])
+        rotation[pairs.station[at[0]]] = (own @ back).T
     first = rotation[0].copy()  # the common frame is that of the first station
     poses = Poses(first.T @ rotation, poses.place)
     return poses, first.T, psi, float(np.arcsin(height))
-
-
-def _cos_sin(angle: float) -> tuple[float, float]:
-    return float(np.cos(angle)), float(np.sin(angle))
 
 
 def _frame(axis: Floats, towards: Floats) -> Floats:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass, field, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -68,10 +69,6 @@ class TrackerNoise:
         across = self.transverse_std + self.transverse_std_per_metre * distance
         total: Floats = across**2 * np.eye(3) + (along**2 - across**2) * beam
         return total
-
-    def weight(self, points: Floats) -> Floats:
-        """Return the inverse of :meth:`covariance`."""
-        return np.asarray(np.linalg.inv(self.covariance(points)), dtype=np.float64)
 
 
 def noise_of(settings: MirrorSolverSettings) -> TrackerNoise:
@@ -287,15 +284,19 @@ class MirrorPairs:
     """Direct and mirrored rows (P,) of one reflector each, sorted by group.
 
     A group is one table position seen from one tracker station: ``position`` and ``station``
-    (G,); ``group`` (P,) is the group of each pair and ``start`` (G,) its first pair.
+    (G,); ``group`` (P,) is the group of each pair.
     """
 
     direct: Ints
     mirrored: Ints
     group: Ints
-    start: Ints
     position: Ints
     station: Ints
+
+    @cached_property
+    def start(self) -> Ints:
+        """The first pair (G,) of each group."""
+        return np.searchsorted(self.group, np.arange(self.n_groups)).astype(np.int64)
 
     @property
     def n_groups(self) -> int:
@@ -305,14 +306,8 @@ class MirrorPairs:
     def keep(self, wanted: Bools) -> MirrorPairs:
         """Return the pairs (P,) that are wanted, without the groups that become empty."""
         groups, group = np.unique(self.group[wanted], return_inverse=True)
-        return MirrorPairs(
-            direct=self.direct[wanted],
-            mirrored=self.mirrored[wanted],
-            group=group.astype(np.int64),
-            start=_starts(group, len(groups)),
-            position=self.position[groups],
-            station=self.station[groups],
-        )
+        direct, mirrored, number = self.direct[wanted], self.mirrored[wanted], np.int64(group)
+        return MirrorPairs(direct, mirrored, number, self.position[groups], self.station[groups])
 
 
 @dataclass(frozen=True)
@@ -334,14 +329,8 @@ class Nests:
         """Sort readings (Q,) by their ``point``; of the ``name`` (K,) only those in use stay."""
         used, point = np.unique(point, return_inverse=True)
         order = np.lexsort([row, station, point])
-        point = point[order].astype(np.int64)
-        return cls(
-            row=row[order],
-            station=station[order],
-            round=rounds[order],
-            point=point,
-            name=name[used],
-        )
+        columns = row[order], station[order], rounds[order], point[order].astype(np.int64)
+        return cls(*columns, name[used])
 
     @property
     def n_points(self) -> int:
@@ -411,12 +400,6 @@ class PointLayout:
     nests: Nests
     tied: bool
 
-    @classmethod
-    def of_nests(cls, problem: PlaneMirrorProblem, nests: Nests) -> PointLayout:
-        """Return the nests alone."""
-        none = np.zeros(0, dtype=np.int64)
-        return cls(problem, none, np.zeros(0), None, Reflectors.none(), nests, tied=True)
-
     @property
     def stations(self) -> range:
         """The numbers of the tracker stations."""
@@ -471,21 +454,20 @@ def find_pairs(problem: PlaneMirrorProblem) -> MirrorPairs:
         raise DataError(f"{problem.source}: no direct and mirrored points, nothing to compute")
     for key, (near, far) in rows.items():
         if len(near) != len(far):
-            raise DataError(_unpaired(problem, key, len(near), len(far)))
+            position, station, nest = key
+            raise DataError(
+                f"{problem.source}: {problem.position_name(position)}, tracker station "
+                f"{problem.station_name(station)}, nest {nest}: {len(near)} direct and {len(far)} "
+                "mirrored points, expected as many of both; measure the missing one or take the "
+                "row out"
+            )
     keys = sorted(rows)
     direct = np.array([row for key in keys for row in rows[key][0]], dtype=np.int64)
     mirrored = np.array([row for key in keys for row in rows[key][1]], dtype=np.int64)
     places = np.column_stack([problem.position[direct], problem.station[direct]])
     group_places, group = np.unique(places, axis=0, return_inverse=True)
     group = group.ravel().astype(np.int64)
-    return MirrorPairs(
-        direct=direct,
-        mirrored=mirrored,
-        group=group,
-        start=_starts(group, len(group_places)),
-        position=group_places[:, 0],
-        station=group_places[:, 1],
-    )
+    return MirrorPairs(direct, mirrored, group, group_places[:, 0], group_places[:, 1])
 
 
 def find_nests(problem: PlaneMirrorProblem) -> Nests:
@@ -528,19 +510,3 @@ def find_reflectors(problem: PlaneMirrorProblem) -> Reflectors:
     order = np.lexsort([rows, problem.position[rows], reflector])
     rows, reflector = rows[order], reflector[order]
     return Reflectors(rows, problem.position[rows], problem.station[rows], reflector, names)
-
-
-def _starts(sorted_index: Ints, count: int) -> Ints:
-    """Return the first entry (count,) of each number in a sorted index."""
-    return np.searchsorted(sorted_index, np.arange(count)).astype(np.int64)
-
-
-def _unpaired(
-    problem: PlaneMirrorProblem, key: tuple[int, int, int], n_direct: int, n_mirrored: int
-) -> str:
-    position, station, nest = key
-    return (
-        f"{problem.source}: {problem.position_name(position)}, tracker station "
-        f"{problem.station_name(station)}, nest {nest}: {n_direct} direct and {n_mirrored} "
-        "mirrored points, expected as many of both; measure the missing one or take the row out"
-    )

@@ -25,6 +25,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
+from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.plane_mirror.settings import DIRECT, JOINT, WAYS
 from rotcal_ros.methods.plane_mirror.solver import printed
 from rotcal_ros.methods.plane_mirror.solver.model import (
@@ -35,7 +36,12 @@ from rotcal_ros.methods.plane_mirror.solver.model import (
     spans_of,
     ties,
 )
-from rotcal_ros.methods.plane_mirror.solver.problem import Nests, PlaneMirrorProblem, PointLayout
+from rotcal_ros.methods.plane_mirror.solver.problem import (
+    Nests,
+    PlaneMirrorProblem,
+    PointLayout,
+    Reflectors,
+)
 from rotcal_ros.methods.plane_mirror.solver.set_up import (
     incidence,
     joining_nests,
@@ -65,13 +71,7 @@ def solve(problem: PlaneMirrorProblem) -> Result:
 
     Raises DataError, GeometryError (see :mod:`.set_up`), ObservabilityError.
     """
-    return solved(problem)[0]
-
-
-def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
-    """Return :func:`solve` with the positions (n,) of the problem that the result has."""
-    solution = MirrorSolution.of(problem)
-    return solution.result(), solution.layout.positions
+    return MirrorSolution.of(problem).result()
 
 
 def mirror_trials(problem: PlaneMirrorProblem) -> Trials:
@@ -98,7 +98,9 @@ def check_nests(
     nests, _ = joining_nests(replace(problem, way=JOINT))
     if not len(nests.row):
         return []
-    layout = PointLayout.of_nests(problem, nests)
+    none = np.zeros(0, dtype=np.int64)
+    nothing = Reflectors(none, none, none, none, none)
+    layout = PointLayout(problem, none, np.zeros(0), None, nothing, nests, tied=True)
     tracker, last = TrackerModel.of(layout), int(problem.station.max())
     found = adjust(tracker.model(), tracker.limits)
     solution = MirrorSolution(layout, tracker, found, found, JOINT, (), ())
@@ -203,14 +205,14 @@ class MirrorSolution:
         """Return the result."""
         layout, problem, found = self.layout, self.layout.problem, self.found
         check_size(problem, layout.angles, found.value)
-        rows, n = layout.rows, len(layout.angles)
+        rows = layout.rows
         seated = [text for text, _ in self.badly_seated]
         doubts = [*self.doubts, *seated, *self.drift.doubts, *self.left_out,
                   *differing(self.repeats, layout.angles, problem.significance)]  # fmt: skip
         every = found.result(
             METHOD,
             layout.angles,
-            {"ECC": slice(0, n)},
+            {"ECC": slice(0, len(layout.angles))},
             (problem.position[rows], problem.nest[rows]),
             coordinates=3,
             doubts=doubts,
@@ -219,9 +221,8 @@ class MirrorSolution:
             joint=True,
             also=False,
         )
-        partner = dict(
-            zip(rows.tolist(), layout.pairs.direct.tolist() if layout.pairs else [], strict=False)
-        )
+        direct = layout.pairs.direct.tolist() if layout.pairs else []
+        partner = dict(zip(rows.tolist(), direct, strict=False))
         left = [
             Rejection(row, r.why)
             for r in every.rejected
@@ -231,17 +232,13 @@ class MirrorSolution:
         residuals = every.residuals
         assert residuals is not None
         zeros = "first angle of each group" if self._free else "first angle"
-        steps = np.diff(np.eye(n), axis=0)
-        covariance = steps @ every.covariance["ECC"] @ steps.T
         result = replace(
             every,
             n_observations=len(problem.xyz),
             rejected=(*self.rejected, *sorted(left, key=lambda r: r.index)),
-            adjacent_deviations=np.diff(found.value),
-            adjacent_std=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
             residuals=self._residuals(residuals),
         )
-        return result.counted_from(zeros, self._free)
+        return with_steps(result).counted_from(zeros, self._free)
 
     @property
     def _free(self) -> tuple[FreeDirection, ...]:
@@ -284,12 +281,8 @@ class MirrorSolution:
 
     def _details(self) -> dict[str, Any]:
         """Return the method's own part of the result; SI, plain arrays and numbers."""
-        layout, problem, tracker, x = (
-            self.layout,
-            self.layout.problem,
-            self.tracker,
-            self.found.fit.x,
-        )
+        layout, tracker, x = self.layout, self.tracker, self.found.fit.x
+        problem = layout.problem
         again = [
             {"first": c.first, "second": c.last, "difference_rad": c.error, "std_rad": c.std}
             for c in self.repeats

@@ -1,21 +1,21 @@
-"""What clocks that may still differ make uncertain: a table at rest creeps from one to the other.
+"""Errors that come on top of a result, such as those of clocks that may still differ.
 
 A length and the angle that it belongs to are of the same moment only as far as the clocks of
-table, probe and instrument agree.
+table, probe and instrument agree: a table at rest creeps from one to the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE
 
 SOURCE: Final = "clocks"
@@ -52,21 +52,32 @@ def with_clock_errors(result: Result, std: float) -> Result:
     """
     if not std or COMPONENT not in result.deviations:
         return result
-    mean, sides = _errors(result)
-    share = std**2 * (mean @ mean.T)
-    covariance = result.covariance[COMPONENT] + share
-    adjacent = result.adjacent_std
-    if adjacent is not None:
-        steps = np.diff(mean, axis=0)
-        adjacent = np.sqrt(adjacent**2 + std**2 * np.sum(steps**2, axis=1))
-    return replace(
-        result,
-        std={**result.std, COMPONENT: np.sqrt(covariance.diagonal())},
-        covariance={**result.covariance, COMPONENT: covariance},
-        adjacent_std=adjacent,
-        directions=_with_sides(result.directions, std**2 * (sides @ sides.T)),
-        budget=_with_source(result.budget, np.sqrt(share.diagonal())),
-    )
+    mean, sides = (std * each for each in _errors(result))
+    budget = {**result.budget, SOURCE: np.linalg.norm(mean, axis=1)} if result.budget else {}
+    result = with_errors(result, {COMPONENT: mean}, {COMPONENT: sides})
+    return replace(result, budget=budget)
+
+
+def with_errors(
+    result: Result, errors: Mapping[str, Floats], sides: Mapping[str, Floats] | None = None
+) -> Result:
+    """Return a result whose uncertainties hold p independent ``errors`` (n, p) besides.
+
+    They are standard uncertainties, by component, m or rad; ``sides`` (2 k, p): what they do to
+    the curves from both sides, of a result that has these.
+    """
+    both, adjacent = dict(result.directions), result.adjacent_std
+    for name, by in (sides or {}).items():
+        if name in both:
+            both[name] = replace(both[name], covariance=both[name].covariance + by @ by.T)
+    if adjacent is not None and COMPONENT in errors:
+        steps = np.diff(errors[COMPONENT], axis=0)
+        adjacent = np.hypot(adjacent, np.linalg.norm(steps, axis=1))
+    std, covariance = dict(result.std), dict(result.covariance)
+    for name, by in errors.items():
+        std[name] = np.hypot(std[name], np.linalg.norm(by, axis=1))
+        covariance[name] = covariance[name] + by @ by.T
+    return replace(result, std=std, covariance=covariance, adjacent_std=adjacent, directions=both)
 
 
 def _errors(result: Result) -> tuple[Floats, Floats]:
@@ -77,7 +88,11 @@ def _errors(result: Result) -> tuple[Floats, Floats]:
     """
     n = len(result.angles)
     both = result.directions.get(COMPONENT)
-    at = np.zeros(0, int) if both is None else _places(both.angles, result.angles)
+    at = (
+        np.zeros(0, int)
+        if both is None
+        else np.argmin(np.abs(both.angles[:, None] - result.angles), axis=1)
+    )
     forward, reverse = np.eye(n + len(at))[at], np.eye(n + len(at))[n:]
     mean = np.eye(n, n + len(at))
     mean[at] = 0.5 * (forward + reverse)
@@ -86,17 +101,11 @@ def _errors(result: Result) -> tuple[Floats, Floats]:
     return mean - zero, np.vstack([forward, reverse]) - zero
 
 
-def _places(angles: Floats, among: Floats) -> Any:
-    """Return which of the angles ``among`` the ``angles`` are."""
-    return np.argmin(np.abs(angles[:, None] - among), axis=1)
-
-
-def _with_sides(directions: Mapping[str, Directions], share: Floats) -> Mapping[str, Directions]:
-    both = directions.get(COMPONENT)
-    if both is None:
-        return directions
-    return {**directions, COMPONENT: replace(both, covariance=both.covariance + share)}
-
-
-def _with_source(budget: Mapping[str, Floats], std: Floats) -> Mapping[str, Floats]:
-    return {**budget, SOURCE: std} if budget else budget
+def with_steps(result: Result) -> Result:
+    """Return ``result`` with the deviations of the steps between its neighbouring angles."""
+    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+    step = np.diff(np.eye(len(ecc)), axis=0)
+    variance = np.diag(step @ covariance @ step.T)
+    return replace(
+        result, adjacent_deviations=np.diff(ecc), adjacent_std=np.sqrt(np.maximum(variance, 0.0))
+    )
