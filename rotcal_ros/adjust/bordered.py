@@ -469,7 +469,9 @@ class Bordered(Kernel):
         weight = np.zeros((len(share), len(every)))
         weight[:, groups.place] = share[:, : len(groups.place)]
         weight[:, len(self.along) :] = share[:, len(groups.place) :]
-        low = np.stack([every.T @ (every * each[:, None]) for each in weight])
+        felt = [np.flatnonzero(each) for each in weight]
+        some = [(every[rows], each[rows, None]) for rows, each in zip(felt, weight, strict=True)]
+        low = np.stack([rows.T @ (rows * each) for rows, each in some])
         of_groups = weight[:, : len(self.along)].reshape(len(share), *self.basis.shape[:2])
         stacked = every[: len(self.along)].reshape(*self.basis.shape[:2], -1)
         turned = self.basis.swapaxes(1, 2) * of_groups[:, :, None]

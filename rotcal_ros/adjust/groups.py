@@ -105,7 +105,9 @@ class Group:
     @cached_property
     def _usual(self) -> float:
         there = self.unit[self.unit > 0.0]
-        return float(np.median(there)) if there.size else 1.0
+        if not there.size or there.min() == there.max():
+            return float(there[0]) if there.size else 1.0
+        return float(np.median(there))
 
     @cached_property
     def score(self) -> Floats:

@@ -7,10 +7,10 @@ their number).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import gammaln
@@ -42,6 +42,8 @@ LARGEST_GROUP: Final = 720
 """Observations of a group up to which it is asked which of them are off together."""
 MANY_ROWS: Final = 100
 """The same from which on it is asked what little they have in common."""
+MOST_NUMBERS: Final = 4_000_000
+"""Numbers of what rows of groups have in common that are worked out at once (32 MB)."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -301,7 +303,8 @@ class Look:
 
     def _groups(self) -> list[Group | JudgedWhole | Undivided]:
         """Return the groups of what is used, with which of their members lie together."""
-        fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole | Undivided]()
+        fit, model = self.fit, self.before.model
+        found = list[Group | JudgedWhole | Undivided | _Asked]()
         first, each = model.elements[:, 0], model.elements.shape[1]
         used, may_go = fit.used[first], model.may_go[first]
         for grouping in (g.at(first) for g in model.groupings):
@@ -322,8 +325,29 @@ class Look:
                     here = part[used[part]]
                     if len(here) > 1:
                         of = f"{name}, part {k + 1} of {len(parts)}" if len(parts) > 1 else name
-                        found.append(self._group(grouping, of, here, len(part) - len(here)))
-        return found
+                        found.append(_Asked(grouping, of, here, len(part) - len(here)))
+        groups = self._of_one_size([each for each in found if isinstance(each, _Asked)])
+        return [next(groups) if isinstance(each, _Asked) else each for each in found]
+
+    def _of_one_size(self, asked: Sequence[_Asked]) -> Iterator[Group]:
+        """Return the groups that are asked for, those of as many rows at once."""
+        found, alike = dict[int, Group](), dict[int, list[int]]()
+        table = self.fit.model.elements
+        for k, each in enumerate(asked):
+            alike.setdefault(
+                len(each.members) * int((table[each.members[0]] >= 0).sum()), []
+            ).append(k)
+        for size, every in alike.items():
+            for some in np.array_split(every, -(-len(every) * size**2 // MOST_NUMBERS)):
+                members = [asked[k].members for k in some]
+                rows = [table[m, : size // len(m)].ravel() for m in members]
+                leverage = self.fit.kernel.among_each(np.stack(rows))
+                groups = [self._group(asked[k], of) for k, of in zip(some, leverage, strict=True)]
+                cofactors = [group.cofactor.reshape(size, size) for group in groups]
+                eigen = zip(*np.linalg.eigh(np.stack(cofactors)), strict=True)
+                for k, group, own in zip(some.tolist(), groups, eigen, strict=True):
+                    found[k] = replace(group, eigen=own)
+        return iter([found[k] for k in range(len(asked))])
 
     def _together_each(self, grouping: Grouping) -> list[JudgedWhole | Undivided]:
         """Return groups of which it is not asked what gathers, those of one size at once."""
@@ -356,12 +380,12 @@ class Look:
                 )  # fmt: skip
         return [found[number] for number in kept]
 
-    def _group(self, grouping: Grouping, name: str, members: Ints, lost: int) -> Group:
-        """Return the group of elements (e,) that are used, of which ``lost`` ones are not."""
-        fit, gathered = self.fit, gathered_of(grouping, members)
-        table = fit.model.elements[members]
-        rows = table[:, : int((table[0] >= 0).sum())]
-        white, leverage = fit.white[rows], fit.kernel.among(rows.ravel())
+    def _group(self, asked: _Asked, leverage: Floats) -> Group:
+        """Return a group whose rows have this ``leverage`` (e c, e c)."""
+        grouping, name, members, lost = asked
+        fit, gathered, table = self.fit, gathered_of(grouping, members), self.fit.model.elements
+        rows = table[members][:, : len(leverage) // len(members)]
+        white = fit.white[rows]
         frame = None if grouping.frame is None else grouping.frame[members]
 
         def turned(values: Floats) -> Floats:
@@ -377,6 +401,15 @@ class Look:
             grouping.kind, name, members, turned(white).reshape(rows.shape), 1.0 / fit.std[rows],
             turned(turned(leverage).T), felt, gathered, lost,
         )  # fmt: skip
+
+
+class _Asked(NamedTuple):
+    """A group of elements ``members`` (e,) that are used, of which ``lost`` ones are not."""
+
+    grouping: Grouping
+    name: str
+    members: Ints
+    lost: int
 
 
 def _largest(squares: Floats) -> list[int]:
