@@ -35,6 +35,8 @@ DENSE: Final = 4
 """Outputs of which more than one in DENSE of the numbers is not zero are written out."""
 MOST_WHOLE: Final = 2000
 """Unknowns up to which normal equations are written out (32 MB)."""
+SURE: Final = 1e-5
+"""Least eigenvalue, per largest, of normal equations whose inverse keeps ten digits."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
 
@@ -574,6 +576,9 @@ def _determined(rows: Floats, open_: float) -> tuple[Floats, Floats]:
 
     They are what is left of columns of length 1: nothing where that is a share ``open_`` of it.
     """
+    squares, axes = np.linalg.eigh(rows.T @ rows)
+    if len(squares) and squares[0] > SURE * squares[-1]:  # of which no digits that matter go
+        return axes / np.sqrt(squares), axes[:, :0]
     _, share, turn = np.linalg.svd(_triangle(rows))
     determined = np.arange(rows.shape[1]) < (share > open_ * share.max(initial=1.0)).sum()
     return turn[determined].T / share[: int(determined.sum())], turn[~determined].T
