@@ -50,14 +50,14 @@ bench: setup  ## compare speed with well-known alternatives, side by side
 	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json
 
 power: setup  ## what could be wrong, and would the verdict say so? docs/what_could_be_wrong.md
-	@$(BIN)/python scripts/power_table.py $(POWER_ARGS)
-	@$(BIN)/python scripts/gathered_table.py $(GATHERED_ARGS)
+	@$(BIN)/python research/power_table.py $(POWER_ARGS)
+	@$(BIN)/python research/gathered_table.py $(GATHERED_ARGS)
 
 yardstick: setup  ## is this commit as true, watchful and quick as main? docs/yardstick.md, hours
-	@$(BIN)/python scripts/yardstick.py --old main --new HEAD --page docs/yardstick.md $(YARDSTICK_ARGS)
+	@$(BIN)/python research/yardstick.py --old main --new HEAD --page docs/yardstick.md $(YARDSTICK_ARGS)
 
 data-set: setup  ## make the open data set, and its leaderboard in docs/data_set.md: out/dataset
-	@$(BIN)/python scripts/make_dataset.py --page docs/data_set.md $(DATA_SET_ARGS)
+	@$(BIN)/python research/make_dataset.py --page docs/data_set.md $(DATA_SET_ARGS)
 
 mutants: setup  ## try small faults in the code: do the tests notice? SEED=1 SAMPLE=400
 	@$(BIN)/python -c 'import coverage, libcst, mutmut' 2>/dev/null || $(BIN)/pip install -q \

@@ -19,16 +19,17 @@ from pathlib import Path
 import numpy as np
 from racing import Row
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "research"))
 import policy_figures as figures
 
 from rotcal_ros.methods.tracer.policy.experiment import LengthExperiment, MeasuredLengths
-from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, best_at, first_sweep
+from rotcal_ros.methods.tracer.policy.until_goal import UntilGoal, best_at, first_sweep
 from rotcal_ros.planning.choices import StepOutcome
 
 SPACING_M = 0.105
 SECTOR_DEG = 30.0
 WRONG_NUMBER = 40
+ERROR_MOTION = 3e-8  # m
 LOOSE_STD = 0.02  # m, of stations and zeros before anything is measured
 
 
@@ -39,17 +40,26 @@ class Inverting:
         self.of, self.m = of, len(of.plan.table_angles)
         own = np.array([o.step for o in known.observations])
         self.in_use = np.unique(of.target[own])
-        bearing = of.scene.bearing - of.scene.bearing.mean(axis=0)
-        self.turn = np.zeros((self.m, 4 * self.m + 3 * len(self.in_use) + 3))
-        self.turn[:, : 3 * self.m] = bearing
-        prior = np.full(self.turn.shape[1], figures.TARGET_STD**-2)
-        prior[: 4 * self.m] = LOOSE_STD**-2
-        self.normal = np.diag(prior)
+        # last come a target not in use, and centre and radius of the stations' circle
+        size = 4 * self.m + 3 * len(self.in_use) + 6
+        radius = float(np.hypot(*figures.MOUNT[:2]))
+        outward = of.scene.stations[:, :2] / radius
+        along = outward @ [[0.0, 1.0], [-1.0, 0.0]]
+        each = np.arange(self.m)[:, None]
+        self.turn, round_ = np.zeros((2, self.m, size))
+        self.turn[each, 3 * each + [0, 1]] = along / radius
+        self.turn[:, -3:-1] = -along / radius
+        self.turn -= self.turn.mean(axis=0)
+        round_[each, 3 * each + [0, 1]] = outward
+        round_[:, -3:] = -np.column_stack([outward, np.ones(self.m)])
+        prior = np.full(size, figures.TARGET_STD**-2)
+        prior[: 4 * self.m] = prior[-3:] = LOOSE_STD**-2
+        self.normal = np.diag(prior) + round_.T @ round_ / ERROR_MOTION**2
         for step in own:
             self.normal += self.square(step)
 
     def square(self, step: int) -> np.ndarray:
-        """Return the information of one length; a target not in use comes last."""
+        """Return the information of one length."""
         j, i = self.of.position[step], self.of.target[step]
         slot = np.flatnonzero(self.in_use == i)
         place = 4 * self.m + 3 * (slot[0] if len(slot) else len(self.in_use))
@@ -140,7 +150,7 @@ def seconds_of_choices(of: LengthExperiment, trouble: Trouble) -> Iterator[float
     noise_m = trouble.noise * figures.PLANNED_STD
     cell = figures.Cell(of, np.random.default_rng(1), noise_m, trouble.break_after)
     cell.blocked = trouble.blocked & (np.abs(azimuth) < SECTOR_DEG)
-    policy = UntilGoal(of, GoalLimits(figures.GOAL))
+    policy = UntilGoal(of, figures.GOAL)
     for number in count():
         begun = time.thread_time()
         choice = policy.choose()
@@ -152,8 +162,8 @@ def seconds_of_choices(of: LengthExperiment, trouble: Trouble) -> Iterator[float
 
 def rows() -> Iterator[Row]:
     """Yield one measurement each."""
-    of = figures.experiment(SPACING_M)
+    of = figures.experiment(SPACING_M, error_motion=ERROR_MOTION)
     best = best_of_all(of)
     yield best
-    for case in (of, figures.experiment(SPACING_M, per_segment=True)):
+    for case in (of, figures.experiment(SPACING_M, per_segment=True, error_motion=ERROR_MOTION)):
         yield slowest_choice(case, best.opponent_s)

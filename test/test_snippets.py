@@ -73,7 +73,7 @@ def made():
 @pytest.fixture
 def reader(tmp_path, program, made):
     """Return a function that runs a text of bash in a folder like the reader's."""
-    for name in ("config", "docs", "examples", "scripts"):
+    for name in ("config", "docs", "examples", "research", "scripts"):
         shutil.copytree(ROOT / name, tmp_path / name)
     for name, source in INPUTS.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

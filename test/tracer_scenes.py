@@ -24,10 +24,24 @@ def every_pair(scene, segment="station"):
     return Lengths.of(position, target, position if segment == "station" else 0)
 
 
+def circle(scene):
+    """Unit vectors (m, 2) out from the axis and along the circle, and its radius, m."""
+    flat = scene.stations[:, :2]
+    design = np.column_stack([2.0 * flat, np.ones(len(flat))])
+    outward = flat - np.linalg.lstsq(design, (flat**2).sum(axis=1))[0][:2]
+    radius = np.linalg.norm(outward, axis=1).mean()
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    return outward, np.column_stack([-outward[:, 1], outward[:, 0]]), radius
+
+
 def dense_covariance(scene, lengths, segments):
-    """Covariance of [stations, zeros, targets] by one dense inverse; column-scaled lstsq."""
+    """Covariance of [stations, zeros, targets, centre, radius] by one dense inverse.
+
+    The stations lie on a circle but for the error motion, or for 1 nm.
+    """
     m, n = len(scene.stations), len(scene.targets)
-    rows = np.zeros((len(lengths), 3 * m + segments + 3 * n))
+    own = 3 * m + segments + 3 * n
+    rows = np.zeros((len(lengths), own + 3))
     for k, (j, i, s, w) in enumerate(
         zip(lengths.position, lengths.target, lengths.segment, lengths.weight, strict=True)
     ):
@@ -39,16 +53,47 @@ def dense_covariance(scene, lengths, segments):
         rows[k, 3 * m + s] = -1.0
         rows[k, place : place + 3] = -apart / distance
         rows[k] *= np.sqrt(w) / std
-    prior = np.zeros((3 * n, rows.shape[1]))
-    prior[:, 3 * m + segments :] = np.diag(1.0 / scene.target_std.ravel())
-    upper = np.linalg.qr(np.vstack([rows, prior]), mode="r")
+    prior = np.zeros((3 * n, own + 3))
+    prior[:, 3 * m + segments : own] = np.diag(1.0 / scene.target_std.ravel())
+    outward, _, _ = circle(scene)
+    round_ = np.zeros((m, own + 3))
+    for j in range(m):
+        round_[j, 3 * j : 3 * j + 2] = outward[j]
+    round_[:, own:] = -np.column_stack([outward, np.ones(m)])
+    round_ /= max(scene.error_motion_std or 0.0, 1e-9)
+    upper = np.linalg.qr(np.vstack([rows, prior, round_]), mode="r")
     inverse = np.linalg.inv(upper)
     return inverse @ inverse.T, rows
 
 
+def to_angles(scene, unknowns):
+    """Jacobian (m, p) of the angles less their mean by what :func:`dense_covariance` has."""
+    _, along, radius = circle(scene)
+    turn = np.zeros((len(along), unknowns))
+    for j, unit in enumerate(along):
+        turn[j, 3 * j : 3 * j + 2] = unit / radius
+    turn[:, -3:-1] = -along / radius
+    return turn - turn.mean(axis=0)
+
+
+def dense_angles(scene, lengths, segments):
+    """Covariance (m, m) of the angles less their mean, with what moves along the circle."""
+    whole, _ = dense_covariance(scene, lengths, segments)
+    turn = to_angles(scene, len(whole))
+    motion = max(scene.error_motion_std or 0.0, 1e-9) / circle(scene)[2]
+    return turn @ whole @ turn.T + motion**2 * (np.eye(len(turn)) - 1.0 / len(turn))
+
+
 def zero_mean(scene):
-    """Jacobian (m, 3 m) of the angles less their mean."""
-    return scene.bearing - scene.bearing.mean(axis=0)
+    """Jacobian (m, 3 m) of the angles less their mean by stations that are known exactly."""
+    outward, along, radius = circle(scene)
+    m = len(along)
+    centre = np.linalg.pinv(np.column_stack([outward, np.ones(m)]))[:2]
+    turn = np.zeros((m, m, 3))
+    turn[:, :, :2] = -((along / radius) @ centre)[:, :, None] * outward
+    turn[np.arange(m), np.arange(m), :2] += along / radius
+    turn = turn.reshape(m, 3 * m)
+    return turn - turn.mean(axis=0)
 
 
 def paper_scene(**changes):
@@ -57,11 +102,10 @@ def paper_scene(**changes):
 
 
 def counted_from_first(known):
-    """Covariance (m, m) of ECC as a result counts it, from the first angle, with error motion."""
-    whole = known.angle_covariance + known.scene.error_motion_angles
-    from_first = np.eye(len(whole))
+    """Covariance (m, m) of ECC as a result counts it, from the first angle."""
+    from_first = np.eye(len(known.covariance))
     from_first[:, 0] -= 1.0
-    return from_first @ whole @ from_first.T
+    return from_first @ known.covariance @ from_first.T
 
 
 def some_plan():

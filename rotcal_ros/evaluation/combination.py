@@ -218,7 +218,13 @@ def _curves(
             for c, own in group.joined.items()
             if (to_all := _to_all(own, angles)) is not None
         }
-        words = _names_of_open(group, inputs)
+        names = dict.fromkeys(
+            direction.name
+            for m in inputs
+            for direction in m.zeros.free
+            if direction.name and direction.columns.keys() & group.joined.keys()
+        )
+        words = " and ".join(names)  # between what zeros differ
         for c, to_all in maps.items():
             if whole and group.open_of(c).shape[1]:
                 left_out.setdefault(words, []).append(c)
@@ -234,17 +240,6 @@ def _curves(
         for words, names in left_out.items()
     ]
     return deviations, covariance, free, notes
-
-
-def _names_of_open(group: ComponentGroup, inputs: Sequence[CombinationInput]) -> str:
-    """Return between what the zeros of a group's inputs differ, in words."""
-    names = dict.fromkeys(
-        direction.name
-        for m in inputs
-        for direction in m.zeros.free
-        if direction.name and direction.columns.keys() & group.joined.keys()
-    )
-    return " and ".join(names)
 
 
 def _linked(
@@ -282,12 +277,11 @@ def _read_between(
     groups: Sequence[ComponentGroup], joined: Mapping[str, Joined], count: int, whole: set[str]
 ) -> list[str]:
     """Return in words what was not measured at all ``count`` angles; ``whole``: is there now."""
-    fewer = [
-        f"{c} was measured at {len(own.angles)} of {count} angles: "
-        + ("interpolated at the others" if c in whole else "only on an arc, left out")
-        for c, own in joined.items()
-        if len(own.angles) < count
-    ]
+    fewer = []
+    for c, own in joined.items():
+        if len(own.angles) < count:
+            done = "interpolated at the others" if c in whole else "only on an arc, left out"
+            fewer.append(f"{c} was measured at {len(own.angles)} of {count} angles: {done}")
     names = {name for group in groups for name in group.interpolated}
     return fewer + [
         f"{name} shares fewer than two angles with the others: these are interpolated at its own"

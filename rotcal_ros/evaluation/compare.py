@@ -152,6 +152,7 @@ def compare(
         for name, curve in zip(names, (first, second), strict=True)
         if curve.verdict_line not in ("", "ok")
     ]
+    alike = [f"{TOO_ALIKE} (chi2/dof {least / dof:.2f})"] * (not exact and too_alike(least, dof))
     harmonics = harmonic_basis(angles, align_order)
     return Comparison(
         angles=angles,
@@ -165,7 +166,7 @@ def compare(
         dof=dof,
         p_value=p_value,
         agree=agree,
-        notes=(*doubts, *_notes(both, why, exact), *_alike(least, dof, exact)),
+        notes=(*doubts, *_notes(both, why, exact), *alike),
     )
 
 
@@ -239,13 +240,6 @@ def _notes(both: PairedCurves, why: str | None, exact: bool) -> list[str]:
     if why:
         notes.append(why)
     return notes
-
-
-def _alike(chi2: float, dof: int, exact: bool) -> list[str]:
-    """Return a note if the curves agree better than independent ones; see :func:`too_alike`."""
-    return (
-        [] if exact or not too_alike(chi2, dof) else [f"{TOO_ALIKE} (chi2/dof {chi2 / dof:.2f})"]
-    )
 
 
 def too_alike(chi2: float, dof: int, level: float = SURE) -> bool:

@@ -233,23 +233,18 @@ def links_of(
                 along = part.design[place].T @ way[rows]
                 shown = {n: np.linalg.norm(parts[n].observable(along)) for n in others}
                 telling = (n for n in others if shown[n] > OPEN * np.linalg.norm(along))
+                if curves[c].free_names.count(word) > 1:  # with the first angle that it moves
+                    first = curves[c].angles[rows][way[rows] > 0.5 * way[rows].max()][0] / DEGREE
+                    word = f"{word}, that with {first:.6g} deg against the others"
                 yield Link(
                     component=c,
                     input=name,
-                    name=_which(word, way[rows], curves[c], rows),
+                    name=word,
                     others=tuple(telling) or others,
                     offset=float(contrast @ part.values - seen @ group.value),
                     std=std,
                     share=std * float(np.max(np.abs(centred))),
                 )
-
-
-def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
-    """Return the name of an offset; if several have it, with the first angle that it moves."""
-    if curve.free_names.count(word) < 2:
-        return word
-    first = curve.angles[rows][column > 0.5 * column.max()][0] / DEGREE
-    return f"{word}, that with {first:.6g} deg against the others"
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,7 +387,14 @@ def join_angles(curves: Mapping[str, MeasuredCurve]) -> Joined:
             designs[name] = (place[:, None] == chosen).astype(np.float64)
             continue
         between.append(name)
-        rows[name] = np.arange(len(own)) if period else _within(angles, own)
+        ahead, behind = own - angles[0] + SAME_ANGLE, angles[-1] - own + SAME_ANGLE
+        rows[name] = np.flatnonzero((np.minimum(ahead, behind) >= 0.0) | (period > 0.0))
+        if len(rows[name]) < LINKING and not period:
+            raise DataError(
+                f"the curves share {len(rows[name])} angles: the others cover only "
+                f"{angles[0] / DEGREE:.6g} .. {angles[-1] / DEGREE:.6g} deg; give results of "
+                "the same arc"
+            )
         designs[name] = interpolation_matrix(angles, own[rows[name]], period)
     return Joined(angles, period, designs, rows, tuple(between))
 
@@ -424,15 +426,3 @@ def _linked(groups: list[set[int]]) -> list[set[int]]:
                 rest = [g for g in groups if g is not first and g is not second]
                 return _linked([*rest, first | second])
     return groups
-
-
-def _within(angles: Floats, own: Floats) -> Ints:
-    """Return the rows of ``own`` inside of the arc of ``angles``; DataError for less than two."""
-    inside = np.flatnonzero((own >= angles[0] - SAME_ANGLE) & (own <= angles[-1] + SAME_ANGLE))
-    if len(inside) < LINKING:
-        raise DataError(
-            f"the curves share {len(inside)} angles: the others cover only "
-            f"{angles[0] / DEGREE:.6g} .. {angles[-1] / DEGREE:.6g} deg; give results of "
-            "the same arc"
-        )
-    return inside

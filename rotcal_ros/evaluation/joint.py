@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
@@ -72,6 +72,8 @@ from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.foundation.results import Rejection, Result
 
+Members: TypeAlias = "tuple[str, ...]"
+"""Names of inputs that share observations."""
 WORDS: Final = Words("readings", "dirt, heat, a draught or a loose mount", "there", "there")
 ORDERS: Final = (1, 2, 3)
 """What an instrument, its mount or an artefact errs by, it errs by mostly so often in a turn."""
@@ -151,7 +153,7 @@ class _Shared:
                 found |= dict.fromkeys(both, both)
         return found
 
-    def known(self, curves: Mapping[str, Curves]) -> dict[tuple[str, ...], _Known]:
+    def known(self, curves: Mapping[str, Curves]) -> dict[Members, _Known]:
         """Return what results of ``curves`` know; those that share observations together."""
         clusters = dict.fromkeys(self.clusters.values())
         members = [tuple(n for n in curves if n in cluster) for cluster in clusters]
@@ -404,7 +406,7 @@ class _Views:
 
     @classmethod
     def by_results(
-        cls, shared: _Shared, known: Mapping[tuple[str, ...], _Known], more: float = 0.0
+        cls, shared: _Shared, known: Mapping[Members, _Known], more: float = 0.0
     ) -> _Views:
         """Return results by the names of their inputs; each value has ``more`` variance."""
         members = {SHARED.join(names): names for names in known}
@@ -432,12 +434,6 @@ class _Views:
         )
 
     @cached_property
-    def of_results(self) -> Bools:
-        """Which observations (n,) are those of results."""
-        each = [np.full(m.size[0], name in self.results) for name, m in self.models.items()]
-        return np.concatenate(each)
-
-    @cached_property
     def together(self) -> Model:
         """What all observed."""
         basis = self.shared.basis
@@ -449,10 +445,7 @@ class _Views:
         design = dense(self.together.equations(self.together.first)[1])
         return replace(
             self.together,
-            effects=[
-                *self.together.effects,
-                *self.differences(design, self.shared.columns),
-            ],
+            effects=[*self.together.effects, *self.differences(design, self.shared.columns)],
         )
 
     @cached_property
@@ -632,7 +625,7 @@ def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentG
         if enlarge != "birge":
             group = replace(group, enlargement=enlarge, factor=1.0)
         if enlarge == "mandel-paule":
-            variance = _common_variance(shared, known)
+            variance = _common_variance(shared, views, known)
             best = _Views.by_results(shared, surest, variance)
             wide = best.group(0, best.fit, tested, level)
             group = replace(group, value=wide.value, spread=wide.spread, shares=wide.shares)
@@ -640,19 +633,21 @@ def _combined(shared: _Shared, enlarge: Enlargement, level: float) -> ComponentG
     return views.linked(replace(group, members=tuple(known)), 0)
 
 
-def _common_variance(shared: _Shared, known: Mapping[tuple[str, ...], _Known]) -> float:
+def _common_variance(shared: _Shared, views: _Views, known: Mapping[Members, _Known]) -> float:
     """Return the variance that, added to every value, makes chi-square equal to dof.
 
     This is Mandel and Paule's between-laboratory component, here for every single value.
     """
 
     def missing(variance: float) -> float:
-        fit = _Views.by_results(shared, known, variance).fit
+        fit = _Views.by_results(shared, known, variance).fit if variance else views.fit
         return fit.dof / fit.chi2 - 1.0  # nearly a straight line
 
-    high = max(1.0 / float(np.mean((own.rows**2).sum(axis=1))) for own in known.values())
+    # where it would be if all values had one variance
+    one = float(np.mean([1.0 / np.mean((own.rows**2).sum(axis=1)) for own in known.values()]))
+    high = one * (views.fit.chi2 / views.fit.dof - 1.0)
     while missing(high) < 0.0:
-        high *= 4.0
+        high *= 1.5
     return float(brentq(missing, 0.0, high, xtol=1e-6 * high, rtol=1e-9))
 
 
@@ -665,24 +660,19 @@ def solve_together(instruments: Sequence[JointInput]) -> Combination:
     cannot be joined, ObservabilityError where they leave deviations open that none says it does.
     """
     with threadpool_limits(1, "blas"):  # as where one instrument is solved
-        return _solved(instruments)
-
-
-def _solved(instruments: Sequence[JointInput]) -> Combination:
-    views = _Views.of(instruments)
-    found = adjust(views.whole)
-    # Closures are judged by the noise of each alone: in that of all together they would hide.
-    factors = [
-        np.ones(1)
-        if each.model is None
-        else adjust(views.alone(each.name, found.fit)).diagnosis.noise.factors
-        for each in instruments
-    ]
-    alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)
-    tested = sum(len(parts) > 1 for parts in views.shared.parts)
-    level = SURE / max(tested, 1)
-    groups = [_group(views, found, alone, k, level) for k in range(len(views.shared.parts))]
-    return Combination(_result(views, found, groups, instruments), tuple(groups))
+        views = _Views.of(instruments)
+        found = adjust(views.whole)
+        # Closures are judged by the noise of each alone: in that of all together they would hide.
+        factors = [
+            np.ones(1)
+            if each.model is None
+            else adjust(views.alone(each.name, found.fit)).diagnosis.noise.factors
+            for each in instruments
+        ]
+        alone = found.diagnosis.fitted(np.concatenate(factors), found.fit.x)
+        level = SURE / max(1, sum(len(parts) > 1 for parts in views.shared.parts))
+        groups = [_group(views, found, alone, k, level) for k in range(len(views.shared.parts))]
+        return Combination(_result(views, found, groups, instruments), tuple(groups))
 
 
 def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> ComponentGroup:
@@ -697,22 +687,18 @@ def _group(views: _Views, found: Adjusted, alone: Fit, k: int, level: float) -> 
         test = views.closed(alone, closing, place)
         tested = test.squares, test.rank, test.probability
     if tested[2] >= level:
-        spread = _stated_covariance(views, found)[place, place]
+        # A result that agrees with the others better than it says keeps what it says: its scatter
+        # there says nothing of what it alone knows.
+        of_results = np.concatenate(
+            [np.full(m.size[0], name in views.results) for name, m in views.models.items()]
+        )
+        smaller = np.minimum(found.diagnosis.noise.factors, 1.0)[found.model.of_component]
+        more = np.where(of_results, 1.0 / smaller**2 - 1.0, 0.0)
+        response = found.fit.response[place]
+        spread = found.covariance[place, place] + (response * more) @ response.T
         return views.linked(views.group(k, found.fit, tested, level, spread), k)
     group = views.group(k, alone, tested, level)
     return views.linked(views.contradicting(group, k, alone), k)
-
-
-def _stated_covariance(views: _Views, found: Adjusted) -> Floats:
-    """Return the covariance (s, s) of the deviations.
-
-    A result that agrees with the others better than it says keeps what it says: its scatter there
-    says nothing of what it alone knows.
-    """
-    model, response = found.model, found.fit.response[: len(found.model.outputs)]
-    smaller = np.minimum(found.diagnosis.noise.factors, 1.0)[model.of_component]
-    more = np.where(views.of_results, 1.0 / smaller**2 - 1.0, 0.0)
-    return np.asarray(found.covariance + (response * more) @ response.T)
 
 
 def _result(

@@ -28,7 +28,7 @@ from rotcal_ros.foundation.gum_numbers import minus, uncertainty, value_with_unc
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.language import listed, noted, phrase
 from rotcal_ros.foundation.protection import below
-from rotcal_ros.foundation.results import AxisLine, Directions, Result
+from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 
 Decision = Literal["within", "beyond", "undecided"]
@@ -245,27 +245,26 @@ def reversals(result: Result, *, valid: bool) -> list[str]:
 
     B_i of ISO 230-2; with U where it is ``valid``.
     """
-    return [_reversal(name, both, valid=valid) for name, both in result.directions.items()]
-
-
-def _reversal(name: str, both: Directions, *, valid: bool) -> str:
-    unit, label = unit_of(name)
-    share = np.repeat([1.0, -1.0], len(both.angles)) / len(both.angles)
-    mean_std = max(float(share @ both.covariance @ share), 0.0) ** 0.5
-    at = int(np.argmax(np.abs(both.reversal)))
-    mean, largest = (
-        minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
-        for number, std in (
-            (float(np.mean(both.reversal)), mean_std),
-            (float(both.reversal[at]), float(both.reversal_std[at])),
+    found = list[str]()
+    for name, both in result.directions.items():
+        unit, label = unit_of(name)
+        share = np.repeat([1.0, -1.0], len(both.angles)) / len(both.angles)
+        mean_std = max(float(share @ both.covariance @ share), 0.0) ** 0.5
+        at = int(np.argmax(np.abs(both.reversal)))
+        mean, largest = (
+            minus(value_with_uncertainty(number / unit, COVERAGE_FACTOR * std / unit))
+            for number, std in (
+                (float(np.mean(both.reversal)), mean_std),
+                (float(both.reversal[at]), float(both.reversal_std[at])),
+            )
         )
-    )
-    if not valid:
-        mean, largest = mean.split(" ")[0], largest.split(" ")[0]
-    return phrase(
-        "Reversal of {0} (↑ − ↓, ISO 230-2): mean {1} {2}; largest {3} {2}, at {4}°.",
-        name, mean, label, largest, f"{both.angles[at] / DEGREE:.6g}",
-    )  # fmt: skip
+        if not valid:
+            mean, largest = mean.split(" ")[0], largest.split(" ")[0]
+        found.append(phrase(
+            "Reversal of {0} (↑ − ↓, ISO 230-2): mean {1} {2}; largest {3} {2}, at {4}°.",
+            name, mean, label, largest, f"{both.angles[at] / DEGREE:.6g}",
+        ))  # fmt: skip
+    return found
 
 
 def not_covered(result: Result) -> tuple[str, ...]:

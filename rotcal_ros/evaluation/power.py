@@ -317,14 +317,10 @@ def share_of(attempt: Try, size: float, runs: int) -> Share:
             errors.append(trial.error)
         if number == GLANCE and noticed < SELDOM * GLANCE:
             break
-    return Share(size, number, noticed, _largest_rms(errors))
-
-
-def _largest_rms(errors: list[Floats]) -> float | None:
-    if len(errors) < ENOUGH:
-        return None
-    square: Floats = np.mean(np.square(np.array(errors)), axis=0)
-    return float(np.sqrt(square.max(initial=0.0)))
+    error = None
+    if len(errors) >= ENOUGH:
+        error = float(np.sqrt(np.mean(np.square(errors), axis=0).max(initial=0.0)))
+    return Share(size, number, noticed, error)
 
 
 def _between(below: Share, above: Share, power: float) -> float:

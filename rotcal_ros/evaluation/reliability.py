@@ -145,7 +145,17 @@ def effects_on_deviations(
     errors = found.detectable_error()
     if result.residuals is None:
         raise DataError("the result has no residuals: no effect can be calculated")
-    places = _observation_of(result.residuals, observations)
+    # both are in the order of measurement
+    position, target = result.residuals.table_position, result.residuals.target
+    rows, places = list(zip(position.tolist(), target.tolist(), strict=True)), list[int]()
+    for index, o in enumerate(observations):
+        if len(places) < len(rows) and (o.table_position, o.target) == rows[len(places)]:
+            places.append(index)
+    if len(places) < len(rows):
+        raise DataError(
+            f"{len(rows) - len(places)} residuals do not belong to one observation each: no "
+            "effect can be calculated"
+        )
     if found.std is None or errors is None or not np.all(found.std[which] > 0.0):
         raise DataError("the observations have no standard deviation: state the noise in solver")
     effects = np.full(len(which), np.inf)
@@ -155,21 +165,6 @@ def effects_on_deviations(
             gain = _gain(calibration, observations, result, places[row], step)
             effects[k] = errors[index] * float(gain.max(initial=0.0))
     return effects
-
-
-def _observation_of(residuals: Residuals, observations: Sequence[Observation]) -> list[int]:
-    """Return by residual the index of its observation; both are in the order of measurement."""
-    rows = list(zip(residuals.table_position.tolist(), residuals.target.tolist(), strict=True))
-    found: list[int] = []
-    for index, o in enumerate(observations):
-        if len(found) < len(rows) and (o.table_position, o.target) == rows[len(found)]:
-            found.append(index)
-    if len(found) < len(rows):
-        raise DataError(
-            f"{len(rows) - len(found)} residuals do not belong to one observation each: no effect "
-            "can be calculated"
-        )
-    return found
 
 
 def _gain(

@@ -126,7 +126,7 @@ def test_a_table_may_hold_the_closing_rows_of_its_plan(tmp_path):
     assert "measures it 2 times" in again.stderr
 
 
-POWER_PLAN = str(CONFIG.parent / "scripts" / "power_plans" / "angle_comparison.yaml")
+POWER_PLAN = str(CONFIG.parent / "research" / "power_plans" / "angle_comparison.yaml")
 
 
 @pytest.mark.slow

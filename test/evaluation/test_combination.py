@@ -17,6 +17,7 @@ from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
+from rotcal_ros.foundation.raw_data import Influence, RawData
 from rotcal_ros.foundation.units import ARCSEC
 
 RUNS = 400 if LONG else 120
@@ -255,3 +256,40 @@ def test_what_an_input_sees_otherwise_is_named():
     wild = result_of(grid, *about_mean(raw + 1.5 * ARCSEC * (-1.0) ** np.arange(12), cov))
     (words, *_) = combined(good[0], wild, *good[1:]).warnings
     assert "r1 is farthest off): " in words
+
+
+def of_readings(readings, rows, hashes, off=0.0):
+    """Return the curve of ``rows`` of readings, three of each of 12 angles."""
+    grid, std = np.arange(12) * TAU / 12, 0.2 * ARCSEC
+    mean = np.arange(36) % 12 == np.arange(12)[:, None]
+    mean = mean & np.isin(np.arange(36), rows)
+    by = (np.eye(12) - 1.0 / 12) @ (mean / mean.sum(axis=1, keepdims=True)) * std
+    aim = truth(grid) - truth(grid).mean() + off
+    influence = Influence(np.arange(len(rows)), 1, {"ECC": by[:, rows]})
+    raw = RawData(tuple(hashes[row] for row in rows), influence=influence)
+    return result_of(grid, aim + by @ readings, by @ by.T, raw_data=raw)
+
+
+def test_inputs_that_share_observations_are_weighed_with_their_common_errors():
+    """Two of three rounds each, one in common; by hand."""
+    rng, grid = np.random.default_rng(24), np.arange(12) * TAU / 12
+    aim, inside, squares = truth(grid) - truth(grid).mean(), [], []
+    for _ in range(RUNS):
+        readings = rng.standard_normal(36)
+        hashes = [f"{k:032x}" for k in rng.integers(2**60, size=36)]
+        parts = [
+            of_readings(readings, rows, hashes) for rows in (np.arange(24), np.arange(12, 36))
+        ]
+        found = combined(*parts)
+        inside.append(np.abs(found.deviations["ECC"] - aim) <= 1.96 * found.std["ECC"])
+        squares.append(found.details["consistency"]["ECC"]["chi2"])
+    # a quarter of the first and the last round, half of the one in common, about the mean
+    expected = 0.2 * ARCSEC * np.sqrt(6.0 / 16.0 * 11.0 / 12.0)
+    np.testing.assert_allclose(found.std["ECC"], expected, rtol=1e-3)
+    assert 0.93 < np.mean(inside) < 0.97
+    low, high = scatter(11 * RUNS)
+    assert low < np.mean(squares) / 11.0 < high
+    odd = of_readings(readings, np.arange(24), hashes, off=ARCSEC * np.cos(2 * grid))
+    (words, *_) = combined(odd, parts[1]).warnings
+    assert "ECC: the inputs contradict each other" in words
+    assert "another for" not in words  # of one whole nothing is another

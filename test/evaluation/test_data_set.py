@@ -33,7 +33,7 @@ def made(tmp_path_factory, warm):
     folders = [tmp_path_factory.mktemp("made") / "dataset" for _ in range(2)]
     for folder in folders:
         done = warm.run(
-            "python", str(ROOT / "scripts" / "make_dataset.py"), str(folder), *FEW,
+            "python", str(ROOT / "research" / "make_dataset.py"), str(folder), *FEW,
             folder=folder.parent,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
@@ -62,7 +62,7 @@ def test_the_checksums_are_those_of_all_other_files(made):
 
 def test_the_readme_tells_each_effect_with_its_size(made):
     text = (made[0] / "README.md").read_text()
-    sizes = runpy.run_path(str(ROOT / "scripts" / "make_dataset.py"))["SIZES"]
+    sizes = runpy.run_path(str(ROOT / "research" / "make_dataset.py"))["SIZES"]
     for plan, effects in sizes.items():
         for effect, size in effects.items():
             assert f"| {plan} | {effect.replace(' ', '_')} | {size:g} " in text

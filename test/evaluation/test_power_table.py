@@ -16,8 +16,8 @@ from rotcal_ros.methods import prepare, read_configuration
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "what_could_be_wrong.md"
-PLANS = ROOT / "scripts" / "power_plans"
-SCRIPT = runpy.run_path(str(ROOT / "scripts" / "power_table.py"))
+PLANS = ROOT / "research" / "power_plans"
+SCRIPT = runpy.run_path(str(ROOT / "research" / "power_table.py"))
 ROW = PowerRow("drift", "it drifts", "tested", "um", 1.0, True, False, 2.0, False)
 
 

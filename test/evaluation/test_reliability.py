@@ -145,7 +145,7 @@ def test_the_plan_verb_tells_which_observations_could_hide_an_error(tmp_path):
 
 
 def test_a_ball_is_tested_as_a_point():
-    stated = Path(__file__).parents[2] / "scripts" / "power_plans" / "ball_plate_stated.yaml"
+    stated = Path(__file__).parents[2] / "research" / "power_plans" / "ball_plate_stated.yaml"
     plan = ["plan", "reliability", str(stated), "--worst", "1"]
     data = json.loads(CliRunner().invoke(rotcal, [*plan, "--json"]).stdout)
     assert data["lambda0"] == pytest.approx(stats_lambda0(3), abs=1e-6)

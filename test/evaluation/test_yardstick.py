@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SCRIPTS = ROOT / "scripts"
+RESEARCH = ROOT / "research"
 PLAN = "golden/tracer"
 WORSE = """
 _solve = Calibration.solve
@@ -28,7 +28,7 @@ Calibration.solve = _worse
 
 def compare(results, runs, *more):
     """Run the script on the present code, and return the ended process."""
-    command = [sys.executable, str(SCRIPTS / "yardstick.py"), "--old", str(ROOT), "--plan", PLAN]
+    command = [sys.executable, str(RESEARCH / "yardstick.py"), "--old", str(ROOT), "--plan", PLAN]
     command += ["--part", "sound", "--runs", str(runs), "--results", str(results), *more]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
@@ -65,7 +65,7 @@ def test_a_worse_code_is_seen_as_worse_and_the_same_code_is_not(tmp_path):
 
 @pytest.fixture
 def scripts(monkeypatch):
-    monkeypatch.syspath_prepend(str(SCRIPTS))
+    monkeypatch.syspath_prepend(str(RESEARCH))
     import yardstick
     import yardstick_codes
 

@@ -92,7 +92,7 @@ def test_spheres_of_nist(name):
 
 @pytest.fixture(scope="module")
 def script():
-    path = Path(__file__).parents[2] / "scripts" / "check_public_sets.py"
+    path = Path(__file__).parents[2] / "research" / "check_public_sets.py"
     spec = importlib.util.spec_from_file_location("check_public_sets", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

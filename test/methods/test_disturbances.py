@@ -12,7 +12,7 @@ from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import prepare, read_configuration
 
-PLANS = Path(__file__).parents[2] / "scripts" / "power_plans"
+PLANS = Path(__file__).parents[2] / "research" / "power_plans"
 METHODS = ("tracer", "ball_plate", "plane_mirror", "tracer_six")
 each_method = pytest.mark.parametrize("name", METHODS)
 

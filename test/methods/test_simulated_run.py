@@ -11,7 +11,7 @@ from rotcal_ros.methods import prepare
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
 from rotcal_ros.methods.simulated_run import disturbed, seen_truth, simulated_run
 
-FOLDER = Path(__file__).parents[2] / "scripts" / "data_set"
+FOLDER = Path(__file__).parents[2] / "research" / "data_set"
 each_plan = pytest.mark.parametrize("plan", ["tracer", "tracer_six", "ball_plate", "plane_mirror"])
 
 

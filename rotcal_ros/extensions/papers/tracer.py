@@ -19,8 +19,12 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
-from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
-from rotcal_ros.methods.tracer.solver.circle import ABSORBED, TableMotion, table_motion
+from rotcal_ros.methods.tracer.solver.circle import (
+    ABSORBED,
+    TableMotion,
+    bearing_slopes,
+    table_motion,
+)
 from rotcal_ros.methods.tracer.solver.stations import StationProblem, solve
 from rotcal_ros.planning.points import block
 
@@ -131,13 +135,23 @@ def block_uncertainties(stations: Floats, first_target: Floats) -> dict[str, flo
 
 
 def _predicted(stations: Floats, centre: Floats, *, shared: bool = False) -> float:
+    """Return that of the paper's network (Eq. 1-4), plane and circle: nothing says it is round."""
     targets, m = _block(centre), len(stations)
-    angles = _angles(m)
-    position, target = np.divmod(np.arange(m * len(targets)), len(targets))
-    zero = np.zeros_like(position) if shared else position
-    scene = Scene(stations, angles, targets, np.array(TARGET_STD), LENGTH_STD)
-    known = Information(scene, Lengths.of(position, target, zero), 1 if shared else m)
-    return COVERAGE_FACTOR * known.rms_std
+    n, zeros = len(targets), 1 if shared else m
+    each = np.arange(m * n)
+    position, target = np.divmod(each, n)
+    apart = stations[position] - targets[target]
+    unit = apart / np.linalg.norm(apart, axis=1)[:, None] / LENGTH_STD
+    rows, xyz = np.zeros((m * n, 3 * m + zeros + 3 * n)), np.arange(3)
+    rows[each[:, None], 3 * position[:, None] + xyz] = unit
+    rows[each[:, None], 3 * m + zeros + 3 * target[:, None] + xyz] = -unit
+    rows[each, 3 * m + (0 if shared else position)] = -1.0 / LENGTH_STD
+    known = np.eye(3 * n, rows.shape[1], 3 * m + zeros) / TARGET_STD
+    upper = np.asarray(np.linalg.qr(np.vstack([rows, known]), mode="r"))
+    turn = np.zeros((m, rows.shape[1]))
+    turn[:, : 3 * m] = bearing_slopes(stations, table_motion(stations, _angles(m))).dense()
+    root = np.linalg.solve(upper.T, (turn - turn.mean(axis=0)).T)
+    return COVERAGE_FACTOR * float(np.sqrt((root**2).sum() / m))
 
 
 def _block(centre: Floats) -> Floats:

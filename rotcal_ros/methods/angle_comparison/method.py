@@ -50,7 +50,7 @@ NOWHERE: Final = (0.0, 0.0, 0.0)
 """The instrument stays where it is."""
 ARRIVALS: Final = 1.4
 """What arrivals that scatter do before they are found, per what noise does: by simulation of the
-demonstration, as scripts/power_table.py does."""
+demonstration, as research/power_table.py does."""
 MOST_NAMED: Final = 4
 """Statements that would fit better, to be told."""
 CANDIDATES: Final = 36

@@ -114,7 +114,7 @@ AXES: Final = ("axis", "tilting_axis")
 """Tables of where they stand."""
 ARRIVALS: Final = 1.0
 """What arrivals that scatter do before they are found, per what noise does: by simulation, as
-scripts/power_table.py does."""
+research/power_table.py does."""
 
 
 def balls_of(configuration: Configuration, read: Readings | None = None) -> BallsOnTable:

@@ -55,7 +55,7 @@ SMALLER: Final = (0.2, 0.5, 1.0)
 """Sizes of motions, per stated, at which ways to move are compared: a statement is generous."""
 LIKELY: Final = 0.002
 """Likelihood, per that of the best, from which on a way to move is possible: by simulation, as
-scripts/ball_coverage.py does. The truth is rarely below, and what is far from it mostly."""
+research/ball_coverage.py does. The truth is rarely below, and what is far from it mostly."""
 
 
 def spectra(solver: BallsSolverSettings) -> dict[str, tuple[Spectrum, ...]]:

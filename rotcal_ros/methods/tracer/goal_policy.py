@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, rms_about_mean
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError, RotcalError
 from rotcal_ros.foundation.observations import Observation
@@ -23,7 +23,7 @@ from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.plan import tracer_plan
 from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
-from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal
+from rotcal_ros.methods.tracer.policy.until_goal import UntilGoal
 from rotcal_ros.methods.tracer.settings import (
     STATIONS_PER_TARGET,
     TracerPlanSettings,
@@ -54,12 +54,10 @@ def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuati
         )
     experiment = length_experiment(configuration, plan)
     _check_reach(experiment, goal, source)
-    return partial(
-        _begun, experiment, GoalLimits(goal, configuration.solver.rejection_significance)
-    )
+    return partial(_begun, experiment, goal)
 
 
-def _begun(experiment: LengthExperiment, limits: GoalLimits, continuation: Continuation) -> Policy:
+def _begun(experiment: LengthExperiment, goal: float, continuation: Continuation) -> Policy:
     if continuation.run == 0 and continuation.start_index:
         raise PlanError(
             f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "
@@ -69,7 +67,7 @@ def _begun(experiment: LengthExperiment, limits: GoalLimits, continuation: Conti
     gone = {step.index for step in experiment.plan.steps} - done - set(continuation.steps)
     return UntilGoal(
         experiment,
-        limits,
+        goal,
         again=continuation.again,
         earlier=continuation.observations,
         given_up=sorted(gone),
@@ -102,8 +100,8 @@ def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperim
         )
     costs = Costs(planner.step_s, planner.turn_s)
     return LengthExperiment(
-        plan, scene, costs, per_segment=in_segments, solver=settings,
-        solved=partial(stated, configuration, plan),
+        plan, scene, costs, partial(stated, configuration, plan), per_segment=in_segments,
+        solver=settings,
     )  # fmt: skip
 
 
@@ -111,18 +109,13 @@ def stated(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Stated:
     """Return what the result of the accepted ``observations`` states, or why there is none."""
-    from rotcal_ros.methods.calibration import Calibration  # which knows every method
+    from rotcal_ros.methods.calibration import Calibration, last_accepted  # know every method
 
     try:
         result = Calibration(configuration, plan).solve(observations)
     except RotcalError as error:
         return Stated(np.inf, doubt=str(error))
-    motion = result.error_motion
-    return Stated(
-        COVERAGE_FACTOR * rms_about_mean(result.covariance["ECC"]),
-        motion.likely if motion is not None and motion.used != motion.stated else 0.0,
-        "" if result.verdict == "ok" else next(iter(result.warnings), result.verdict),
-    )
+    return Stated.of(result, tuple(last_accepted(observations).values()))
 
 
 def _mount(configuration: Configuration) -> Floats:
@@ -141,7 +134,7 @@ def _mount(configuration: Configuration) -> Floats:
 
 def _check_reach(experiment: LengthExperiment, goal: float, source: str) -> None:
     every = range(len(experiment.plan.steps))
-    best = experiment.planned(experiment.nothing, 1.0, COVERAGE_FACTOR, every)
+    best = experiment.planned(experiment.nothing, 1.0, every)
     if best > goal:
         raise PlanError(
             f"{source}: planner: goal_arcsec {goal / ARCSEC:g} is out of reach: all {len(every)} "

@@ -6,7 +6,14 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy import stats
-from tracer_scenes import STATIONS, dense_covariance, every_pair, paper_scene, zero_mean
+from tracer_scenes import (
+    STATIONS,
+    dense_angles,
+    dense_covariance,
+    every_pair,
+    paper_scene,
+    zero_mean,
+)
 
 from rotcal_ros.extensions.design.tracer.check_lengths import fewest_lengths
 from rotcal_ros.foundation.errors import PlanError
@@ -29,8 +36,7 @@ def low_scene(targets=LOW, **changes):
 def dense(scene, lengths, one_zero=False):
     """Standard deviations of the angles and redundancies by one dense inverse."""
     whole, rows = dense_covariance(scene, lengths, 1 if one_zero else M)
-    turn = zero_mean(scene)
-    std = np.sqrt(np.diag(turn @ whole[: 3 * M, : 3 * M] @ turn.T))
+    std = np.sqrt(dense_angles(scene, lengths, 1 if one_zero else M).diagonal())
     redundancy = 1.0 - np.einsum("ki,ij,kj->k", rows, whole, rows)
     return std, redundancy
 

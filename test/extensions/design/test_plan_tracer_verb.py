@@ -16,7 +16,7 @@ from rotcal_ros.cli import main
 from rotcal_ros.extensions.design.tracer import ordering
 from rotcal_ros.methods import prepare, read_configuration
 
-SCRIPT = Path(__file__).parents[3] / "scripts" / "plan_promise.py"
+SCRIPT = Path(__file__).parents[3] / "research" / "plan_promise.py"
 spec = importlib.util.spec_from_file_location("plan_promise", SCRIPT)
 promise = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(promise)

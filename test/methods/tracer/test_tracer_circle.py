@@ -11,13 +11,12 @@ from chances import LONG
 from tracer_scenes import counted_from_first
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.geometry.rotations import on_table, rotation_from_vector
+from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene
 from rotcal_ros.methods.tracer.solver import TracerProblem, adjust, solve
-from rotcal_ros.methods.tracer.solver.circle import circle_contrasts, contrast_count
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 
-SCRIPT = Path(__file__).parents[3] / "scripts" / "circle_coverage.py"
+SCRIPT = Path(__file__).parents[3] / "research" / "circle_coverage.py"
 SPEC = importlib.util.spec_from_file_location("circle_coverage", SCRIPT)
 simulated = importlib.util.module_from_spec(SPEC)
 sys.modules[SPEC.name] = simulated
@@ -50,9 +49,7 @@ def test_what_is_planned_is_what_is_stated(one_zero, each):
     known = Information(scene, lengths, 1 if one_zero else 11)
     wanted = counted_from_first(known)
     exact = predicted(problem, STATIONS)
-    # what leaves the circle moves its centre, too, which a plan neglects
-    assert exact.covariance.diagonal() == pytest.approx(wanted.diagonal(), rel=2e-2)
-    assert (exact.covariance.diagonal() >= wanted.diagonal()).all()
+    assert np.abs(exact.covariance - wanted).max() < 1e-6 * np.abs(wanted).max()
     rng = np.random.default_rng(each + 20)
     noisy = replace(
         problem,
@@ -63,20 +60,6 @@ def test_what_is_planned_is_what_is_stated(one_zero, each):
     assert result.verdict == "ok"
     size = np.abs(exact.covariance).max()
     assert np.abs(result.covariance["ECC"] - exact.covariance).max() < 1e-3 * size
-
-
-def test_contrasts_do_not_feel_where_the_circle_is():
-    flat = np.column_stack([np.cos(ANGLES), np.sin(ANGLES), np.zeros(11)])
-    leaning = 0.07 * flat @ rotation_from_vector(np.array([3e-5, -2e-5, 0.0])).T
-    value, slope = circle_contrasts(leaning + np.array([0.3, -0.1, 0.12]))
-    assert slope.shape == (contrast_count(11), 33) == (16, 33)
-    assert np.abs(value).max() < 1e-15
-    assert contrast_count(3) == contrast_count(2) == 0
-    rosette = (np.cos(2 * ANGLES)[:, None] * flat).ravel()
-    around = np.column_stack([-flat[:, 1], flat[:, 0], np.zeros(11)]).ravel()
-    assert np.abs(slope @ flat.ravel()).max() < 1e-4  # the radius; the axis leans
-    assert np.abs(slope @ around).max() < 1e-4
-    assert np.linalg.norm(slope @ rosette) > 2.0
 
 
 @pytest.mark.parametrize("case", [ONE_ZERO, ALONG, PER_STATION], ids=lambda case: case.name)

@@ -225,7 +225,7 @@ class _LengthSearch:
     def one_less(self, known: Information) -> Information | None:
         """Take away the length whose loss costs least among those that can be spared."""
         beams = known.beams(known.lengths)
-        left = np.maximum(beams.variance - beams.spread, 1e-9 * beams.variance)
+        left = np.maximum(known.redundancy, 1e-9) * beams.variance
         after = known.variances() + beams.angles**2 / left[:, None]
         for number in np.argsort((after**SHARPNESS).sum(axis=1)).tolist():
             fewer = known.without([number])

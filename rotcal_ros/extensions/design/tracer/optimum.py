@@ -178,8 +178,9 @@ class _MultiplicativeSearch:
     def _on_goal(self) -> Information:
         """Scale the weights until the goal is just met, where a few scalings can do that."""
         information = self._information(self.weight)
+        floor = float(np.trace(self.scene.error_motion_angles)) / len(self.scene.stations)
         for _ in range(SCALINGS):
-            excess = information.mean_variance / self.goal - 1.0
+            excess = (information.mean_variance - floor) / (self.goal - floor) - 1.0
             if not 0.0 < excess < LARGEST_SCALING:
                 break
             # variance falls like 1 / weight, or more slowly where targets limit it

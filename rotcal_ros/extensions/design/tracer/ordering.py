@@ -36,6 +36,7 @@ from rotcal_ros.methods.tracer.policy.sequence import (
     measuring_orders,
     ranks,
 )
+from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import adjust
@@ -192,7 +193,7 @@ def _measured(problem: TracerProblem, scene: Scene, rng: np.random.Generator) ->
 
 def _off_circle(scene: Scene, rng: np.random.Generator) -> Floats:
     """Return by how much (m, 3) the stations leave the places of a perfect table, m."""
-    motion = scene.motion
+    motion = table_motion(scene.stations, scene.table_angles)
     outward = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
     basis = motion.plane.basis()
     along = np.column_stack([-outward[:, 1], outward[:, 0]]) @ basis

@@ -74,7 +74,7 @@ def checks_of(known: Information, significance: float, power: float) -> Checks:
     """Return what the lengths in ``known`` check of each other."""
     beams = known.beams(known.lengths)
     delta0 = detectable_in_std(len(known.lengths), significance, power)
-    redundancy = np.clip(1.0 - beams.spread / beams.variance, 0.0, 1.0)
+    redundancy = np.clip(known.redundancy, 0.0, 1.0)
     redundancy[redundancy < ROUNDING] = 0.0
     with np.errstate(divide="ignore"):
         detectable = delta0 * np.sqrt(beams.variance / redundancy)
@@ -144,8 +144,8 @@ class DesignSearch:
         self.segments = segments_of(self.scene, settings)
         self._parts = _Parts(progress, 2 + settings.starts)
         self._pairs = candidates(self.scene, settings)
-        self._goal = _goal(self.scene, self.demands, settings)
-        self.ideal = self._ideal(self._goal)
+        self._floor = _floor(self.scene, self.demands, settings)
+        self.ideal = self._ideal(self.demands.mean)
         self._offer(self.ideal)
 
     def first(self) -> TracerDesign:
@@ -159,7 +159,8 @@ class DesignSearch:
             if plans or not self.settings.checked:
                 break
             try:
-                self._offer(self._ideal(self._goal / stricter))
+                left = (self.demands.mean - self._floor) / stricter
+                self._offer(self._ideal(self._floor + left))
             except PlanError:  # out of reach of any plan
                 break
             plans = self._of_all_starts()
@@ -201,7 +202,7 @@ class DesignSearch:
         part = 1 + self.settings.starts
         plan = self._fewest(demands, self.settings.seed, part)
         if plan is None:
-            self._offer(self._ideal(demands.mean - float(constant.mean())))
+            self._offer(self._ideal(demands.mean))
             plan = self._fewest(demands, self.settings.seed, part)
         return self._best([] if plan is None else [plan])
 
@@ -233,8 +234,8 @@ def segments_of(scene: Scene, settings: TracerDesignSettings) -> int:
     return len(scene.stations) if settings.zero == PER_STATION else 1
 
 
-def _goal(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> float:
-    """Return the mean variance (rad^2) that the lengths may leave beside the error motion."""
+def _floor(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> float:
+    """Return the mean variance (rad^2) of exact lengths, by the error motion alone."""
     constant = float(np.trace(scene.error_motion_angles)) / len(scene.stations)
     if demands.mean <= constant:
         raise PlanError(
@@ -242,7 +243,7 @@ def _goal(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> flo
             f"arcsec, the goal is {settings.need_arcsec:g}, and more lengths do not help: ask for "
             "less, or check error_motion_std_m"
         )
-    return demands.mean - constant
+    return constant
 
 
 def demands_of(scene: Scene, settings: TracerDesignSettings) -> Demands:

@@ -76,9 +76,7 @@ def _traded(settings: TracerDesignSettings, time: TimeModel) -> Trade:
     pairs, segments = candidates(scene, settings), segments_of(scene, settings)
     wanted = demands_of(scene, settings)
     every = Information(scene, pairs, segments)
-    # what the error motion adds is left to no length
-    goal = wanted.mean - (float(every.variances().mean()) - every.mean_variance)
-    radius = settings.mount_m[0]
+    goal, radius = wanted.mean, settings.mount_m[0]
     plan = None
     if every.mean_variance <= goal:
         plan = _enough(scene, pairs, segments, goal, settings)

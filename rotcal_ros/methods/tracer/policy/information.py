@@ -4,17 +4,16 @@ A plan starts from a :class:`Scene`: stations, possible targets, how well all is
 is a pair of table position and target, measured within a segment: as long as the beam is not
 broken, all lengths share one unknown zero.
 
-The linear model of the joint network (:mod:`rotcal_ros.methods.tracer.solver.posed`) at the
-nominal geometry: unknown are the stations (3 m), a zero per segment (q), and the targets with the
-machine's prior. A length moves with u (dP - dA) - dz; with weights w and variances v its
-information is
+All of it is the solver's: its lengths and what it knows of targets and axis
+(:mod:`rotcal_ros.methods.tracer.solver.posed`) at the nominal geometry, and the engine's kernel.
+So what a plan promises is what a result states whose noise is as planned. With the rows g of the
+lengths, their weights w and variances v
 
-    F(w) = sum w g g' / v + prior,     g = (h, -u),   h = u at its station, -1 at its zero
+    F(w) = sum w g g' / v + what is known beforehand
 
-Targets are eliminated one by one (Schur complement), which leaves M of 3 m + q unknowns. The
-angles are t = G dP. By Sherman and Morrison a further length lowers the mean variance of the
-angles by |G a|^2 / (m (v + s)), with a = F^-1 g and s = g' F^-1 g; the derivative by its weight is
-the same without s. Exact to first order; nothing depends on the readings, for the model is linear.
+By Sherman and Morrison a further length lowers the mean variance of the angles t = C x by
+|C a|^2 / (m (v + s)), with a = F^-1 g and s = g' F^-1 g; the derivative by its weight is the same
+without s. Exact to first order; nothing depends on the readings, for the model is linear.
 
 A tracer and its mirror image in the plane of its targets are equally far from all of them: no
 length distinguishes the two. So the targets of a station need some depth
@@ -25,26 +24,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array, diags_array, vstack
 
+from rotcal_ros.adjust.bordered import FewEach, Groups
 from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.kernels import Whole
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.solver.circle import (
-    TableMotion,
-    bearing_slopes,
-    circle_contrasts,
-    table_motion,
-)
+from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths, of_targets
+from rotcal_ros.methods.tracer.solver.circle import bearing_slopes, table_motion
+from rotcal_ros.methods.tracer.solver.posed import about_axis, carried
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""
+NOMINAL_STD: Final = 0.02
+"""How well (m) stations and zeros are known before anything is measured. It keeps every inverse
+finite, and is so wide beside micrometres that it adds no knowledge (1e-9 of a variance)."""
 LEAST_DEPTH: Final = 0.1
 """Least depth of a station's targets across the plane they lie nearest to, over their extent."""
 
@@ -95,26 +96,56 @@ class Scene:
         return replace(self, targets=self.targets[which], target_std=self.target_std[which])
 
     @cached_property
-    def motion(self) -> TableMotion:
-        """Plane and circle of the nominal stations."""
-        return table_motion(self.stations, self.table_angles)
-
-    @cached_property
-    def bearing(self) -> Floats:
-        """Jacobian (m, 3 m) of the table's angles by the stations, up to a common turn, rad/m."""
-        return bearing_slopes(self.stations, self.motion).dense()
-
-    @cached_property
-    def turning(self) -> Floats:
-        """Jacobian (m, 3 m) of the angles less their mean by the stations, rad/m."""
-        return np.asarray(self.bearing - self.bearing.mean(axis=0), dtype=np.float64)
-
-    @cached_property
     def error_motion_angles(self) -> Floats:
-        """What the error motion adds to the covariance (m, m) of the zero-mean angles, rad^2."""
-        turning = self.turning.reshape(len(self.turning), -1, 3) @ self.motion.plane.basis().T
-        felt = (self.error_motion_std or 0.0) * turning.reshape(len(turning), -1)
+        """What the error motion adds to the covariance (m, m) of the zero-mean angles, rad^2.
+
+        Of exact lengths it is all.
+        """
+        motion = table_motion(self.stations, self.table_angles)
+        bearing = bearing_slopes(self.stations, motion).dense()
+        turning = (bearing - bearing.mean(axis=0)).reshape(len(bearing), -1, 3)
+        felt = (self.error_motion_std or 0.0) * turning @ motion.plane.basis().T
+        felt = felt.reshape(len(felt), -1)
         return np.asarray(felt @ felt.T, dtype=np.float64)
+
+    @cached_property
+    def _carriage(self) -> tuple[Floats, Floats, Floats]:
+        return carried(self.stations, self.table_angles)
+
+    def posed(self, lengths: Lengths, segments: int) -> CarriedLengths:
+        """Return ``lengths`` with so many zeros as the solver has them, to all targets."""
+        axes, place, origin = self._carriage
+        none, every = np.zeros(0), np.arange(len(lengths))
+        return CarriedLengths(
+            observed=none, std=none, position=lengths.position, place=np.zeros_like(every),
+            target=lengths.target, zero=lengths.segment, row=every, order=every,
+            angles=self.table_angles, places=place[None], targets=self.targets,
+            zeros=np.zeros(segments), axes=axes, origin=origin,
+            more={} if self.circle_std is None else {"lean": 3},
+        )  # fmt: skip
+
+    @cached_property
+    def _known(self) -> dict[int, csr_array]:
+        return {}
+
+    def known(self, segments: int) -> csr_array:
+        """Return what is known beforehand, over its standard deviation; the targets come last."""
+        if segments not in self._known:
+            empty, motion = self.posed(Lengths.of([], []), segments), self.error_motion_std
+            if motion is None:
+                motion = self.circle_std or 0.0
+            _, across, along = about_axis(empty, motion, self.circle_std)
+            nominal = np.full(empty.size, 1.0 / NOMINAL_STD)
+            turn = empty.first["turn"]
+            nominal[turn : turn + empty.blocks["turn"]] *= np.linalg.norm(empty.places)
+            target = empty.first["target"] + np.arange(self.targets.size)
+            held = np.delete(np.arange(empty.size), target)
+            entries = nominal[held], held, np.arange(len(held) + 1)
+            stated = [across, *along, *of_targets(empty, self.target_std, free=False)]
+            parts = [diags_array(1.0 / each.std) @ each.rows for each in stated]
+            first = csr_array(entries, shape=(len(held), empty.size))
+            self._known[segments] = csr_array(vstack([first, *parts], format="csr"))
+        return self._known[segments]
 
     def beams(self, position: Ints, target: Ints) -> tuple[Floats, Floats]:
         """Return unit vectors (k, 3) from targets to stations and variances (k,) of lengths."""
@@ -122,17 +153,6 @@ class Scene:
         distance = np.sqrt((apart**2).sum(axis=1))
         variance = self.length_std**2 + (self.length_std_relative * distance) ** 2
         return apart / distance[:, None], variance
-
-    def circle_information(self) -> Floats:
-        """Return what the circle determines of the stations that stand on it, (3 m, 3 m), 1/m^2.
-
-        Centre, radius and axis of the circle are unknown: m - 3 contrasts of the radial and as
-        many of the axial distances remain.
-        """
-        if self.circle_std is None:
-            return np.zeros((self.stations.size, self.stations.size))
-        rows = circle_contrasts(self.stations).slope / self.circle_std
-        return np.asarray(rows.T @ rows, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,33 +292,20 @@ def _earlier(lengths: Lengths) -> Ints:
     return np.asarray(np.tril(same, -1).sum(axis=1), dtype=np.int64)
 
 
-NOMINAL_STD: Final = 0.02
-"""How well (m) stations and zeros are known before anything is measured. It keeps every inverse
-finite, and is so wide beside micrometres that it adds no knowledge (1e-9 of a variance)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Beams:
-    """What k lengths feel of the unknowns.
+    """What k lengths do to what is known, and how noisy they are.
 
-    ``angles`` (k, m): G F^-1 g in rad/m, zero-mean over the angles. ``spread`` (k,): g' F^-1 g,
-    the variance of the computed length, m^2. ``variance`` (k,): that of the measured one, m^2.
+    ``angles`` (k, m): C F^-1 g in rad/m, zero-mean over the angles. ``variance`` (k,), m^2.
     """
 
     angles: Floats
-    spread: Floats
     variance: Floats
 
     @property
     def power(self) -> Floats:
         """Mean square (k,) over the angles, (rad/m)^2."""
         return np.asarray((self.angles**2).mean(axis=1), dtype=np.float64)
-
-
-class _Felt(NamedTuple):
-    rows: Floats
-    unit: Floats
-    own: Floats
 
 
 class Information:
@@ -309,32 +316,36 @@ class Information:
 
     def __init__(self, scene: Scene, lengths: Lengths, segments: int) -> None:
         self.scene, self.lengths, self.segments = scene, lengths, segments
-        m = len(scene.stations)
-        touched, inverse = np.unique(lengths.target, return_inverse=True)
-        own = np.asarray(inverse, dtype=np.int64)
-        unit, variance = scene.beams(lengths.position, lengths.target)
-        weight = lengths.weight / variance
-        size = 3 * m + segments
-        rows = np.zeros((len(lengths), size))
-        each = np.arange(len(lengths))
-        rows[each[:, None], 3 * lengths.position[:, None] + np.arange(3)] = unit
-        rows[each, 3 * m + lengths.segment] = -1.0
-        weighted = rows * weight[:, None]
-        normal = rows.T @ weighted
-        normal[: 3 * m, : 3 * m] += scene.circle_information()
-        normal.flat[:: size + 1] += NOMINAL_STD**-2
-        self._slot = np.full(len(scene.targets), -1)
-        self._slot[touched] = np.arange(len(touched))
-        self._own = _spread_of_targets(scene.target_std[touched], own, unit, weight)
-        cross = _sums(-weighted[:, :, None] * unit[:, None], own, len(touched))
-        self._transfer = cross @ self._own
-        flat = self._transfer.swapaxes(1, 2).reshape(-1, size)
-        normal -= flat.T @ cross.swapaxes(1, 2).reshape(-1, size)
-        scale = 1.0 / np.sqrt(normal.diagonal())
-        factor = cho_factor(normal * scale * scale[:, None], lower=True, check_finite=False)
-        unscaled = cho_solve(factor, np.eye(size), check_finite=False)
-        self.covariance = unscaled * scale * scale[:, None]
-        """Covariance (3 m + q, 3 m + q) of stations and zeros, m^2."""
+        known, n = scene.known(segments), len(scene.targets)
+        touched = np.unique(lengths.target)
+        last, first = known.shape[0] - 3 * n, scene.posed(lengths[[]], segments).first
+        target = first["target"] + (3 * touched[:, None] + np.arange(3)).ravel()
+        left = np.delete(np.arange(known.shape[1]), first["target"] + np.arange(3 * n))
+        self._fresh = np.ones(n, dtype=np.bool_)
+        """Which targets (n,) no length touches: their errors are as large as they are stated."""
+        self._fresh[touched] = False
+        self._unknown = np.sort(np.append(left, target))
+        stated = last + (n * np.arange(3)[:, None] + touched).ravel()
+        known = known[np.append(np.arange(last), stated)][:, self._unknown]
+        rows, variance = self._rows(lengths)
+        rows = diags_array(np.sqrt(lengths.weight / variance)) @ rows
+        few = csr_array(vstack([rows, known], format="csr"))
+        shared = np.searchsorted(self._unknown, left)
+        design = FewEach(few, np.zeros((0, few.shape[1])), groups=Groups.of(few, shared))
+        self._kernel = design.kernel() or Whole.of(design, np.zeros(0, dtype=np.int64))
+        turn = np.searchsorted(self._unknown, first["turn"])
+        outputs = np.zeros((len(scene.stations), len(self._unknown)))
+        m = len(outputs)
+        outputs[:, turn : turn + m] = np.eye(m) - 1.0 / m
+        self._outputs, self._moved = outputs, self._kernel.times(outputs.T)
+        self.covariance: Floats = outputs @ self._moved
+        """Covariance (m, m) of the angles less their mean, rad^2, error motion included."""
+
+    def _rows(self, lengths: Lengths) -> tuple[csr_array, Floats]:
+        """Return what ``lengths`` feel of the unknowns here (k, p), and their variances (k,)."""
+        posed = self.scene.posed(lengths, self.segments)
+        rows = posed.computed(np.zeros(posed.size))[1][:, self._unknown]
+        return rows, self.scene.beams(lengths.position, lengths.target)[1]
 
     def with_lengths(self, lengths: Lengths) -> Information:
         """Return what is known with further ``lengths``."""
@@ -346,131 +357,64 @@ class Information:
         kept[which] = False
         return Information(self.scene, self.lengths[kept], self.segments)
 
-    @cached_property
-    def angle_covariance(self) -> Floats:
-        """Covariance (m, m) of the angles less their mean, rad^2, without error motion."""
-        turn, n = self.scene.turning, self.scene.stations.size
-        covariance = turn @ self.covariance[:n, :n] @ turn.T
-        return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
-
     @property
     def mean_variance(self) -> float:
-        """Mean variance of the angles less their mean, rad^2, without error motion: phi."""
-        return float(np.trace(self.angle_covariance)) / len(self.scene.stations)
+        """Mean variance of the angles less their mean, rad^2: phi."""
+        return float(np.trace(self.covariance)) / len(self.covariance)
 
     def variances(self) -> Floats:
-        """Return the variances (m,) of the angles less their mean, rad^2, with error motion."""
-        motion = self.scene.error_motion_angles
-        return np.asarray(np.diagonal(self.angle_covariance + motion), dtype=np.float64)
+        """Return the variances (m,) of the angles less their mean, rad^2."""
+        return np.array(self.covariance.diagonal())
 
     @property
     def rms_std(self) -> float:
         """Root mean square of the standard deviations of the angles less their mean, rad."""
-        return float(np.sqrt(self.variances().mean()))
+        return float(np.sqrt(self.mean_variance))
 
     @property
     def redundancy(self) -> Floats:
         """Share (k,) of an error of each length that shows in the residuals."""
-        beams = self.beams(self.lengths)
-        return np.asarray(1.0 - beams.spread / beams.variance, dtype=np.float64)
-
-    @cached_property
-    def _responses(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """G K (m, d); for each touched target K W (d, 3), G K W (m, 3) and its block (3, 3)."""
-        n = self.scene.stations.size
-        turn = self.scene.turning @ self.covariance[:n]
-        through = self.covariance @ self._transfer
-        own = self._own + self._transfer.swapaxes(1, 2) @ through
-        return turn, through, turn @ self._transfer, own
+        leverage = self._kernel.leverage[: len(self.lengths)]
+        return np.asarray(1.0 - leverage / self.lengths.weight, dtype=np.float64)
 
     def beams(self, lengths: Lengths) -> Beams:
-        """Return what ``lengths`` feel of what is known here, in it or not.
+        """Return what ``lengths``, in it or not, do to what is known here."""
+        rows, variance = self._rows(lengths)
+        return Beams(np.asarray(rows @ self._moved), variance)
 
-        A few milliseconds for ten thousand of them.
-        """
-        turn, through, angles_of, own = self._responses
-        m, place = len(self.scene.stations), lengths.position
-        zero = 3 * m + lengths.segment
-        unit, variance = self.scene.beams(place, lengths.target)
-        by_station = np.ascontiguousarray(turn[:, : 3 * m].reshape(m, m, 3).transpose(1, 2, 0))
-        angles = (unit[:, None] @ by_station[place])[:, 0] - turn.T[zero]
-        blocks = _diagonal_blocks(self.covariance, m)
-        between = self.covariance[zero[:, None], 3 * place[:, None] + np.arange(3)]
-        spread = _quadratic(blocks[place], unit) - 2.0 * (unit * between).sum(axis=1)
-        spread += self.covariance[zero, zero]
-        fresh_std = self.scene.target_std[lengths.target]
-        slot = self._slot[lengths.target]
-        seen = np.flatnonzero(slot >= 0)
-        spread += np.where(slot >= 0, 0.0, ((fresh_std * unit) ** 2).sum(axis=1))
-        if len(seen):
-            slot, u, z, p = slot[seen], unit[seen], zero[seen], place[seen]
-            angles[seen] += (angles_of[slot] @ u[:, :, None])[:, :, 0]
-            mixed = through[slot[:, None], 3 * p[:, None] + np.arange(3)]
-            mixed = (u[:, :, None] * mixed).sum(axis=1) - through[slot, z]
-            spread[seen] += 2.0 * (mixed * u).sum(axis=1) + _quadratic(own[slot], u)
-        return Beams(angles, spread, variance)
+    @cached_property
+    def _inverse(self) -> Floats:
+        return self._kernel.times(np.eye(len(self._unknown)))
+
+    def spread(self, lengths: Lengths) -> Floats:
+        """Return g' F^-1 g (k,), the variance of each computed length, m^2."""
+        rows, _ = self._rows(lengths)
+        found = np.asarray(rows.multiply(rows @ self._inverse).sum(axis=1)).ravel()
+        unit, _ = self.scene.beams(lengths.position, lengths.target)
+        own = ((unit * self.scene.target_std[lengths.target]) ** 2).sum(axis=1)
+        return np.asarray(found + own * self._fresh[lengths.target], dtype=np.float64)
 
     def between(self, first: Lengths, second: Lengths) -> Floats:
         """Return the covariance (k, l) of the computed lengths ``first`` and ``second``, m^2."""
-        ours, theirs = self._felt(first), self._felt(second)
-        covariance = ours.rows @ (self.covariance @ theirs.rows.T)
-        a, b = np.nonzero(first.target[:, None] == second.target)
-        by_target = np.einsum("ka,kab,kb->k", ours.unit[a], ours.own[a], theirs.unit[b])
-        covariance[a, b] += by_target
-        return np.asarray(covariance, dtype=np.float64)
-
-    def _felt(self, lengths: Lengths) -> _Felt:
-        """Return rows (k, 3 m + q) with the targets eliminated, and what targets have alone."""
-        m, each = len(self.scene.stations), np.arange(len(lengths))
-        unit, _ = self.scene.beams(lengths.position, lengths.target)
-        rows = np.zeros((len(lengths), 3 * m + self.segments))
-        rows[each[:, None], 3 * lengths.position[:, None] + np.arange(3)] = unit
-        rows[each, 3 * m + lengths.segment] = -1.0
-        slot = self._slot[lengths.target]
-        seen = np.flatnonzero(slot >= 0)
-        own = self.scene.target_std[lengths.target][:, :, None] ** 2 * np.eye(3)
-        if len(seen):
-            own[seen] = self._own[slot[seen]]
-            rows[seen] += (self._transfer[slot[seen]] @ unit[seen][:, :, None])[:, :, 0]
-        return _Felt(rows, unit, own)
+        (ours, _), (theirs, _) = self._rows(first), self._rows(second)
+        found = np.asarray(theirs @ (ours @ self._inverse).T).T
+        alike = first.target[:, None] == second.target
+        a, b = np.nonzero(alike & self._fresh[second.target])
+        unit, other = (self.scene.beams(e.position, e.target)[0] for e in (first, second))
+        std = self.scene.target_std[first.target[a]]
+        found[a, b] += (std**2 * unit[a] * other[b]).sum(axis=1)
+        return np.asarray(found, dtype=np.float64)
 
     def gains(self, candidates: Lengths) -> Floats:
         """Return by how much one length at each of k ``candidates`` lowers phi, (k,) rad^2."""
         beams = self.beams(candidates)
-        return np.asarray(beams.power / (beams.variance + beams.spread), dtype=np.float64)
+        gains = beams.power / (beams.variance + self.spread(candidates))
+        return np.asarray(gains, dtype=np.float64)
 
     def slopes(self, candidates: Lengths) -> Floats:
         """Return - d phi / d weight (k,) of each candidate, rad^2: its gain for a tiny weight."""
         beams = self.beams(candidates)
         return np.asarray(beams.power / beams.variance, dtype=np.float64)
-
-
-def _spread_of_targets(std: Floats, own: Ints, unit: Floats, weight: Floats) -> Floats:
-    """Return the inverse target blocks (n, 3, 3), m^2; a known target (std 0) has none.
-
-    S (1 + S U S)^-1 S with S the prior's standard deviations and U the sum of w u u'.
-    """
-    seen = _sums(unit[:, :, None] * (unit * weight[:, None])[:, None], own, len(std))
-    inner = np.eye(3) + std[:, :, None] * seen * std[:, None]
-    return np.asarray(std[:, :, None] * np.linalg.inv(inner) * std[:, None], dtype=np.float64)
-
-
-def _sums(values: Floats, group: Ints, groups: int) -> Floats:
-    """Return the sums of ``values`` (k, ...) by ``group`` (k,)."""
-    order = np.argsort(group, kind="stable")
-    starts = np.searchsorted(group[order], np.arange(groups))
-    if not len(values):
-        return np.zeros((groups, *values.shape[1:]))
-    return np.asarray(np.add.reduceat(values[order], starts, axis=0), dtype=np.float64)
-
-
-def _diagonal_blocks(covariance: Floats, m: int) -> Floats:
-    whole = covariance[: 3 * m, : 3 * m].reshape(m, 3, m, 3)
-    return np.asarray(whole[np.arange(m), :, np.arange(m)], dtype=np.float64)
-
-
-def _quadratic(matrix: Floats, vector: Floats) -> Floats:
-    return np.asarray(np.einsum("ka,kab,kb->k", vector, matrix, vector), dtype=np.float64)
 
 
 def detectable_in_std(count: int, significance: float, power: float) -> float:

@@ -3,15 +3,14 @@
 With known noise the uncertainty of a set of lengths is known before any is taken: the first sweep
 is the set that reaches the goal with the planned noise. What is not known is learnt on the way:
 
-* the noise, from the residuals of the first sweep; further steps are as many as Student's t then
-  requires (Stein's two stages, see :mod:`.experiment`), where they pay most for their time;
+* the noise, as the result of the first sweep states it; further steps are as many as are lacking
+  then, where they pay most for their time;
 * blocked beams: a step that was given up is replaced by the best at the same station, and beams
   nearby are held to be blocked too until better is known;
-* suspect lengths are measured again, then all lengths of their station; a length that stays
-  suspect is replaced by another target;
+* lengths that the solver leaves out are measured again, then all lengths of their station; a
+  length that stays suspect is replaced by another target;
 * a drift: the first step and the middle step are measured again, to close the sweep;
-* what the result states: where that misses the goal, although what is planned reaches it, further
-  steps follow. The goal is reached when both do: the U of the result is the one that is reported.
+* the U of the result: while that misses the goal further steps follow.
 
 Where all steps together would miss the goal with the noise as it is, it ends at once: hours of
 lengths would lead to nothing.
@@ -33,7 +32,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Observation
@@ -43,10 +41,8 @@ from rotcal_ros.methods.tracer.policy.exchange import Demands, fewest_lengths
 from rotcal_ros.methods.tracer.policy.experiment import (
     Allowance,
     LengthExperiment,
-    LengthNoise,
     MeasuredLengths,
     Stated,
-    student_factor,
 )
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths
 from rotcal_ros.methods.tracer.policy.sequence import (
@@ -57,7 +53,6 @@ from rotcal_ros.methods.tracer.policy.sequence import (
 from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.sequence_time import stated_time
 
-PLANNED_FACTOR: Final = student_factor(math.inf)
 RESERVE: Final = 0.75
 """The first sweep aims so far below the goal: a few lengths more show the noise better, and save
 the turns of the table that further sweeps would take."""
@@ -105,20 +100,10 @@ LEAST_GAIN: Final = 5e-4
 """A length that lowers the mean variance by less than this share is not worth its time."""
 
 
-@dataclass(frozen=True, slots=True)
-class GoalLimits:
-    """The goal (rad, k = 2, rms over the angles) and how sure the tests have to be.
-
-    ``significance``: probability of suspecting any length, or a drift, when all is well.
-    """
-
-    uncertainty: float
-    significance: float = 0.01
-
-
 class UntilGoal:
-    """Chooses among the steps of ``experiment`` until ``limits`` are met.
+    """Chooses among the steps of ``experiment`` until the result states the ``goal``.
 
+    That is U, k = 2, rms over the angles, rad.
     ``again``: steps that a resumed plan measures again first; ``earlier`` is what the earlier runs
     observed, ``given_up`` the steps that they gave up. A resumed policy goes through that in the
     order of time, and is then where the earlier ones ended.
@@ -127,36 +112,35 @@ class UntilGoal:
     def __init__(
         self,
         experiment: LengthExperiment,
-        limits: GoalLimits,
+        goal: float,
         *,
         again: Iterable[int] = (),
         earlier: Iterable[Observation] = (),
         given_up: Iterable[int] = (),
     ) -> None:
-        self._experiment, self._limits = experiment, limits
+        self._experiment, self._goal = experiment, goal
         self._measured = experiment.nothing
         self._beams = FreeBeams(experiment.directions)
         self._at: int | None = None
-        self._first_stage: set[int] = set()
-        """The steps whose lengths have determined the noise, once they have."""
-        self._spoiled = False
-        """Whether one of them has become suspect since."""
-        self._stated = (1.0, PLANNED_FACTOR)
-        """Factor of the noise and coverage factor, as they are known now."""
+        self.noise_factor = 1.0
+        """Noise of the lengths in units of the planned one, as the last result states it."""
         self._now: float | None = None
-        """The uncertainty (rad) of what is measured, with the noise as stated, once worked out."""
+        """The planned uncertainty (rad) of what is measured, once worked out."""
         self._doubted, self._best = False, math.nan
         """Whether the goal may be out of reach, and what all steps would give (rad), if known."""
         self._seen: dict[tuple[int, int], Observation] = {}
         """The last observation of every run and step: all that the solver will get."""
         self._result: Stated | None = None
         """What the result of these states, once it was asked for."""
+        self._stop: str | None = None
+        """Why nothing more is measured."""
         self._allowance = Allowance()
         self._hopeless = False
         """Whether a result has shown an error motion beyond the goal; a second one is believed."""
         self._suspects = Suspects()
         self._closing = Closing()
         self._queue = deque((step, "first sweep") for step in self._first_sweep())
+        self._plan()
         self._go_through(earlier, set(given_up))
         if self._next().step is not None:  # there is something to be joined
             joining = [(step, "done step, measured again to join the runs") for step in again]
@@ -174,11 +158,11 @@ class UntilGoal:
 
     def _first_sweep(self) -> list[int]:
         """Return the steps of the first sweep, with the reserve where there are enough."""
-        goal = self._limits.uncertainty
+        goal = self._goal
         reserve = RESERVE_PER_SEGMENT if self._experiment.per_segment else RESERVE
         first = first_sweep(self._experiment, reserve * goal)
         nothing = self._experiment.nothing
-        found = self._experiment.uncertainty(nothing, 1.0, PLANNED_FACTOR, first)
+        found = self._experiment.uncertainty(nothing, 1.0, first)
         reached = found <= NEARLY * reserve * goal
         return first if reached else first_sweep(self._experiment, goal)
 
@@ -189,11 +173,8 @@ class UntilGoal:
 
     def _next(self) -> Choice:
         """Return the choice without its standing."""
-        stop = self._beyond_reach()
-        while not self._queue and stop is None:
-            stop = self._plan_further()
-        if stop is not None:
-            return Choice(None, stop + self._closing.in_words(), NOWHERE)
+        if self._stop is not None:
+            return Choice(None, self._stop + self._closing.describe(), NOWHERE)
         step, reason = self._queue[0]
         if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
             step, reason = self._queue[0] = self._better_than(step, reason)
@@ -215,78 +196,62 @@ class UntilGoal:
         elif step not in self._measured:
             self._beams.note_blocked(step)
             self._replace(step, f"step {step} was given up: another target in its place")
-        if not self._queue and self._uncertainty() <= self._limits.uncertainty:
-            self._solved()  # now, for choosing has to be quick
+        self._plan()  # now, for choosing has to be quick
 
-    @property
-    def noise_factor(self) -> float:
-        """Noise of the lengths in units of the planned one: 1 before it is estimated."""
-        return self._stated[0]
+    def _plan(self) -> None:
+        """Have a step in the queue, or know why nothing more is measured."""
+        self._stop = None
+        while not self._queue and self._stop is None:
+            self._stop = self._plan_further()
 
     @property
     def _learnt(self) -> str:
         return f"noise {self.noise_factor:.3g} times the planned"
 
     def _uncertainty(self) -> float:
-        """Return the uncertainty (rad) of what is measured, with the noise as stated."""
+        """Return the planned uncertainty (rad) of what is measured, with the noise as stated."""
         if self._now is None:
-            self._now = self._experiment.uncertainty(self._measured, *self._stated)
+            self._now = self._experiment.uncertainty(self._measured, self.noise_factor)
         return self._now
 
-    def _solved(self) -> Stated | None:
-        """Return what the result states of all that was measured; None where it is not solved."""
-        if self._result is None and self._experiment.solved is not None:
+    def _solved(self) -> Stated:
+        """Return what the result states of all that was measured."""
+        if self._result is None:
             self._result = self._experiment.solved(tuple(self._seen.values()))
+            std = self._result.length_std
+            self.noise_factor = self._experiment.noise(self._measured, std)
+            self._now, self._best = None, math.nan
         return self._result
 
     def _standing(self) -> Standing:
         now = self._uncertainty() if self._result is None else self._result.uncertainty
         known = now if now < UNKNOWN else math.nan
-        return Standing(len(self._queue), known, self._limits.uncertainty)
+        return Standing(len(self._queue), known, self._goal)
 
     def _plan_further(self) -> str | None:
         """Queue what is needed next; or return why nothing is."""
-        if self._spoiled:
-            self._spoiled = False
-            first = self._measured.only(self._first_stage)
-            self._state(self._experiment.noise(first, self._limits.significance)[0])
-        known = self._stated[0] if self._first_stage else None
-        noise, suspect = self._experiment.noise(self._measured, self._limits.significance, known)
-        if suspect is not None and self._suspects.single(self._measured):
-            self._measure_again(*suspect)
-            return None
-        if self._drifts(noise):
-            return None
-        if not self._first_stage and self._experiment.solvable(self._measured):
-            self._first_stage = self._measured.steps if noise.dof > 0.0 else set()
-            self._state(noise)
-        factor, student = self._stated
-        goal = self._limits.uncertainty
-        now = self._uncertainty()
-        if now <= goal:
+        of, goal = self._experiment, self._goal
+        if of.solvable(self._measured):
             result = self._solved()
-            if result is None or result.uncertainty <= goal:
-                return self._reached(now, result)
-            self._allow_for(result, factor, student)
-            now = result.uncertainty
-            if self._allowance.floor >= goal:
-                return self._beyond_reach()
-        more = self._further(factor, student)
+            if self._close(result) or self._measure_again(result):
+                return None
+            if (now := result.uncertainty) <= goal:
+                return f"goal reached: {_arcsec(now)} <= {_arcsec(goal)}, {self._noise_and_doubt}"
+            self._allow_for(result)
+        if (stop := self._beyond_reach()) is not None:
+            return stop
+        wish = Wish(self._allowance.planned(goal), self.noise_factor)
+        more = pick(of, self._measured, self._beams.allowed, self._beams.chance, wish)
         if not more:
-            lacking = self._experiment.lacking_in_words(self._measured)
-            worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
+            lacking = of.describe_lacking(self._measured)
+            worse = lacking or f"{_arcsec(self._standing().uncertainty)} > {_arcsec(goal)}"
             return f"no further step helps: {worse}, {self._noise_and_doubt}"
-        if len(more) >= MOST_AT_ONCE:
-            self._doubted = True  # worked out for the next choice: this one was long enough
-        why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
-        self._queue += ((step, why) for step in _as_sweep(self._experiment, more, self._at))
+        self._doubted = self._doubted or len(more) >= MOST_AT_ONCE
+        if (stop := self._beyond_reach()) is not None:
+            return stop
+        why = f"{self._learnt}: {len(more)} more lengths to {_arcsec(goal)}"
+        self._queue += ((step, why) for step in _as_sweep(of, more, self._at))
         return None
-
-    def _reached(self, now: float, result: Stated | None) -> str:
-        """Return that the goal is reached, by the U of the result, and with which verdict."""
-        reached = now if result is None else result.uncertainty
-        goal = _in_words(self._limits.uncertainty)
-        return f"goal reached: {_in_words(reached)} <= {goal}, {self._noise_and_doubt}"
 
     @property
     def _noise_and_doubt(self) -> str:
@@ -295,82 +260,59 @@ class UntilGoal:
             return self._learnt
         return f"{self._learnt}; but the verdict would not be ok: {self._result.doubt}"
 
-    def _allow_for(self, result: Stated, factor: float, student: float) -> None:
+    def _allow_for(self, result: Stated) -> None:
         """Plan from now on for what the solver states, which is more than what was planned."""
-        planned = self._experiment.planned(self._measured, factor, student)
-        floor, goal = self._experiment.felt(result.error_motion), self._limits.uncertainty
-        if math.isfinite(result.uncertainty) and floor < goal:
+        planned = self._experiment.planned(self._measured, self.noise_factor)
+        floor = self._experiment.felt(result.error_motion)
+        if math.isfinite(result.uncertainty) and floor < self._goal:
             self._allowance = Allowance.of(result.uncertainty, planned, floor)
         elif math.isfinite(result.uncertainty) and self._hopeless:
             self._allowance = Allowance(floor)
         else:  # noise that a first sweep has underestimated looks like error motion, too
             self._hopeless = math.isfinite(result.uncertainty)
-            self._allowance = Allowance.of(goal / DOUBTED, planned, 0.0)
-
-    def _further(self, factor: float, student: float) -> list[int]:
-        """Return the steps that are lacking for the goal, as the solver will state it.
-
-        They are planned to first order: without what it allows for slips and estimates.
-        """
-        now, allowance = self._uncertainty(), self._allowance
-        if self._experiment.per_segment and math.isfinite(now):
-            planned = self._experiment.planned(self._measured, factor, student)
-            slips = Allowance.of(now, planned, allowance.floor)
-            allowance = max(allowance, slips, key=lambda slip: slip.growth)
-        wish = Wish(allowance.planned(self._limits.uncertainty), factor, student)
-        beams = self._beams
-        return pick(self._experiment, self._measured, beams.allowed, beams.chance, wish)
+            self._allowance = Allowance.of(self._goal / DOUBTED, planned, 0.0)
 
     def _beyond_reach(self) -> str | None:
         """Return that all steps together miss the goal, if that was doubted and is so."""
-        best = self._allowance.floor  # which no length lowers
+        best, goal = self._allowance.floor, self._goal  # which no length lowers
         if self._doubted:
             if math.isnan(self._best):
                 left = np.setdiff1d(
                     np.flatnonzero(self._beams.allowed), list(self._measured.steps)
                 )
-                self._best = self._experiment.planned(self._measured, *self._stated, left)
+                self._best = self._experiment.planned(self._measured, self.noise_factor, left)
             best = self._allowance.stated(self._best)
-        goal = self._limits.uncertainty
         if not goal <= best < math.inf:
             return None
-        self._queue.clear()
-        missed = f"all steps that are left would give {_in_words(best)} > {_in_words(goal)}"
+        missed = f"all steps that are left would give {_arcsec(best)} > {_arcsec(goal)}"
         if self._allowance.floor >= goal:
             missed = (
-                f"the table's error motion alone, as its circle shows it, gives {_in_words(best)}"
+                f"the table's error motion alone, as its circle shows it, gives {_arcsec(best)}"
             )
         return f"the goal is out of reach: {missed}, {self._noise_and_doubt}"
 
-    def _state(self, noise: LengthNoise) -> None:
-        """State the noise from now on as the first stage estimates it, if it does."""
-        if noise.dof > 0.0:
-            share = self._experiment.share_of_noise(self._measured, noise.factor)
-            self._stated = (noise.factor, student_factor(noise.dof / share**2))
-            self._now = None
-            self._doubted, self._best = False, math.nan
-
-    def _measure_again(self, suspect: Observation, value: float) -> None:
-        """Queue what a suspect length requires: the same again, or another target."""
-        self._spoiled = bool(self._first_stage)
-        again, why = self._suspects.again(suspect, value, self._measured)
-        self._queue.extend((step, why) for step in again)
-        if not again:
-            self._measured.drop(suspect)
-            self._now = None
-            self._beams.allowed[suspect.step] = False
-            self._replace(suspect.step, why)
-
-    def _drifts(self, noise: LengthNoise) -> bool:
-        """Queue steps that close a sweep that drifts; False: it does not, or is closed already."""
-        limit = normal_isf(0.5 * self._limits.significance)
-        if self._closing.begun or abs(noise.drift_value) <= limit:
+    def _measure_again(self, result: Stated) -> bool:
+        """Queue what suspect lengths require: the same again, or other targets."""
+        kept = self._measured.observations
+        suspects = [each for each in result.suspects if each[0] in kept]
+        if not self._suspects.few(suspects, self._measured):
             return False
-        why = f"the lengths drift with time ({noise.drift_value:+.1f} standard deviations)"
-        self._queue.extend(
-            (step, f"{why}: measured again to close the sweep")
-            for step in self._closing.begin(self._measured)
-        )
+        for suspect, left_out in suspects:
+            again, why = self._suspects.again(suspect, left_out, self._measured)
+            self._queue.extend((step, why) for step in again)
+            if not again:
+                self._measured.drop(suspect)
+                self._now = None
+                self._beams.allowed[suspect.step] = False
+                self._replace(suspect.step, why)
+        return bool(self._queue)
+
+    def _close(self, result: Stated) -> bool:
+        """Queue steps that close a sweep that drifts; False: it does not, or is closed already."""
+        if self._closing.begun or not result.drifts:
+            return False
+        why = f"{result.doubt}: measured again to close the sweep"
+        self._queue.extend((step, why) for step in self._closing.begin(self._measured))
         return True
 
     def _better_than(self, step: int, reason: str) -> tuple[int, str]:
@@ -388,14 +330,14 @@ class UntilGoal:
     def _instead(self, step: int) -> int | None:
         queued = [other for other, _ in self._queue]
         place = int(self._experiment.position[step])
-        noise, _ = self._stated
         beams = self._beams
         return best_at(
-            self._experiment, place, self._measured, queued, beams.allowed, beams.chance, noise
-        )
+            self._experiment, place, self._measured, queued, beams.allowed, beams.chance,
+            self.noise_factor,
+        )  # fmt: skip
 
 
-def _in_words(uncertainty: float) -> str:
+def _arcsec(uncertainty: float) -> str:
     return f"U {uncertainty / ARCSEC:.3f} arcsec rms"  # the largest U of a curve is another figure
 
 
@@ -428,7 +370,7 @@ class Closing:
         else:
             self._changes[step] = observation.mean[0] - before.mean[0]
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return by how much lengths have changed, to end a sentence with; empty: none closed."""
         known = {s: change for s, change in self._changes.items() if not math.isnan(change)}
         if not known:
@@ -466,7 +408,7 @@ def _reaching(of: LengthExperiment, uncertainty: float) -> Sweep:
     aim = uncertainty
     for _ in range(TRIES):
         steps = _fewest(of, aim)
-        found = of.uncertainty(of.nothing, 1.0, COVERAGE_FACTOR, steps)
+        found = of.uncertainty(of.nothing, 1.0, steps)
         if not uncertainty < found < np.inf:
             break
         aim *= uncertainty / found
@@ -491,7 +433,7 @@ def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
 
 def _fewest(of: LengthExperiment, uncertainty: float) -> list[int]:
     every = np.ones(len(of.plan.steps), dtype=np.bool_)
-    wish = Wish(uncertainty, 1.0, COVERAGE_FACTOR)
+    wish = Wish(uncertainty, 1.0)
     steps = pick(of, of.nothing, every, np.ones(len(every)), wish, sweep=True)
     return _exchanged(of, steps, uncertainty)
 
@@ -567,21 +509,21 @@ class Suspects:
         self._gone_over: set[int] = set()
         """Suspect steps that were measured again, and table positions where all were."""
 
-    def single(self, measured: MeasuredLengths) -> bool:
+    def few(self, suspects: Iterable[tuple[Observation, str]], measured: MeasuredLengths) -> bool:
         """Whether so few lengths were suspect that each may be an error of its own."""
-        return len(self._steps) < max(FEW_SUSPECTS, round(SUSPECT_SHARE * len(measured.steps)))
+        every = self._steps | {suspect.step for suspect, _ in suspects}
+        return len(every) <= max(FEW_SUSPECTS, round(SUSPECT_SHARE * len(measured.steps)))
 
     def again(
-        self, suspect: Observation, value: float, measured: MeasuredLengths
+        self, suspect: Observation, left_out: str, measured: MeasuredLengths
     ) -> tuple[list[int], str]:
         """Return the steps to measure again, and why: the suspect one, then all of its station.
 
         Where few lengths check each other a wrong one makes others look wrong. Without any, that
-        was in vain, and another target has to take its place. ``value``: of the test, in standard
-        deviations.
+        was in vain, and another target has to take its place. ``left_out``: why it was.
         """
         step, place = suspect.step, suspect.table_position
-        why = f"the length of step {step} is suspect ({value:+.1f} standard deviations)"
+        why = f"the length of step {step} is suspect ({left_out})"
         if step not in self._steps:
             self._steps.add(step)
             return [step], f"{why}: measured again"
@@ -595,18 +537,17 @@ class Suspects:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What a set of steps has to reach: ``uncertainty`` (rad) with this noise and coverage factor.
+    """What a set of steps has to reach: ``uncertainty`` (rad, k = 2) with this noise.
 
     ``noise`` is a factor on the planned standard deviation of a length.
     """
 
     uncertainty: float
     noise: float
-    coverage_factor: float
 
     def excess(self, known: Information) -> float:
         """Return by which share the mean variance is too large."""
-        return float((self.coverage_factor * known.rms_std / self.uncertainty) ** 2 - 1.0)
+        return float((COVERAGE_FACTOR * known.rms_std / self.uncertainty) ** 2 - 1.0)
 
 
 def pick(

@@ -202,38 +202,48 @@ class Posed:
         return self.problem.circle_std if stated is None else stated
 
     def _about_axis(self, lengths: CarriedLengths, model: Model) -> Model:
-        """Return the model with what is known of how the table's axis moves.
-
-        What a stated circle says of the places across it, and what the error motion does along it,
-        are contradicted together.
-        """
-        m, angles, circle = len(lengths.angles), lengths.angles, self.problem.circle_std
-        plane = np.arange(3 * m).reshape(m, 3)[:, :2].ravel()
-        off = lengths.rows_of("shift", plane)
-        off = off - csr_array(np.tile(np.eye(2), (m, 1))) @ lengths.rows_of("frame")
-        # across the circle and along it
-        round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
-        cos, sin = np.cos(round_), np.sin(round_)
-        turned = np.stack([cos, sin, -sin, cos], axis=1)
-        column = 2 * np.arange(m)[:, None] + np.array([0, 1, 0, 1])
-        entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
-        turning = csr_array(entries, shape=(2 * m, 2 * m))
-        rows, stated, size = csr_array(turning @ off), self.motion, None
-        if stated is not None:
-            size = max(stated, ROUND)
-        if circle is not None:
-            assert size is not None
-            lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
-            height = lengths.rows_of("shift", 3 * np.arange(m) + 2)
-            height = height - lean @ lengths.rows_of("lean")
-            model = model.knowing(ALONG_AXIS, csr_array(height), np.zeros(m), circle)
-            both = [rows[0::2], circle / size * rows[1::2]]
-            rows, size = csr_array(vstack(both, format="csr")), circle
-        name = ERROR_MOTION if circle is None else STATED_CIRCLE
-        model = with_motion(model, name, rows, size, angles, turning)
+        """Return the model with what is known of how the table's axis moves."""
+        turning, motion, along = about_axis(lengths, self.motion, self.problem.circle_std)
+        for known in along:
+            model = model.knowing(known.what, known.rows, np.zeros(len(known.std)), known.std)
+        size = None if self.motion is None else float(motion.std[0])
+        model = with_motion(model, motion.what, motion.rows, size, lengths.angles, turning)
         significance = self.problem.settings.test_significance
         scattering = [replace(each, significance=significance) for each in model.scatterings]
         return replace(model, correlated=scattering)
+
+
+def about_axis(
+    lengths: CarriedLengths, stated: float | None, circle: float | None
+) -> tuple[csr_array, KnownBeforehand, list[KnownBeforehand]]:
+    """Return what is known of where the table's axis carries the instrument.
+
+    Shifts are off the axis by the error motion as it is ``stated`` (m), across the circle and
+    along it by turns; then what a stated ``circle`` (m) says along the axis. Across it the two are
+    contradicted together. First what takes moves x and y of each station to these rows
+    (2 m, 2 m).
+    """
+    m, angles = len(lengths.angles), lengths.angles
+    plane = np.arange(3 * m).reshape(m, 3)[:, :2].ravel()
+    off = lengths.rows_of("shift", plane)
+    off = off - csr_array(np.tile(np.eye(2), (m, 1))) @ lengths.rows_of("frame")
+    round_ = np.arctan2(*lengths.places[0, 1::-1]) + angles
+    cos, sin = np.cos(round_), np.sin(round_)
+    turned = np.stack([cos, sin, -sin, cos], axis=1)
+    column = 2 * np.arange(m)[:, None] + np.array([0, 1, 0, 1])
+    entries = turned.ravel(), column.ravel(), 2 * np.arange(2 * m + 1)
+    turning = csr_array(entries, shape=(2 * m, 2 * m))
+    rows, size = csr_array(turning @ off), np.nan if stated is None else max(stated, ROUND)
+    if circle is None:
+        return turning, KnownBeforehand(ERROR_MOTION, rows, np.full(2 * m, size)), []
+    lean = csr_array(np.column_stack([np.ones(m), np.cos(angles), np.sin(angles)]))
+    height = lengths.rows_of("shift", 3 * np.arange(m) + 2) - lean @ lengths.rows_of("lean")
+    both = csr_array(vstack([rows[0::2], circle / size * rows[1::2]], format="csr"))
+    return (
+        turning,
+        KnownBeforehand(STATED_CIRCLE, both, np.full(2 * m, circle)),
+        [KnownBeforehand(ALONG_AXIS, csr_array(height), np.full(m, circle))],
+    )
 
 
 def with_motion(
@@ -260,19 +270,25 @@ def with_motion(
     return model.scattering(name, rows, size, FREE_CIRCLE, ways)
 
 
+def carried(stations: Floats, angles: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return axes (3, 3), place on the table (3,) and origin (3,) that carry to ``stations``."""
+    axes, m = np.eye(3), len(stations)
+    if m >= CIRCLE:
+        plane = table_motion(stations, angles).plane
+        axes = np.column_stack([*plane.basis(), plane.normal])
+    local = stations @ axes  # = centre + Rz(angle) q
+    about = rotation_about_z(angles)[:, :2, :2]
+    design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
+    found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
+    return axes, np.array([*found[2:], 0.0]), axes @ [*found[:2], local[:, 2].mean()]
+
+
 def _lengths(
     problem: TracerProblem, grid: Grid, stations: Floats, distances: Floats
 ) -> CarriedLengths:
     """Return the lengths of a ``grid``, from ``stations`` (m, 3) and ``distances`` (p,), m."""
-    angles, axes = problem.table_angles[grid.position_ids], np.eye(3)
-    if len(stations) >= CIRCLE:
-        plane = table_motion(stations, angles).plane
-        axes = np.column_stack([*plane.basis(), plane.normal])
-    # local place of each station = centre + Rz(angle) q
-    local, m = stations @ axes, len(stations)
-    about = rotation_about_z(angles)[:, :2, :2]
-    design = np.concatenate([np.tile(np.eye(2), (m, 1, 1)), about], axis=2).reshape(2 * m, 4)
-    found = np.linalg.lstsq(design, local[:, :2].ravel())[0]
+    angles = problem.table_angles[grid.position_ids]
+    axes, place, origin = carried(stations, angles)
     strip, target, order = taken(grid.row, problem.measuring_order)
     zero, row = grid.station if grid.zero is None else grid.zero, grid.row[strip, target]
     later, std = _later_runs(problem, row)
@@ -286,11 +302,11 @@ def _lengths(
         row=row,
         order=order,
         angles=angles,
-        places=np.array([[*found[2:], 0.0]]),
+        places=place[None],
         targets=grid.targets,
         zeros=distances[grid.first_of_zero],
         axes=axes,
-        origin=axes @ [*found[:2], local[:, 2].mean()],
+        origin=origin,
         called=(grid.position_ids, grid.target_ids),
         unbroken=problem.segment is not None,
         later=later,

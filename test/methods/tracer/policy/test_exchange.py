@@ -14,7 +14,7 @@ STRICT = Demands(mean=(0.5 * ARCSEC) ** 2, largest=(0.52 * ARCSEC) ** 2, redunda
 def checked(known, delta0):
     """Redundancy of each length, and what an undetected error of it does, in U of the angle."""
     beams = known.beams(known.lengths)
-    redundancy = 1.0 - beams.spread / beams.variance
+    redundancy = known.redundancy
     effect = (
         beams.angles * (delta0 / np.sqrt(beams.variance * np.maximum(redundancy, 0.02)))[:, None]
     )

@@ -10,9 +10,11 @@ from tracer_scenes import (
     PER_AXIS,
     STATIONS,
     counted_from_first,
+    dense_angles,
     dense_covariance,
     every_pair,
     paper_scene,
+    to_angles,
     zero_mean,
 )
 
@@ -59,18 +61,17 @@ def test_prediction_is_the_solvers_covariance():
     for where in (found, scene):  # nominal places are um away
         known = Information(where, lengths, 11)
         stated = result.covariance["ECC"]
-        promised = counted_from_first(known)
-        assert np.abs(promised - stated).max() < 0.05 * np.abs(stated).max()
-        # a plan says nothing of what the error motion, which is stated, tells of the stations
-        assert (promised.diagonal() >= (1.0 - 1e-3) * stated.diagonal()).all()
+        assert counted_from_first(known) == pytest.approx(stated, rel=1e-4)
 
 
 VARIANTS = {
     "joint, prior": {},
     "joint, prior per axis": {"target_std": PER_AXIS},
     "joint, error motion": {"error_motion_std": 5e-8},
-    "joint, one zero": {"segments": 1},
-    "joint, three segments": {"segments": 3, "target_std": PER_AXIS},
+    "joint, one zero": {"segments": 1, "error_motion_std": 5e-8},
+    "joint, three segments": {
+        "segments": 3, "target_std": PER_AXIS, "error_motion_std": 5e-8,
+    },
     "station": {"variant": "station"},
     "station, per axis and error motion": {
         "variant": "station", "target_std": PER_AXIS, "error_motion_std": 5e-8,
@@ -112,8 +113,7 @@ def test_every_variant_is_predicted_as_the_solver_states_it(name):
 
 def assert_alike(planned, problem):
     stated = solve(problem).covariance["ECC"]
-    assert np.abs(planned - stated).max() < 0.25 * np.abs(stated).max()
-    assert (planned.diagonal() >= (1.0 - 1e-3) * stated.diagonal()).all()
+    assert np.abs(planned - stated).max() < 1e-6 * np.abs(stated).max()
 
 
 def some_lengths(scene, count, segments, seed=3):
@@ -132,17 +132,18 @@ def test_segments_and_weights_against_one_dense_inverse(segments):
     lengths = some_lengths(scene, 160, segments)
     known = Information(scene, lengths, segments)
     whole, rows = dense_covariance(scene, lengths, segments)
-    size = 33 + segments
-    std = np.sqrt(whole.diagonal()[:size])
-    difference = (known.covariance - whole[:size, :size]) / std / std[:, None]
-    assert np.abs(difference).max() < 1e-4
-    turn = zero_mean(scene)
-    assert known.mean_variance == pytest.approx(np.trace(turn @ whole[:33, :33] @ turn.T) / 11)
+    dense = dense_angles(scene, lengths, segments)
+    assert np.abs(known.covariance - dense).max() < 1e-5 * np.abs(dense).max()
     beams = known.beams(lengths)
     step = np.sqrt(beams.variance / lengths.weight)  # rows are divided by it
-    felt = (rows @ whole @ rows.T).diagonal() * step**2
-    assert beams.spread == pytest.approx(felt, rel=1e-6)
-    assert beams.angles == pytest.approx((turn @ (whole @ rows.T)[:33] * step).T, rel=1e-5)
+    felt = rows @ whole @ rows.T * step * step[:, None]
+    assert known.spread(lengths) == pytest.approx(felt.diagonal(), rel=1e-6)
+    seen = 1.0 - (rows @ whole * rows).sum(axis=1) / lengths.weight
+    assert known.redundancy == pytest.approx(seen, abs=1e-6)
+    between = known.between(lengths, lengths)
+    assert np.abs(between - felt).max() < 1e-6 * felt.max()
+    moved = (to_angles(scene, len(whole)) @ whole @ rows.T * step).T
+    assert np.abs(beams.angles - moved).max() < 1e-5 * np.abs(moved).max()
 
 
 def test_known_targets_are_the_limit_of_a_tight_prior():
@@ -167,23 +168,6 @@ def test_gain_and_slope_are_what_further_lengths_bring():
         slope = (known.mean_variance - tiny.mean_variance) / 1e-5
         assert known.slopes(candidates)[k] == pytest.approx(slope, rel=1e-3)
     assert more.without(-1).mean_variance == pytest.approx(known.mean_variance, rel=1e-12)
-
-
-def test_a_circle_is_known_to_its_stated_deviation():
-    # Stations that nothing else ties: contrasts of radius and height have the stated deviation.
-    scene = paper_scene(circle_std=7e-8)
-    cov = np.linalg.inv(scene.circle_information() + 1e4 * np.eye(33))
-    angle = np.arctan2(*(STATIONS - [1e-4, -2e-4, 0.0])[:, 1::-1].T)
-    harmonic = np.cos(2.0 * (angle - angle[0]))  # neither centre nor radius nor axis
-    absorbed = np.column_stack([np.ones(11), np.cos(angle), np.sin(angle)])
-    harmonic -= absorbed @ np.linalg.lstsq(absorbed, harmonic, rcond=None)[0]
-    harmonic /= np.linalg.norm(harmonic)
-    outward = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
-    for direction, expected in ((outward, 7e-8), (np.array([0.0, 0.0, 1.0]), 7e-8)):
-        pattern = (harmonic[:, None] * direction).ravel()
-        assert np.sqrt(pattern @ cov @ pattern) == pytest.approx(expected, rel=1e-3)
-    along = harmonic[:, None] * np.column_stack([-outward[:, 1], outward[:, 0]]) @ np.eye(2, 3)
-    assert np.sqrt(along.ravel() @ cov @ along.ravel()) > 5e-3  # the angles stay free
 
 
 def test_error_motion_joins_like_a_random_tangential_shift():
@@ -212,9 +196,10 @@ def test_of_ten_thousand_candidates_the_gains_are_those_of_planning_anew():
 
 
 def test_704_lengths_give_what_the_paper_reached():
-    # The goal of the plans: 1.20 arcsec rms, 1.32 at the worst angle, k = 2.
+    # 1.20 arcsec rms, 1.32 at the worst angle, k = 2, is the goal of the plans; on a round table
+    # the distances from the circle help a little
     known = Information(paper_scene(), every_pair(paper_scene()), 11)
     expanded = 2.0 * np.degrees(np.sqrt(known.variances())) * 3600.0
-    assert np.sqrt((expanded**2).mean()) == pytest.approx(1.20, abs=0.01)
+    assert np.sqrt((expanded**2).mean()) == pytest.approx(1.18, abs=0.01)
     assert expanded.max() == pytest.approx(1.32, abs=0.01)
     assert BLOCK.shape == (64, 3)

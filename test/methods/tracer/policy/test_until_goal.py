@@ -9,7 +9,7 @@ from simulated import figures
 
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.experiment import Allowance
-from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, first_sweep
+from rotcal_ros.methods.tracer.policy.until_goal import UntilGoal, first_sweep
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solve import solve
@@ -75,7 +75,7 @@ def test_goal_reached_is_what_the_result_states(of, factor):
     """The U of the end is the result's own, to the last bit, and its doubt is reported with it."""
     for seed in range(6 if LONG else 2):
         cell = cell_of(of, seed, factor)
-        last = measured(UntilGoal(of, GoalLimits(GOAL)), cell)[-1]
+        last = measured(UntilGoal(of, GOAL), cell)[-1]
         result = of.solved(cell.measured.observations)
         assert last.reason.startswith(f"goal reached: U {result.uncertainty / ARCSEC:.3f} arcsec")
         # the largest U of the curve, which pages call U, is another figure
@@ -90,7 +90,7 @@ def test_an_error_motion_that_the_solver_estimates_is_paid_for():
     of = figures.experiment(0.24, error_motion=None)
     for seed in range(4):
         cell = cell_of(of, seed)
-        last = measured(UntilGoal(of, GoalLimits(GOAL)), cell)[-1]
+        last = measured(UntilGoal(of, GOAL), cell)[-1]
         result = of.solved(cell.measured.observations)
         reached = last.reason.startswith("goal reached")
         assert reached == (result.uncertainty <= GOAL), last.reason
@@ -105,9 +105,9 @@ def test_an_error_motion_beyond_the_goal_ends_it_soon():
     angles = np.linalg.norm(cell.stations[:, :2], axis=1)
     assert angles == pytest.approx(angles[0])
     cell.stations[:, :2] += 3e-6 * np.random.default_rng(1).standard_normal((len(angles), 2))
-    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell)
+    made = measured(UntilGoal(of, GOAL), cell)
     assert "error motion alone, as its circle shows it, gives" in made[-1].reason
-    assert len(made) < 90
+    assert len(made) < 100
 
 
 def test_allowances_are_undone():
@@ -118,7 +118,6 @@ def test_allowances_are_undone():
     assert Allowance.of(1.0, np.inf, 0.5) == Allowance(0.5)  # nothing is planned that could grow
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_a_blocked_sector_is_planned_around(of):
     away = -of.directions
@@ -135,9 +134,9 @@ def test_a_blocked_sector_is_planned_around(of):
 
 @pytest.mark.slow
 def test_the_same_outcomes_give_the_same_choices(of):
-    first = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 5, 2.0))
+    first = measured(UntilGoal(of, GOAL), cell_of(of, 5, 2.0))
     fresh = figures.experiment(0.24)
-    second = measured(UntilGoal(fresh, GoalLimits(GOAL)), cell_of(fresh, 5, 2.0))
+    second = measured(UntilGoal(fresh, GOAL), cell_of(fresh, 5, 2.0))
     assert len(first) == len(second)
     assert all(a.same_as(b) for a, b in zip(first, second, strict=True))
     assert first[-1].reason.startswith("goal reached: U ")
@@ -150,7 +149,7 @@ def test_a_wrong_length_is_found_and_measured_again(of, when):
     def slip(outcome, number):
         return longer(outcome, 20e-6) if number == when else outcome
 
-    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 6 + when), slip)
+    made = measured(UntilGoal(of, GOAL), cell_of(of, 6 + when), slip)
     again = [choice.step for choice in made if "suspect" in choice.reason]
     assert made[when].step in again
     assert len(again) < 10  # those of one station at most, where they check each other little
@@ -163,18 +162,18 @@ def test_errors_of_many_lengths_are_noise_and_not_single_errors(of):
     def rough(outcome, _number):
         return longer(outcome, 4e-6 * rng.standard_t(1.5))
 
-    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 11), rough)
-    suspects = {choice.step for choice in made if "deviations): measured" in choice.reason}
+    made = measured(UntilGoal(of, GOAL), cell_of(of, 11), rough)
+    suspects = {choice.step for choice in made if "suspect" in choice.reason}
     assert len(suspects) <= 0.1 * len(made) + 4
 
 
 def test_a_target_that_stays_suspect_gives_way_to_another(of):
-    wrong = UntilGoal(of, GoalLimits(GOAL)).choose().step
+    wrong = UntilGoal(of, GOAL).choose().step
 
     def slip(outcome, _number):
         return longer(outcome, 20e-6) if outcome.step == wrong else outcome
 
-    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 7), slip)
+    made = measured(UntilGoal(of, GOAL), cell_of(of, 7), slip)
     suspects = [choice for choice in made if "suspect" in choice.reason]
     assert suspects[0].step == wrong
     *others, last = suspects[1:]
@@ -192,7 +191,7 @@ def test_a_drift_is_closed(joined):
         stamped = replace(observation, mean=mean, window_end_ns=number * 10**9)
         return StepOutcome(outcome.step, stamped)
 
-    made = measured(UntilGoal(joined, GoalLimits(GOAL)), cell_of(joined, 8), drifting)
+    made = measured(UntilGoal(joined, GOAL), cell_of(joined, 8), drifting)
     closing = [choice for choice in made if "to close the sweep" in choice.reason]
     first, middle = closing
     sweep = [choice.step for choice in made if choice.reason == "first sweep"]
@@ -209,7 +208,7 @@ def test_a_resumed_policy_is_where_the_interrupted_one_was(request, zero, taken)
     of = request.getfixturevalue(zero)
     cell = cell_of(of, 9, 2.0)  # noise of a second stage
     cell.blocked = of.target == 3
-    policy, seen, gone = UntilGoal(of, GoalLimits(GOAL)), [], []
+    policy, seen, gone = UntilGoal(of, GOAL), [], []
     for number in range(taken):
         outcome = cell.measure(policy.choose().step)
         if outcome.observation is not None:
@@ -220,7 +219,7 @@ def test_a_resumed_policy_is_where_the_interrupted_one_was(request, zero, taken)
             gone.append(outcome.step)
         policy.note(outcome)
     again = [seen[4].step, seen[9].step]
-    resumed = UntilGoal(of, GoalLimits(GOAL), again=again, earlier=seen[::-1], given_up=gone)
+    resumed = UntilGoal(of, GOAL, again=again, earlier=seen[::-1], given_up=gone)
     assert resumed.noise_factor == policy.noise_factor
     for step in again:
         assert resumed.choose().step == step
@@ -240,7 +239,7 @@ def test_a_broken_beam_costs_a_zero_and_the_solver_states_the_same(of, joined):
             cell.measure(step)
         seen = cell.measured.observations
         segments = cell.measured.segments() if case is joined else None
-        stated[name] = case.uncertainty(cell.measured, 1.0, 2.0)
+        stated[name] = case.uncertainty(cell.measured, 1.0)
         targets = np.array(case.plan.targets)
         problem = TracerProblem(
             position=np.array([o.table_position for o in seen]),
@@ -253,8 +252,7 @@ def test_a_broken_beam_costs_a_zero_and_the_solver_states_the_same(of, joined):
         covariance = predicted(problem, case.scene.stations).covariance
         centred = np.eye(len(covariance)) - 1.0 / len(covariance)
         variance = np.trace(centred @ covariance @ centred.T) / len(covariance)
-        # the policy knows nothing of a table that is stated to be round
-        assert 0.85 * stated[name] < 2.0 * np.sqrt(variance) < 1.001 * stated[name]
+        assert 2.0 * np.sqrt(variance) == pytest.approx(stated[name], rel=1e-6)
     assert stated["one"] < stated["two"] < stated["own"]
 
 
@@ -273,10 +271,9 @@ def test_the_first_sweep_is_short_and_every_length_of_it_is_checked(of, joined):
     for case, most in ((of, 64), (joined, 50)):  # greedy: 70 and more
         sweep = first_sweep(case, GOAL)
         known = case.information(case.nothing, 1.0, sweep)
-        beams = known.beams(known.lengths)
         assert len(sweep) <= most
-        assert case.uncertainty(case.nothing, 1.0, 2.0, sweep) <= GOAL
-        assert (1.0 - beams.spread / beams.variance >= 0.02).all()
+        assert case.uncertainty(case.nothing, 1.0, sweep) <= GOAL
+        assert (known.redundancy >= 0.02).all()
         assert np.bincount(case.position[sweep]).min() >= case.minimum
 
 
@@ -302,14 +299,14 @@ def test_the_first_sweep_shows_a_drift_and_a_knock_in_time(of):
 def test_a_station_without_a_free_beam_ends_the_plan_by_its_name(of):
     cell = cell_of(of, 10)
     cell.blocked = of.position == 5
-    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell)
+    made = measured(UntilGoal(of, GOAL), cell)
     assert "table position 5 has 0 lengths" in made[-1].reason
     assert np.isnan(made[-1].standing.uncertainty)
 
 
 def test_a_goal_out_of_reach_of_all_steps_ends_the_plan_at_once(of):
     factor = 20.0
-    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 13, factor))
+    made = measured(UntilGoal(of, GOAL), cell_of(of, 13, factor))
     assert "out of reach: all steps that are left would give U" in made[-1].reason
     assert len(made) < 90
 
@@ -318,10 +315,11 @@ def test_a_drift_that_looks_like_noise_does_not_measure_for_ever(of):
     def drifting(outcome, number):
         return longer(outcome, 0.1e-6 * number)
 
-    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 5), drifting)
+    made = measured(UntilGoal(of, GOAL), cell_of(of, 5), drifting)
     assert any("to close the sweep" in choice.reason for choice in made)
-    assert "out of reach" in made[-1].reason
-    assert len(made) < 100
+    assert "but the verdict would not be ok: it looks as if" in made[-1].reason
+    assert "drift" in made[-1].reason
+    assert len(made) < 160  # one round of lengths for what the drift makes uncertain
 
 
 def test_as_listed_is_the_order_of_the_list():

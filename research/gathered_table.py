@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Errors that gather in one place: how often is the verdict ok although they spoil it.
 
-    python scripts/gathered_table.py --runs 100
+    python research/gathered_table.py --runs 100
 
 Worlds are drawn by plain geometry that shares no code with solvers and simulation
 (test/methods/gathered_worlds.py, plate_disturbed.py, benchmarks/six_scene.py). Each is solved with
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / part) for part in ("test/methods", "benchmarks", "scripts")]
+sys.path[:0] = [str(ROOT / part) for part in ("test/methods", "benchmarks", "research")]
 
 import gathered_worlds as worlds  # noqa: E402
 import plate_disturbed as plates  # noqa: E402
@@ -110,7 +110,7 @@ def write(
         cells = [_sound(case, runs), *(_cell(case, size * scale, runs) for size in sizes)]
         lines.append(f"| {case.name} | " + " | ".join(cells) + " |")
         print(lines[-1], flush=True)
-    begin = f"<!-- scripts/gathered_table.py: {method} -->\n"
+    begin = f"<!-- research/gathered_table.py: {method} -->\n"
     before, rest = PAGE.read_text(encoding="utf-8").split(begin)
     after = rest.partition(END)[2]
     text = "\n".join(["", *lines, "", ""])

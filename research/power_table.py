@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Write docs/what_could_be_wrong.md: each effect, its treatment, its size when found, its error.
 
-    python scripts/power_table.py --method tracer --runs 200 --output docs/what_could_be_wrong.md
+    python research/power_table.py --method tracer --runs 200 --output docs/what_could_be_wrong.md
 
 Without --method all of them. The sections of other methods in the output stay, and with --effect
 the other rows. The exit code is 1 when an effect misleads: it does more than the tolerable error,

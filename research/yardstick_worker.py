@@ -1,4 +1,4 @@
-"""Measure what scripts/yardstick.py asks of one code: jobs come in as JSON lines, answers go out.
+"""Measure what research/yardstick.py asks of one code: jobs come in as JSON lines, answers go out.
 
 It runs beside any version of the package and uses only what all of them have: plans, their
 simulated measurements, the solver, the bench of effects and the commands.

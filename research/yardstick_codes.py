@@ -1,4 +1,4 @@
-"""Versions of the code, and what scripts/yardstick.py measures of them, kept in files."""
+"""Versions of the code, and what research/yardstick.py measures of them, kept in files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from typing import Any, Final
 ROOT: Final = Path(__file__).resolve().parents[1]
 GOLDEN: Final = ROOT / "test" / "golden"
 POWER_PLANS: Final = {
-    path.stem: path for path in sorted((ROOT / "scripts" / "power_plans").glob("*.yaml"))
+    path.stem: path for path in sorted((ROOT / "research" / "power_plans").glob("*.yaml"))
 }
 PLANS: Final = POWER_PLANS | {
     f"golden/{path.parents[1].name}": path for path in sorted(GOLDEN.glob("*/table/setup.yaml"))
@@ -107,7 +107,7 @@ class Code:
             lines.writelines(json.dumps(job) + "\n" for job in todo)
             lines.seek(0)
             worker = subprocess.Popen(
-                [sys.executable, str(ROOT / "scripts" / "yardstick_worker.py")],
+                [sys.executable, str(ROOT / "research" / "yardstick_worker.py")],
                 stdin=lines, stdout=subprocess.PIPE, text=True, cwd=self.folder,
                 env={**os.environ, "PYTHONPATH": str(self.folder), "OMP_NUM_THREADS": "1"},
             )  # fmt: skip

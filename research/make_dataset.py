@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Make the open data set: simulated calibrations of one table, each effect switched on in turn.
 
-    python scripts/make_dataset.py out/dataset --page docs/data_set.md
+    python research/make_dataset.py out/dataset --page docs/data_set.md
 
 The folder must not exist yet. Without --method and --effect all of them. What each file holds says
-the README.md that is written along; its text and the plans are in scripts/data_set.
+the README.md that is written along; its text and the plans are in research/data_set.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How often the stated intervals hold the truth when the tracer's zero is shared, breaks or slips.
 
-    python scripts/zero_coverage.py [RUNS] [--plan NAME] [--case NAME]
+    python research/zero_coverage.py [RUNS] [--plan NAME] [--case NAME]
 
 Simulated runs with an own generator: a table with deviations of a few arcsec, a tracer 65 mm off
 its axis; targets low around it, in the paper's block above it, each measured from everywhere, or a

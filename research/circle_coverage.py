@@ -1,7 +1,7 @@
 """How often the stated intervals hold the truth when the circle of the stations is stated.
 
-    python scripts/circle_coverage.py [RUNS] [--each LENGTHS]
-    python scripts/circle_coverage.py [RUNS] --error-motion
+    python research/circle_coverage.py [RUNS] [--each LENGTHS]
+    python research/circle_coverage.py [RUNS] --error-motion
 
 Simulated runs with an own generator: a tracer 65 mm off the axis of a table with deviations of a
 few arcsec, 24 targets low around it, of which every station sees a few, all lengths from one zero

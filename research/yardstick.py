@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Is the new code as true, as watchful and as quick as the old one? Both measured side by side.
 
-    python scripts/yardstick.py --old main --new HEAD
-    python scripts/yardstick.py --old main --new . --plan tracer --part sound --runs 50
+    python research/yardstick.py --old main --new HEAD
+    python research/yardstick.py --old main --new . --plan tracer --part sound --runs 50
 
 A code is a commit or a folder. Each works in processes of its own, on the same seeds. What was
 measured is kept line by line in a file for each code: Ctrl-C loses nothing, and whoever runs the
@@ -204,8 +204,8 @@ SECTIONS: Final = (
      "How many 95 % intervals hold the truth, with the standard error of that figure, and the "
      "root mean square of error / u. Wanted are 93 to 97 %; beyond by less than two standard "
      "errors counts as within. Steps are from angle to angle. Axes: "
-     "`scripts/ball_coverage.py`. Where more is stated than is drawn, as of orders of motions and "
-     "of a table that scatters, intervals hold more often."),
+     "`research/ball_coverage.py`. Where more is stated than is drawn, as of orders of motions "
+     "and of a table that scatters, intervals hold more often."),
     ("power", "Effects", effects, ("plan", "effect", "size"), ("% not ok", "error / u", "named"),
      "Each effect at the size where the old code notices it in 95 of 100 measurements; \"up to\" "
      "is the largest that was tried, if none is. The new code must notice it in 90. "
@@ -222,7 +222,7 @@ SECTIONS: Final = (
 INTRODUCTION: Final = """# The yardstick
 
 Before a part of the engine moves, the code before and the code after are measured side by side,
-on the same seeds: `python scripts/yardstick.py --old main --new HEAD --page docs/yardstick.md`.
+on the same seeds: `python research/yardstick.py --old main --new HEAD --page docs/yardstick.md`.
 
 * missed: the new code is not good enough
 * as old: neither is good enough, and the new code is no worse

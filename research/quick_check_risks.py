@@ -3,7 +3,7 @@
 A plan of the fewest lengths is made for an earlier result; then tables are drawn, measured with
 it, solved by the solver and judged. The figures of docs/evidence_planning.md:
 
-    python scripts/quick_check_risks.py --runs 2000
+    python research/quick_check_risks.py --runs 2000
 """
 
 from __future__ import annotations

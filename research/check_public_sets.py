@@ -6,7 +6,7 @@ point x y z in each line, NAME.fit the numbers of its least-squares fit. Names b
 pla (point, normal), sph (centre, diameter), cir (centre, normal, diameter). Lines, cylinders and
 cones are no fits of this project and are counted only. Units are millimetres.
 
-    python scripts/check_public_sets.py FOLDER
+    python research/check_public_sets.py FOLDER
 
 The exit code is 1 when a plane or sphere differs from its reference by more than 1 nm or 1e-9 rad.
 Circles are shown, not judged: the fit of the laser tracer paper is algebraic, the references are

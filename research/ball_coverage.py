@@ -1,6 +1,6 @@
 """How often the stated intervals of balls on the table hold the truth.
 
-    python scripts/ball_coverage.py [RUNS] [--case WORDS] [--whole] [--motions]
+    python research/ball_coverage.py [RUNS] [--case WORDS] [--whole] [--motions]
 
 Worlds of the tests' own generator (``test/ball_world.py``) whose errors are drawn from what is
 stated of them: the axis, its motions, the linear axes' scales and squareness, where the balls

@@ -1,7 +1,7 @@
 """Does a plan keep its promise? Its folder measured many times over, by an own simulation.
 
     .venv/bin/rotcal plan tracer config/tracer_goal.yaml -o out/plan
-    .venv/bin/python scripts/plan_promise.py out/plan --need 1.202 --largest 1.32 [--runs 400]
+    .venv/bin/python research/plan_promise.py out/plan --need 1.202 --largest 1.32 [--runs 400]
 
 Knows nothing of how the plan was made: it reads plan.yaml, draws stations, targets and lengths
 with what is stated there, solves them as the solver of that configuration does, and counts the

@@ -1,12 +1,11 @@
 """What the policy until_goal brings: coverage, time and blocked beams, by simulation.
 
-    .venv/bin/python scripts/policy_figures.py [--runs 2000] [--zero per_segment] [--json FILE]
+    .venv/bin/python research/policy_figures.py [--runs 2000] [--zero per_segment] [--json FILE]
 
 Every run measures with a tracer of its own place, targets and noise, by the policy itself, with
-nominal geometry from the plan alone; lengths are exact distances with noise. At the end the
-deviations are estimated by generalised least squares, written here and not in the package, and
-compared with the uncertainty that the policy states, and that which the result of the solver
-states for the same lengths is compared with the goal. All in docs/evidence_planning.md.
+nominal geometry from the plan alone; lengths are exact distances with noise, of a table without
+deviations. At the end those of the result are compared with their U, and U with the goal. All in
+docs/evidence_planning.md.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.extensions.design.tracer.optimum import ideal_plan
-from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
@@ -36,7 +35,6 @@ from rotcal_ros.methods.tracer.policy.sequence import SequenceForecast
 from rotcal_ros.methods.tracer.policy.until_goal import (
     RESERVE,
     RESERVE_PER_SEGMENT,
-    GoalLimits,
     UntilGoal,
     first_sweep,
 )
@@ -77,19 +75,35 @@ def experiment(
         for k, (j, i) in pairs
     )
     plan = Plan("tracer_multistation", tuple(ANGLES.tolist()), targets, steps)
-    scene = Scene(on_table(MOUNT, ANGLES), ANGLES, np.array(targets), TARGET_STD, PLANNED_STD)
-    return LengthExperiment(
-        plan, scene, Costs(STEP_S, TURN_S), per_segment=per_segment,
-        solved=partial(result_of, plan, per_segment, error_motion),
+    scene = Scene(
+        on_table(MOUNT, ANGLES), ANGLES, np.array(targets), TARGET_STD, PLANNED_STD,
+        error_motion_std=error_motion,
     )  # fmt: skip
+    solved = partial(stated, plan, per_segment, error_motion)
+    return LengthExperiment(plan, scene, Costs(STEP_S, TURN_S), solved, per_segment=per_segment)
 
 
-def result_of(
+def stated(
     plan: Plan, per_segment: bool, error_motion: float | None, observations: Sequence[Observation]
 ) -> Stated:
     """Return what the solver states of ``observations``, with the noise as planned."""
-    last = {(o.segment if per_segment else 0, o.step): o for o in observations}.values()
-    problem = TracerProblem(
+    last = counted(observations, per_segment)
+    try:
+        return Stated.of(result_of(plan, per_segment, error_motion, last), last)
+    except RotcalError as error:
+        return Stated(np.inf, doubt=str(error))
+
+
+def counted(observations: Sequence[Observation], per_segment: bool) -> list[Observation]:
+    """Return the last observation of each step, of each unbroken beam."""
+    return list({(o.segment if per_segment else 0, o.step): o for o in observations}.values())
+
+
+def result_of(
+    plan: Plan, per_segment: bool, error_motion: float | None, last: Sequence[Observation]
+) -> Result:
+    """Return the result of what counts."""
+    return solve(TracerProblem(
         position=np.array([o.table_position for o in last]),
         target=np.array([o.target for o in last]),
         length=np.array([o.mean[0] for o in last]),
@@ -101,19 +115,7 @@ def result_of(
         segment=np.array([o.segment for o in last]) if per_segment else None,
         error_motion_std=error_motion,
         start_stations=on_table(MOUNT, ANGLES),
-    )
-    try:
-        result = solve(problem)
-    except RotcalError as error:
-        return Stated(np.inf, doubt=str(error))
-    covariance = result.covariance["ECC"]
-    about_mean = np.trace(covariance) - covariance.sum() / len(covariance)
-    motion = result.error_motion
-    return Stated(
-        2.0 * float(np.sqrt(about_mean / len(covariance))),
-        motion.likely if motion is not None and motion.used != motion.stated else 0.0,
-        "" if result.verdict == "ok" else result.warnings[0],
-    )
+    ))  # fmt: skip
 
 
 class Quick(UntilGoal):
@@ -167,28 +169,6 @@ class Cell:
         self.breaks += self.taken == self.break_after
         return StepOutcome(index, seen)
 
-    def errors(self, factor: float) -> Floats:
-        """Return the errors (m,) of the deviations less their mean, rad, by least squares."""
-        seen = self.measured.observations
-        position = np.array([o.table_position for o in seen])
-        target = np.array([o.target for o in seen])
-        of_zero = np.array([o.segment for o in seen]) if self.of.per_segment else position
-        zero = np.unique(of_zero, return_inverse=True)[1]
-        apart = self.stations[position] - np.array(self.of.plan.targets)[target]
-        distance = np.linalg.norm(apart, axis=1)
-        unit = apart / distance[:, None]
-        y = np.array([o.mean[0] for o in seen]) - distance
-        each, m = np.arange(len(seen)), len(ANGLES)
-        design = np.zeros((len(seen), m, 3))
-        design[each, position] = unit
-        design = np.column_stack([design.reshape(len(seen), -1), -np.eye(zero.max() + 1)[zero]])
-        covariance = TARGET_STD**2 * (unit @ unit.T) * (target[:, None] == target)
-        covariance += (factor * PLANNED_STD) ** 2 * np.eye(len(seen))
-        root = np.linalg.cholesky(covariance)
-        x = np.linalg.lstsq(np.linalg.solve(root, design), np.linalg.solve(root, y))[0]
-        bearing = self.of.scene.bearing @ x[: 3 * m]
-        return np.asarray(bearing - bearing.mean(), dtype=np.float64)
-
 
 @dataclass(frozen=True)
 class Run:
@@ -208,7 +188,7 @@ class Run:
 
 def by_policy(cell: Cell) -> Run:
     """Measure as the policy chooses."""
-    policy = Quick(cell.of, GoalLimits(GOAL))
+    policy = Quick(cell.of, GOAL)
     slowest, reasons = 0.0, []
     while True:
         begun = time.thread_time()
@@ -218,35 +198,31 @@ def by_policy(cell: Cell) -> Run:
         if choice.step is None:
             break
         policy.note(cell.measure(choice.step))
-    stated = choice.standing.uncertainty
-    met = stated <= GOAL
-    return _judged(cell, policy.noise_factor, stated / GOAL, met, slowest, tuple(reasons))
+    return _judged(cell, choice.standing.uncertainty <= GOAL, slowest, tuple(reasons))
 
 
 def as_planned(cell: Cell) -> Run:
     """Measure the set that reaches the goal with the planned noise, whatever happens."""
     for step in first_sweep(cell.of, GOAL):
         cell.measure(step)
-    now = cell.of.uncertainty(cell.measured, 1.0, 2.0)
-    return _judged(cell, 1.0, now / GOAL, now <= GOAL, 0.0)
+    return _judged(cell, cell.of.uncertainty(cell.measured, 1.0) <= GOAL, 0.0)
 
 
-def _judged(
-    cell: Cell,
-    factor: float,
-    share: float,
-    met: bool,
-    slowest: float,
-    reasons: tuple[str, ...] = (),
-) -> Run:
-    known = cell.of.information(cell.measured, factor)
-    spread = np.sqrt(known.variances())
-    half = share * GOAL * spread / np.sqrt((spread**2).mean())  # k u of each angle
-    inside = float((np.abs(cell.errors(factor)) <= half).mean()) if np.isfinite(share) else np.nan
-    own = cell.of.solved(cell.measured.observations) if cell.of.solved else Stated(np.inf)
-    kept = own.uncertainty <= GOAL
-    lengths = len(cell.measured.observations)
-    return Run(cell.seconds, lengths, bool(met), inside, slowest, reasons, kept)
+def _judged(cell: Cell, met: bool, slowest: float, reasons: tuple[str, ...] = ()) -> Run:
+    """Return how a calibration ended; true deviations are zero."""
+    last = counted(cell.measured.observations, cell.of.per_segment)
+    inside, kept = np.nan, False
+    try:
+        result = result_of(cell.of.plan, cell.of.per_segment, cell.of.scene.error_motion_std, last)
+    except RotcalError:
+        result = None
+    if result is not None:
+        ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+        centred = np.eye(len(ecc)) - 1.0 / len(ecc)
+        variance = (centred @ covariance @ centred.T).diagonal()
+        inside = float((np.abs(centred @ ecc) <= 2.0 * np.sqrt(variance)).mean())
+        kept = 2.0 * np.sqrt(variance.mean()) <= GOAL
+    return Run(cell.seconds, len(last), bool(met), inside, slowest, reasons, bool(kept))
 
 
 def noise_rows(
