@@ -304,7 +304,7 @@ class Look:
     def _groups(self) -> list[Group | JudgedWhole | Undivided]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model = self.fit, self.before.model
-        found = list[Group | JudgedWhole | Undivided | _Asked]()
+        found = list[Group | JudgedWhole | Undivided | _Members]()
         first, each = model.elements[:, 0], model.elements.shape[1]
         used, may_go = fit.used[first], model.may_go[first]
         for grouping in (g.at(first) for g in model.groupings):
@@ -325,11 +325,11 @@ class Look:
                     here = part[used[part]]
                     if len(here) > 1:
                         of = f"{name}, part {k + 1} of {len(parts)}" if len(parts) > 1 else name
-                        found.append(_Asked(grouping, of, here, len(part) - len(here)))
-        groups = self._of_one_size([each for each in found if isinstance(each, _Asked)])
-        return [next(groups) if isinstance(each, _Asked) else each for each in found]
+                        found.append(_Members(grouping, of, here, len(part) - len(here)))
+        groups = self._of_one_size([each for each in found if isinstance(each, _Members)])
+        return [next(groups) if isinstance(each, _Members) else each for each in found]
 
-    def _of_one_size(self, asked: Sequence[_Asked]) -> Iterator[Group]:
+    def _of_one_size(self, asked: Sequence[_Members]) -> Iterator[Group]:
         """Return the groups that are asked for, those of as many rows at once."""
         found, alike = dict[int, Group](), dict[int, list[int]]()
         table = self.fit.model.elements
@@ -380,7 +380,7 @@ class Look:
                 )  # fmt: skip
         return [found[number] for number in kept]
 
-    def _group(self, asked: _Asked, leverage: Floats) -> Group:
+    def _group(self, asked: _Members, leverage: Floats) -> Group:
         """Return a group whose rows have this ``leverage`` (e c, e c)."""
         grouping, name, members, lost = asked
         fit, gathered, table = self.fit, gathered_of(grouping, members), self.fit.model.elements
@@ -403,7 +403,7 @@ class Look:
         )  # fmt: skip
 
 
-class _Asked(NamedTuple):
+class _Members(NamedTuple):
     """A group of elements ``members`` (e,) that are used, of which ``lost`` ones are not."""
 
     grouping: Grouping
