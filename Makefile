@@ -70,7 +70,7 @@ fuzz: setup  ## harm inputs and see that reading holds: SECONDS=3600 SEED=1 FUZZ
 soak: setup  ## calibrate beside a busy machine, nodes standing still: SOAK_ARGS="--minutes 10"
 	@$(BIN)/python scripts/soak.py $(SOAK_ARGS)
 
-lint: setup  ## style, types, and which room may import which
+lint: setup  ## style, types, and which package may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -74,7 +74,7 @@ def design_of(problem: BallPlateProblem) -> Floats:
     cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
     cross = crossed(angle[problem.cmm_index])
     turn = turned(angle[problem.position])
-    for r, i in enumerate(problem.table_index):
+    for r, i in enumerate(np.searchsorted(problem.table_positions, problem.position)):
         for field, number, block in (
             ("plate", ball[r], turn[r]), ("cmm", cmm[r], np.eye(3)), ("rotation", i, cross[r]),
             ("translation", i, np.eye(3)), ("axis_rotation", 0, cross[r]),

@@ -269,8 +269,8 @@ class Suite:
         return chosen
 
     def _far(self, path: Path, test: str) -> tuple[bool, float, str]:
-        room = path.relative_to(ROOT / PACKAGE).parts[0]
-        near = f"test/{room}/" in test or path.stem in test.split("::")[0]
+        package = path.relative_to(ROOT / PACKAGE).parts[0]
+        near = f"test/{package}/" in test or path.stem in test.split("::")[0]
         return not near, self._needs(self.parts[test]), test
 
     def _needs(self, parts: Iterable[str]) -> float:

@@ -32,7 +32,7 @@ from mutmut.mutation.file_mutation import MutationVisitor, deep_replace
 from mutmut.mutation.mutators import mutation_operators
 from mutmut.mutation.pragma_handling import IgnoredCode
 
-ROOMS = [*sorted(path.parent.name for path in Path(ROOT, PACKAGE).glob("*/__init__.py")), "top"]
+PACKAGES = [*sorted(path.parent.name for path in Path(ROOT, PACKAGE).glob("*/__init__.py")), "top"]
 """The folders of the package, and ``top`` for the files in none of them."""
 FOLDERS = [*sorted({path.parent.name for path in Path(ROOT, "test").glob("*/test_*.py")}), "top"]
 """The folders of tests, and ``top`` likewise."""
@@ -59,7 +59,7 @@ OPERATORS = [
 class Mutant:
     """One fault: where it is, in which text, before, after, and the whole file with it."""
 
-    room: str
+    package: str
     path: Path
     line: int
     text: str
@@ -102,7 +102,7 @@ class Collector(MutationVisitor):
         return not isinstance(node, cst.FunctionDef) and super()._skip_node_and_children(node)
 
 
-def mutants_of(room: str, path: Path) -> Iterator[Mutant]:
+def mutants_of(package: str, path: Path) -> Iterator[Mutant]:
     """Yield all mutants of a file that may show something."""
     collector = Collector()
     source = path.read_text()
@@ -124,37 +124,40 @@ def mutants_of(room: str, path: Path) -> Iterator[Mutant]:
             assert isinstance(whole, cst.Module)
             return whole.code
 
-        yield Mutant(room, path, line, texts[line - 1], before, after, mutated)
+        yield Mutant(package, path, line, texts[line - 1], before, after, mutated)
 
 
 def _same_but_none(old: cst.Call, new: cst.CSTNode) -> bool:
     return isinstance(new, cst.Call) and new.func is old.func and len(new.args) == len(old.args)
 
 
-def files_of(room: str) -> list[Path]:
-    """Return the files of a room."""
-    package = Path(ROOT, PACKAGE)
-    return sorted(package.glob("*.py") if room == "top" else Path(package, room).rglob("*.py"))
+def files_of(package: str) -> list[Path]:
+    """Return the files of a package."""
+    whole = Path(ROOT, PACKAGE)
+    return sorted(whole.glob("*.py") if package == "top" else Path(whole, package).rglob("*.py"))
 
 
-def folders_for(rooms: Sequence[str]) -> list[str]:
-    """Return the folders of tests that name one of the rooms; all of them for all rooms."""
-    names = tuple(f"{PACKAGE}.{room}" for room in rooms)
+def folders_for(packages: Sequence[str]) -> list[str]:
+    """Return the folders of tests that name one of the packages; all of them for all packages."""
+    names = tuple(f"{PACKAGE}.{package}" for package in packages)
 
     def concerned(folder: str) -> bool:
         place = Path(ROOT, "test", folder)
         texts = (path.read_text() for path in place.rglob("*.py"))
-        return folder in rooms or any(name in text for text in texts for name in names)
+        return folder in packages or any(name in text for text in texts for name in names)
 
-    return [folder for folder in FOLDERS if "top" in (folder, *rooms) or concerned(folder)]
+    return [folder for folder in FOLDERS if "top" in (folder, *packages) or concerned(folder)]
 
 
 def choose(
-    rooms: Sequence[str], seed: int, count: int, again: dict[tuple[str, ...], str] | None
+    packages: Sequence[str], seed: int, count: int, again: dict[tuple[str, ...], str] | None
 ) -> tuple[int, list[Mutant]]:
     """Return how many mutants there are, and those to try: a sample, or those tried before."""
     found = [
-        mutant for room in rooms for path in files_of(room) for mutant in mutants_of(room, path)
+        mutant
+        for package in packages
+        for path in files_of(package)
+        for mutant in mutants_of(package, path)
     ]
     if again is None:
         return len(found), random.Random(seed).sample(found, min(count, len(found)))
@@ -167,7 +170,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="See which small faults the tests notice.")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--sample", type=int, default=400)
-    parser.add_argument("--room", choices=ROOMS, action="append", help="all when not given")
+    parser.add_argument("--package", choices=PACKAGES, action="append", help="all when not given")
     parser.add_argument("--again", type=Path, help="try the mutants of this report instead")
     parser.add_argument("--survivors", type=Path, help="try those that survived in this report")
     parser.add_argument("--minutes", type=float, help="stop the sample after so long")
@@ -177,11 +180,11 @@ def main() -> None:
     )
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "mutants.json")
     given = parser.parse_args()
-    rooms, former = given.room or ROOMS, given.again or given.survivors
+    packages, former = given.package or PACKAGES, given.again or given.survivors
     killers = None if former is None else killers_of(former, survivors_only=not given.again)
-    total, chosen = choose(rooms, given.seed, given.sample, killers)
+    total, chosen = choose(packages, given.seed, given.sample, killers)
     print(f"{total} mutants, {len(chosen)} of them are tried", flush=True)
-    folders, start = folders_for(rooms), time.monotonic()
+    folders, start = folders_for(packages), time.monotonic()
     side_by_side(given.jobs, lambda number: measure(folders[number :: given.jobs]))
     suite = Suite(folders, given.enough_s)
     given.output.parent.mkdir(parents=True, exist_ok=True)
@@ -194,18 +197,20 @@ def main() -> None:
     )
     noted = {tuple(entry["key"]): entry for entry in read(notes)}
     tried = [noted[mutant.key] for mutant in chosen if mutant.key in noted]
-    of_room = {room: [entry for entry in tried if entry["room"] == room] for room in rooms}
+    of_room = {
+        package: [entry for entry in tried if entry["package"] == package] for package in packages
+    }
     report = {
         "seed": given.seed,
         "mutants": total,
         "seconds": round(time.monotonic() - start),
-        "rooms": {room: share(entries) for room, entries in of_room.items() if entries},
+        "packages": {package: share(entries) for package, entries in of_room.items() if entries},
         "overall": share(tried),
         "tried": tried,
     }
     given.output.write_text(json.dumps(report, indent=1))
     notes.unlink()
-    for name, row in [*report["rooms"].items(), ("overall", report["overall"])]:
+    for name, row in [*report["packages"].items(), ("overall", report["overall"])]:
         print(f"{name:18}", *(f"{key} {value:<6}" for key, value in row.items()))
     print(f"{report['seconds']} s; every mutant stands in {given.output}")
 
@@ -237,7 +242,12 @@ def attempt(
         killer = (killers or {}).get(mutant.key, "")
         outcome, by, tests = suite.outcome(mutant.path, mutant.line, mutant.mutated(), killer)
         place = f"{mutant.key[0]}:{mutant.line}"
-        entry: dict[str, Any] = {"room": mutant.room, "place": place, "outcome": outcome, "by": by}
+        entry: dict[str, Any] = {
+            "package": mutant.package,
+            "place": place,
+            "outcome": outcome,
+            "by": by,
+        }
         entry |= {"tests": tests, "diff": mutant.diff(), "key": mutant.key}
         with notes.open("a") as file:
             file.write(json.dumps(entry) + "\n")

@@ -1,1 +1,1 @@
-"""What all rooms build on: results, observations, settings, errors, files, units."""
+"""What all packages build on: results, observations, settings, errors, files, units."""

@@ -86,13 +86,9 @@ def _errors(result: Result) -> tuple[Floats, Floats]:
     The first n errors are those of the angles, from the only side or with increasing angle, the
     other k those with decreasing angle.
     """
-    n = len(result.angles)
-    both = result.directions.get(COMPONENT)
-    at = (
-        np.zeros(0, int)
-        if both is None
-        else np.argmin(np.abs(both.angles[:, None] - result.angles), axis=1)
-    )
+    n, at = len(result.angles), np.zeros(0, int)
+    if (both := result.directions.get(COMPONENT)) is not None:
+        at = np.argmin(np.abs(both.angles[:, None] - result.angles), axis=1)
     forward, reverse = np.eye(n + len(at))[at], np.eye(n + len(at))[n:]
     mean = np.eye(n, n + len(at))
     mean[at] = 0.5 * (forward + reverse)

@@ -132,8 +132,12 @@ class Refraction:
         air = self._air(observations)
         index = equation.index(air, settings.vacuum_wavelength_nm, settings.co2_ppm)
         index = index + errors * self._std(air, equation)
+        dead = settings.dead_path_m
+        # (n D - P + d) / n - d is D less a constant, but for P - d times the changes of the index
         return tuple(
-            _divided(o, n, settings.dead_path_m)
+            replace(o, mean=tuple((length + dead) / n - dead for length in o.mean))
+            if o.kind == PointKind.REFLECTOR
+            else o
             for o, n in zip(observations, index.tolist(), strict=True)
         )
 
@@ -161,17 +165,6 @@ class Refraction:
                 f"(capture.{quantity}_expected: true) or give air.{column}"
             )
         return np.array(known, dtype=np.float64)
-
-
-def _divided(observation: Observation, index: float, dead_path_m: float) -> Observation:
-    """Return the observation with its length in metres of distance, not of optical path.
-
-    (n D - P + d) / n - d is D less a constant, but for P - d times the changes of the index.
-    """
-    if observation.kind != PointKind.REFLECTOR:
-        return observation
-    mean = tuple((length + dead_path_m) / index - dead_path_m for length in observation.mean)
-    return replace(observation, mean=mean)
 
 
 def with_common(result: Result, moved: Result) -> Result:

@@ -28,29 +28,21 @@ class AirSettings:
         450.0, doc="umol/mol, carbon dioxide in the air", minimum=0.0, maximum=2000.0
     )
     dead_path_m: float = setting(
-        0.0,
-        minimum=0.0,
-        maximum=100.0,
+        0.0, minimum=0.0, maximum=100.0,
         doc="m, optical path at which a length reads zero; the air in it is corrected, too",
-    )
+    )  # fmt: skip
     temperature_c: float | None = setting(
-        None,
-        minimum=-40.0,
-        maximum=100.0,
+        None, minimum=-40.0, maximum=100.0,
         doc="degC, temperature of the air where none is captured",
-    )
+    )  # fmt: skip
     pressure_pa: float | None = setting(
-        None,
-        minimum=10e3,
-        maximum=140e3,
+        None, minimum=10e3, maximum=140e3,
         doc="Pa, pressure of the air where no air_pressure is captured",
-    )
+    )  # fmt: skip
     humidity: float | None = setting(
-        None,
-        minimum=0.0,
-        maximum=1.0,
+        None, minimum=0.0, maximum=1.0,
         doc="relative humidity of the air, 0 to 1, where no relative_humidity is captured",
-    )
+    )  # fmt: skip
     temperature_std_k: float = expert(
         0.1, doc="K, standard uncertainty of the temperature along the beam", minimum=0.0
     )

@@ -111,6 +111,11 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
         for name in result.deviations
     }
     total = {name: tied @ matrix @ tied.T for name, matrix in spread.items()}
+    sides = []
+    for name, side in (("forward", arrivals.upward), ("reverse", ~arrivals.upward)):
+        table = np.full((len(arrivals.targets), int(arrivals.run.max()) + 1), np.nan)
+        table[arrivals.target[side], arrivals.run[side]] = ecc[side]
+        sides.append((name, side, table))
     mean = replace(
         result,
         angles=arrivals.targets[arrivals.measured],
@@ -120,8 +125,7 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
         details={**result.details, "station_deviations": ecc},
         runs=RepeatedRuns(
             targets=arrivals.targets,
-            forward=_table(ecc, arrivals, arrivals.upward),
-            reverse=_table(ecc, arrivals, ~arrivals.upward),
+            **{n: table if side.any() else None for n, side, table in sides},
             repeatability_std=scatter["ECC"],
         ),
         directions=_directions(result.deviations, spread, arrivals, from_first),
@@ -238,12 +242,3 @@ def repeatability_std(ecc: Floats, covariance: Floats, arrivals: Arrivals) -> fl
         noise += float(np.trace(centring @ covariance[np.ix_(at, at)]))
         dof += len(at) - 1
     return float(np.sqrt(max(squares - noise, 0.0) / dof)) if dof else 0.0
-
-
-def _table(ecc: Floats, arrivals: Arrivals, side: Bools) -> Floats | None:
-    """Return the deviations of one direction as a table (k, n), one column per run."""
-    if not side.any():
-        return None
-    table = np.full((len(arrivals.targets), int(arrivals.run.max()) + 1), np.nan)
-    table[arrivals.target[side], arrivals.run[side]] = ecc[side]
-    return table

@@ -234,8 +234,12 @@ class ByModel:
         seen = zip(plan.steps, map(tuple, values.tolist()), strict=True)
         read = tuple(step.observed(point) for step, point in seen)
         further = self.further(configuration)
+        components = self.components(configuration)
         curves = (model.outputs @ unknowns)[: len(model.outputs) - further]
-        return DisturbedMeasurement(read, self._curves(configuration, curves, plan))
+        each, angles = curves.reshape(len(components), -1), len(plan.distinct_angles)
+        # a turn that closes begins anew
+        whole = {name: np.resize(c, angles) for name, c in zip(components, each, strict=True)}
+        return DisturbedMeasurement(read, whole)
 
     def method(self, *, disturbances: Sequence[Disturbance] = (), **more: Any) -> Method:
         """Return the method; ``more`` are fields of a :class:`~.method.Method`.
@@ -261,7 +265,6 @@ class ByModel:
     def _adjusted(
         self, configuration: Configuration, observations: Sequence[Observation]
     ) -> tuple[Adjusted, Restated]:
-        """Return the solution, with statements that fit it, and what these are."""
         if not observations:
             raise DataError("nothing was read: there is nothing to solve")
         read = Readings.of(observations)
@@ -270,15 +273,6 @@ class ByModel:
         if restated is None:
             return found, Restated(configuration)
         return adjust(self.model(restated.configuration, read)), restated
-
-    def _curves(
-        self, configuration: Configuration, outputs: Floats, plan: Plan
-    ) -> dict[str, Floats]:
-        """Return the deviations (n,) by component at the distinct angles; a turn begins anew."""
-        components = self.components(configuration)
-        curves = outputs.reshape(len(components), -1)
-        whole = [np.resize(curve, len(plan.distinct_angles)) for curve in curves]
-        return dict(zip(components, whole, strict=True))
 
     def _wandering(self, model: Model, sizes: Sizes, random: np.random.Generator) -> Floats:
         """Return the unknowns (p,) of a table that wanders by ``sizes``, and of what is wrong.

@@ -56,7 +56,6 @@ class Calibration:
     plan: Plan
 
     def __repr__(self) -> str:
-        """Return in one line what is measured."""
         return f"<Calibration: {self.configuration!r}, {len(self.plan.steps)} steps>"
 
     @property
@@ -134,7 +133,6 @@ class Calibration:
         return f"{share}{usual}" if without else ""
 
     def _circumstances(self, used: Sequence[Observation]) -> Circumstances:
-        """Return under which circumstances the observations ``used`` were made."""
         steps = {o.step for o in used}
         retried = {o.step for o in used if o.attempt % ATTEMPTS_PER_RUN}
         planned = len(self.plan.steps)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
@@ -71,8 +71,5 @@ class CellReport:
 
     def todos(self) -> tuple[str, ...]:
         """Return what to do next, each once, what is missing before what is doubtful."""
-        return tuple(dict.fromkeys([*_todos(self.lines, "missing"), *_todos(self.lines, "doubt")]))
-
-
-def _todos(lines: Iterable[CheckLine], state: State) -> Iterable[str]:
-    return (line.todo for line in lines if line.state == state and line.todo)
+        of_state = ([x.todo for x in self.lines if x.state == s] for s in ("missing", "doubt"))
+        return tuple(dict.fromkeys(todo for todos in of_state for todo in todos if todo))

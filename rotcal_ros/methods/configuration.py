@@ -140,7 +140,6 @@ class Configuration:
         return self.extensions[name] if name in self.extensions else getattr(self, name)
 
     def __repr__(self) -> str:
-        """Return in one line what it is for and where it comes from."""
         cell = "simulated cell" if self.simulated else "cell"
         named = f" {self.identity.title}" if self.identity.title else ""
         return f"<Configuration: {self.method.name}, {cell}{named}, from {self.source}>"
@@ -357,15 +356,11 @@ def _with_contents(text: str, source: str, folder: Path) -> str:
             numbers = file.read(folder / value.value)
         except (BagError, DataError) as error:
             raise ConfigurationError(f"{place}: {error}") from error
-        listed = _in_yaml(file.setting, numbers, key.start_mark.column + 2)
+        listed, indent = ", ".join(map(repr, numbers)), " " * (key.start_mark.column + 2)
+        listed = fill(f"{file.setting}: [{listed}]", 98, subsequent_indent=indent,
+                      break_on_hyphens=False)  # fmt: skip
         text = text[: key.start_mark.index] + listed + text[value.end_mark.index :]
     return text
-
-
-def _in_yaml(name: str, numbers: Sequence[float] | Sequence[int], indent: int) -> str:
-    """Return ``name: [...]`` in lines of readable length."""
-    text = f"{name}: [{', '.join(map(repr, numbers))}]"
-    return fill(text, 98, subsequent_indent=" " * indent, break_on_hyphens=False)
 
 
 def _plan(text: str) -> tuple[str, list[tuple[yaml.Node, yaml.Node]]]:
@@ -475,16 +470,11 @@ def parsed_change(method: str, change: str) -> tuple[str, Any]:
     if not equals or not name or name.endswith("."):
         raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
     quoted = len(text) > 1 and text[0] in "'\"" and text[0] == text[-1]
-    plain = not quoted and _is_text(method, name)
-    return name, text if plain else load_yaml(text, f"--set {change}")
-
-
-def _is_text(method: str, name: str) -> bool:
-    """Return whether the setting ``group.name`` of a method is one text."""
-    group, _, name = name.partition(".")
+    group, _, last = name.partition(".")
     cls = settings_classes(find_method(method)).get(group)
-    declared = () if cls is None else declarations(cls)
-    return any(d.name == name and d.kind is str and not d.is_list for d in declared)
+    texts = [d.name for d in declarations(cls) if d.kind is str and not d.is_list] if cls else []
+    plain = not quoted and last in texts
+    return name, text if plain else load_yaml(text, f"--set {change}")
 
 
 def _place(parameters: dict[str, Any], name: str, where: str) -> tuple[dict[str, Any], str]:

@@ -96,8 +96,9 @@ def continued(
     accepted = {o.step for o in observations if o.accepted}
     rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
     given_up = {step for (step, _), count in rejected.items() if count >= max_attempts}
-    if 0 < max_failed_steps <= len(failed := _failed_last(observations)):
-        given_up -= failed
+    in_vain = {o.step for o in takewhile(lambda o: not o.accepted, reversed(observations))}
+    if 0 < max_failed_steps <= len(in_vain):
+        given_up -= in_vain
     missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
     missing = [index for index in missing if index >= from_step]
     again = _spread(_joining(plan, accepted, missing), join_steps) if missing else ()
@@ -109,12 +110,6 @@ def continued(
         steps=(*again, *missing),
         observations=tuple(o for o in observations if o.accepted),
     )
-
-
-def _failed_last(observations: Sequence[Observation]) -> set[int]:
-    """Return the steps that were attempted in vain behind the last accepted observation."""
-    last = takewhile(lambda o: not o.accepted, reversed(observations))
-    return {observation.step for observation in last}
 
 
 def _joining(plan: Plan, accepted: set[int], missing: Sequence[int]) -> Sequence[int]:

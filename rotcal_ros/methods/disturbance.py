@@ -174,24 +174,20 @@ def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int, coordinates: int 
     exact = model.observed
     found = exact + sizes.get("axis noise", 1.0) * model.std * noise.standard_normal(len(exact))
     off = np.repeat(arrival_errors(plan, sizes, other), coordinates)
-    found[: len(off)] += _per_turn(model)[: len(off)] * off
+    per_turn = np.ones(len(exact))  # of angles themselves; of others what a turn does to them
+    if "ECC" in model.blocks:
+        from rotcal_ros.adjust.designs import dense
+        from rotcal_ros.adjust.model import block_rows
+
+        turned = block_rows(model.blocks, "ECC").sum(axis=0)
+        per_turn = dense(model.equations(model.first)[1]) @ turned
+    found[: len(off)] += per_turn[: len(off)] * off
     for effect in model.effects:
         columns = effect.whole(exact)
         moment = other.integers(columns.shape[1])
         pattern = columns[:, moment] if effect.family else columns.sum(axis=1)
         found = found + sizes.get(effect.effect, 0.0) * pattern
     return np.asarray(found)
-
-
-def _per_turn(model: Model) -> Floats:
-    """Return what the observations (n,) of a model do per radian by which the table turns."""
-    if "ECC" not in model.blocks:
-        return np.ones(len(model.observed))  # they are angles themselves
-    from rotcal_ros.adjust.designs import dense
-    from rotcal_ros.adjust.model import block_rows
-
-    jacobian = dense(model.equations(model.first)[1])
-    return np.asarray(jacobian @ block_rows(model.blocks, "ECC").sum(axis=0))
 
 
 def scatter_in_plane(count: int, size: float, random: np.random.Generator) -> Floats:

@@ -68,18 +68,16 @@ class DryRun:
     def _size(self) -> CheckLine:
         plan, policy = self.calibration.plan, self.calibration.configuration.planner.policy
         most = "" if policy == AS_LISTED else "at most "
+        angles = [self.start, *(step.table_angle for step in self._steps)]
+        turns = sum(abs(b - a) > 1e-9 for a, b in pairwise(angles))
         counts = (
             _count(len(plan.distinct_angles), "table angle"),
             _count(len(plan.targets), "target"),
-            f"{_count(self._turns(), 'turn')} of the table",
+            f"{_count(turns, 'turn')} of the table",
             *([_count(len(plan.pauses), "pause") + " for a person"] if plan.pauses else []),
         )
         found = f"{most}{_count(len(self._steps), 'step')}: {', '.join(counts)}"
         return CheckLine(PART, "steps", "note", found)
-
-    def _turns(self) -> int:
-        angles = [self.start, *(step.table_angle for step in self._steps)]
-        return sum(abs(b - a) > 1e-9 for a, b in pairwise(angles))
 
     def _travel(self) -> CheckLine:
         """Say whether the table comes to all angles, where the travel is known."""
@@ -137,7 +135,6 @@ class DryRun:
         return CheckLine(PART, "probe", "missing", found, todo)
 
     def _beams(self) -> Iterator[CheckLine]:
-        """Yield whether the beams are as short as the capture takes them, where that is known."""
         most = self.calibration.configuration.capture.max_length_m
         if self.calibration.stand_at(self._steps[0]) is None:
             return
@@ -150,7 +147,10 @@ class DryRun:
     def taking(self) -> tuple[float, str]:
         """Return the time (s) of the plan, and what it rests on; DataError where none is known."""
         configuration = self.calibration.configuration
-        planner, least = configuration.planner, self._window_s()
+        planner, capture = configuration.planner, configuration.capture
+        least = 0.0  # what the capture needs at a step at least, where it is known
+        if self.tracer_hz:
+            least = capture.settle_time_s + capture.window_samples / self.tracer_hz
         length_s = max(planner.step_s, least)
         first_turn = abs(self._steps[0].table_angle - self.start) > 1e-9
         if "table_adapter" in configuration.given:
@@ -165,7 +165,6 @@ class DryRun:
         return seconds, f"{turning} and {length_s:g} s for a step (planner.step_s{window})"
 
     def _time(self) -> CheckLine:
-        """Say how long it takes, and what that rests on."""
         try:
             seconds, why = self.taking()
         except DataError:
@@ -180,13 +179,6 @@ class DryRun:
         yield CheckLine(PART, "result", "note", before.in_words(before))
         for each in more:
             yield CheckLine(PART, "one more", "note", each.in_words(before))
-
-    def _window_s(self) -> float:
-        """Return how long the capture needs at a step at least; 0 where it is not known."""
-        capture = self.calibration.configuration.capture
-        if not self.tracer_hz:
-            return 0.0
-        return capture.settle_time_s + capture.window_samples / self.tracer_hz
 
 
 def in_words(seconds: float) -> str:

@@ -7,12 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from rotcal_ros.foundation.errors import (
-    BagError,
-    ConfigurationError,
-    DataError,
-    UndecidedError,
-)
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, UndecidedError
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
@@ -37,12 +32,7 @@ from rotcal_ros.methods.configuration import (
     raw_groups,
     replaced,
 )
-from rotcal_ros.methods.method import (
-    Measurements,
-    TableReader,
-    Trials,
-    usable_methods,
-)
+from rotcal_ros.methods.method import Measurements, TableReader, Trials, usable_methods
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import ANGLE_SETTINGS
 
@@ -66,7 +56,6 @@ class PlannedMeasurements:
     sha256: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Return in one line what was measured."""
         return measured_in_words(self, f"{len(self.observations)} observations")
 
     @property
@@ -175,7 +164,6 @@ def _plan_of(reading: Reading, configuration: Configuration) -> dict[str, Any]:
 
 
 def _require_own_method(source: Path | Table, configuration: Configuration) -> None:
-    """Raise BagError for a table of our own form that belongs to another method."""
     method = configuration.method
     others = [
         other.name

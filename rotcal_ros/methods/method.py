@@ -119,16 +119,6 @@ def zero_at_the_first(_result: Result) -> tuple[str, ...]:
     return ("ECC counts from the first angle and is 0 there by definition.",)
 
 
-def no_tables(_result: Result) -> Sequence[ResultTable]:
-    """Return nothing: the tables are those that all methods share."""
-    return ()
-
-
-def no_figures(_result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
-    """Return nothing: the report shows what all methods share."""
-    return ()
-
-
 @dataclass(frozen=True)
 class Method:
     """What a method provides. Everything lies in one package, named by an entry point.
@@ -198,8 +188,10 @@ class Method:
     plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
     table: TableReader | None = None
     short_setup: Callable[[Mapping[str, Any]], Mapping[str, Any]] = dict
-    figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures
-    tables: Callable[[Result], Sequence[ResultTable]] = no_tables
+    figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = (
+        lambda _result, _truth: ()
+    )
+    tables: Callable[[Result], Sequence[ResultTable]] = lambda _result: ()
     zero: Callable[[Result], Sequence[str]] = zero_at_the_first
     disturbances: Disturbances | None = None
     set_by_hand: bool = False

@@ -120,7 +120,6 @@ def _lines(method: str, known: Known, values: Mapping[str, Any]) -> Iterator[str
 
 
 def _branch(tree: Mapping[str, Any], indent: str) -> Iterator[str]:
-    """Yield settings with their meaning above them, and groups of them."""
     for name, node in tree.items():
         if isinstance(node, Mapping):
             yield from ("", f"{indent}{name}:") if not indent else (f"{indent}{name}:",)
@@ -133,7 +132,6 @@ def _branch(tree: Mapping[str, Any], indent: str) -> Iterator[str]:
 
 
 def _comment(text: str, indent: str) -> list[str]:
-    """Return a text as lines of comment."""
     mark = f"{indent}# "
     return textwrap.wrap(
         text, WIDEST, initial_indent=mark, subsequent_indent=mark, break_on_hyphens=False

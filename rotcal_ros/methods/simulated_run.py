@@ -8,26 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-from rotcal_ros.capture.air import AirSample
 from rotcal_ros.capture.capture import Observations, Record
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.observations import PointKind, ProbeSample, TableSample, TracerSample
+from rotcal_ros.foundation.observations import PointKind, ProbeSample, TracerSample
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
-from rotcal_ros.methods.simulation.cell import SimulatedCell
 from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.planning.plan import Step
 
 _LONGEST_S = 3600.0
 """After one hour at a step something is missing."""
 _BY_A_TRACKER = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
-
-Sample: TypeAlias = TracerSample | TableSample | ProbeSample | AirSample
 
 
 class Event(NamedTuple):
@@ -60,9 +56,10 @@ def simulated_run(
         cell.order_probe(command)
         yield Event(cell.now_ns, step.index, command)
         for _ in range(round(_LONGEST_S / slice_s)):
+            out = cell.advance(slice_s)
             events = [
                 Event(record.stamp_ns, step.index, record, capture.feed(record))
-                for record in _delivered(cell, slice_s)
+                for record in (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)
             ]
             yield from events
             if any(event.observed for event in events):
@@ -81,12 +78,6 @@ def simulated_run(
             yield from events
             if any(o.accepted for event in events for o in event.observed):
                 break
-
-
-def _delivered(cell: SimulatedCell, slice_s: float) -> tuple[Sample, ...]:
-    """Let a little time pass and return the records that the instruments deliver meanwhile."""
-    out = cell.advance(slice_s)
-    return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)
 
 
 def disturbed(

@@ -76,17 +76,14 @@ class TrialMotion:
 
     @property
     def _turned(self) -> float:
-        """How far the feedback has turned in the end, rad."""
         return float(self._angles[-1] - self.start)
 
     @cached_property
     def _began_s(self) -> float | None:
-        """When the feedback first reported a motion; None: never."""
         return _first(self.table[:, 0], np.abs(self._angles - self.start), self.way)
 
     @cached_property
     def _rest_s(self) -> float:
-        """When the feedback reported the end of the motion."""
         off = np.abs(self._angles - self._angles[-1]) > 0.1 * _NEARLY * abs(self._turned)
         last = np.flatnonzero(off)
         return float(self.table[last[-1] + 1, 0]) if len(last) else self.ordered_s
@@ -122,7 +119,6 @@ class TrialMotion:
         return CheckLine(PART, "sign", "missing", found, todo)
 
     def _lag(self, settings: CaptureSettings) -> CheckLine:
-        """Say how late the table begins, and how late its feedback reports it."""
         assert self._began_s is not None
         found = f"moved {self._began_s - self.ordered_s:.2f} s after the order"
         seen_s = self._seen_s()
@@ -137,9 +133,7 @@ class TrialMotion:
 
     @cached_property
     def _before(self) -> Floats:
-        """The lengths before the order, m."""
-        lengths: Floats = self.lengths[self.lengths[:, 0] < self.ordered_s, 1]
-        return lengths
+        return np.asarray(self.lengths[self.lengths[:, 0] < self.ordered_s, 1])
 
     def _seen_s(self) -> float | None:
         """Return when the lengths began to change; None where they do not, or there are none."""
@@ -160,7 +154,6 @@ class TrialMotion:
         return float(np.median(after[-5:]) - np.median(self._before))
 
     def _rest(self, settings: CaptureSettings) -> CheckLine:
-        """Say whether motion and rest are reported as they are."""
         under_way = (self.table[:, 0] > self.ordered_s) & (self.table[:, 0] < self._rest_s)
         part = (self._angles - self.start) / (self._turned or 1.0)
         moving = self.table[under_way & (part > 0.2) & (part < 0.8), 2]

@@ -1,4 +1,4 @@
-"""The example package and the helpers of other rooms' tests are importable, not installed."""
+"""The example package and the helpers of other packages' tests are importable, not installed."""
 
 import sys
 from pathlib import Path

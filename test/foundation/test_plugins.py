@@ -131,7 +131,7 @@ def test_the_core_knows_the_names_that_its_extensions_bring(group):
 
 
 def test_the_groups_that_other_packages_name_stay():
-    """They stand in the pyproject.toml of others: a room that is renamed must not rename them."""
+    """They stand in the pyproject.toml of others: renaming a package must not rename them."""
     assert (plugins.METHODS, plugins.METHOD_SETTINGS, plugins.CONTROLLERS) == (
         "rotcal_ros.methods", "rotcal_ros.method_settings", "rotcal_ros.controllers",
     )  # fmt: skip

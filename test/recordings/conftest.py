@@ -1,4 +1,4 @@
-"""The sample bags of ``test/bags``, for the room above it."""
+"""The sample bags of ``test/bags``, for the package above it."""
 
 import importlib.util
 import sys

@@ -1,4 +1,4 @@
-"""What other rooms ask of the history: keep a result, say what has changed since the last one."""
+"""What others ask of the history: keep a result, say what has changed since the last one."""
 
 from __future__ import annotations
 

@@ -67,13 +67,21 @@ def plan(configuration: Configuration) -> Plan:
     """
     settings: ComparisonPlanSettings = configuration.plan
     circles = Circles.of(settings)
-    _check(configuration, circles)
+    source, marks = configuration.source, len(circles.marks)
+    if not settings.shifts_deg:
+        raise ConfigurationError(f"{source}: plan.shifts_deg: state at least one shift, such as 0")
+    stated = configuration.solver.reference_errors_arcsec
+    if stated and len(stated) != marks:
+        raise ConfigurationError(
+            f"{source}: solver.reference_errors_arcsec: {len(stated)} values, but with these "
+            f"table angles and shifts the reference shows {marks} angles: state one for each"
+        )
     rows = (
         (position, mark, setting)
-        for setting, marks in enumerate(circles.shown.tolist())
-        for position, mark in enumerate(marks)
+        for setting, shown in enumerate(circles.shown.tolist())
+        for position, mark in enumerate(shown)
     )
-    targets = (NOWHERE,) * len(circles.marks)
+    targets = (NOWHERE,) * marks
     steps = numbered_steps(
         rows, circles.angles, targets, PointKind.READING,
         approaches=circles.approaches, n_points=settings.readings,
@@ -85,18 +93,6 @@ def plan(configuration: Configuration) -> Plan:
     ]
     pauses = pauses_at_stations(steps, "reference", instructions) if settings.by_hand else ()
     return Plan(NAME, circles.angles, targets, steps, pauses)
-
-
-def _check(configuration: Configuration, circles: Circles) -> None:
-    plan, source = configuration.plan, configuration.source
-    stated, marks = configuration.solver.reference_errors_arcsec, len(circles.marks)
-    if not plan.shifts_deg:
-        raise ConfigurationError(f"{source}: plan.shifts_deg: state at least one shift, such as 0")
-    if stated and len(stated) != marks:
-        raise ConfigurationError(
-            f"{source}: solver.reference_errors_arcsec: {len(stated)} values, but with these "
-            f"table angles and shifts the reference shows {marks} angles: state one for each"
-        )
 
 
 def model(configuration: Configuration, read: Readings) -> Model:
@@ -135,7 +131,6 @@ def states(
 
 
 def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
-    """Return what is known of the reference: from the shifts, or from a certificate."""
     if REFERENCE not in found.also:
         return Protection("gauge", "not protected", "the reference's errors are in the result")
     if not configuration.solver.reference_errors_arcsec:

@@ -26,13 +26,7 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.circles import Circular
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import (
-    Disturbing,
-    Grouping,
-    Model,
-    instrument_effects,
-    linear,
-)
+from rotcal_ros.adjust.model import Disturbing, Grouping, Model, instrument_effects, linear
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Approach
@@ -120,17 +114,14 @@ def lost_orders(circles: Circles, shifts: Floats) -> tuple[int, ...]:
     Where they have not, none are named here: the engine names the unknowns.
     """
     n = len(circles.marks)
-    if len(np.unique(_marks(np.array(circles.angles))[1])) != n or not _even(circles.marks):
+    uneven = np.ptp(np.diff(circles.marks, append=circles.marks[0] + TURN))
+    even = uneven < 10.0 ** (1 - SAME_DIGITS) * TURN
+    if len(np.unique(_marks(np.array(circles.angles))[1])) != n or not even:
         return ()
     orders = np.arange(1, n // 2 + 1)
     squares = np.abs(np.exp(1j * np.multiply.outer(orders, shifts)).sum(axis=1)) ** 2
     lost = len(shifts) ** 2 - squares < LOST * len(shifts) ** 2
     return tuple(orders[lost].tolist())
-
-
-def _even(marks: Floats) -> bool:
-    steps = np.diff(np.append(marks, marks[0] + TURN))
-    return bool(np.ptp(steps) < 10.0 ** (1 - SAME_DIGITS) * TURN)
 
 
 def readings_of(plan: ComparisonPlanSettings) -> Readings:

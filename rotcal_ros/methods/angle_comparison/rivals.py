@@ -54,26 +54,19 @@ class Rival:
 def rivals_of(plan: ComparisonPlanSettings, solver: ComparisonSolverSettings) -> Iterator[Rival]:
     """Yield all rivals, those first that differ least from what is stated."""
     circles = Circles.of(plan)
-    if known_reference(solver, circles):
-        yield from _of_certificate(plan, solver)
-    elif len(plan.shifts_deg) < 2:
+    stated, certified = solver.reference_errors_arcsec, known_reference(solver, circles)
+    if not certified and len(plan.shifts_deg) < 2:
         return  # the reference is taken for perfect: it has no numbers
-    for what, shifts in _shifts_of(plan.shifts_deg, circles, known_reference(solver, circles)):
-        yield Rival("numbering", what, replace(plan, shifts_deg=shifts), solver)
-
-
-def _of_certificate(
-    plan: ComparisonPlanSettings, solver: ComparisonSolverSettings
-) -> Iterator[Rival]:
-    stated = solver.reference_errors_arcsec
-    for counting in SIGNS.keys() - {solver.readings_count}:
+    for counting in SIGNS.keys() - {solver.readings_count} if certified else ():
         counted = replace(solver, readings_count=counting)
         yield Rival("sign of readings", f"readings count {counting}", plan, counted)
     for what, errors in (
         ("the signs of the certificate are reversed", tuple(-e for e in stated)),
         ("the certificate lists its angles the other way round", stated[:1] + stated[:0:-1]),
-    ):
+    )[: 2 * certified]:
         yield Rival("gauge", what, plan, replace(solver, reference_errors_arcsec=errors))
+    for what, shifts in _shifts_of(plan.shifts_deg, circles, certified):
+        yield Rival("numbering", what, replace(plan, shifts_deg=shifts), solver)
 
 
 def _shifts_of(
@@ -177,7 +170,6 @@ def _solved(model: Model, found: Adjusted) -> Fit | None:
 
 
 def _chance(model: Model) -> float:
-    """Return how probably chance leaves residuals as large, with all readings and stated noise."""
     try:
         fit = fitted(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
         return chi2_sf(fit.chi2, fit.dof) if fit.dof else 1.0

@@ -24,10 +24,9 @@ class ComparisonPlanSettings(TableAngleSettings):
     """Where the table stops, and how the reference is shifted against it."""
 
     shifts_deg: tuple[float, ...] = setting(
-        (0.0, 30.0, 150.0),
+        (0.0, 30.0, 150.0), first=True,
         doc="deg, table angle at which the reference shows its zero, for each setting of it",
-        first=True,
-    )
+    )  # fmt: skip
     bidirectional: bool = setting(
         False, doc="in every setting measure on the way up and, from the other side, down"
     )
@@ -45,32 +44,26 @@ class ComparisonSolverSettings:
     """How sure a reading is, how it counts, and what is known about the reference."""
 
     sigma_arcsec: float = setting(
-        0.05,
+        0.05, minimum=1e-6, first=True,
         doc="arcsec, standard deviation of a reading, the table's repeatability included",
-        minimum=1e-6,
-        first=True,
-    )
+    )  # fmt: skip
     readings_count: Counting = setting(
-        "with the table",
+        "with the table", first=True,
         doc="whether a table that turns too far reads more, or less (against the table)",
-        first=True,
-    )
+    )  # fmt: skip
     reference_errors_arcsec: tuple[float, ...] = setting(
-        (),
+        (), first=True,
         doc="arcsec, certificate: errors (actual - nominal, counter-clockwise) of the reference "
         "at the angles it shows, in their ascending order; none: unknown",
-        first=True,
-    )
+    )  # fmt: skip
     reference_std_arcsec: float = setting(
-        0.05,
+        0.05, minimum=1e-6,
         doc="arcsec, standard uncertainty (k = 1) of the errors of the certificate",
-        minimum=1e-6,
-    )
+    )  # fmt: skip
     largest_shift_arcsec: float = expert(
-        10.0,
+        10.0, minimum=1e-3,
         doc="arcsec, a drift or a knock of the instrument that nobody would overlook",
-        minimum=1e-3,
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

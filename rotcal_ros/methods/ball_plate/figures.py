@@ -11,10 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.result_tables import ResultTable, by_axis
 
@@ -147,7 +148,15 @@ def residual_maps(result: Result) -> str:
     for i, name in enumerate(_DIRECTIONS):
         for ax, position in zip(panels[2 * i :], (rows.table_position, cmm), strict=False):
             count = max(grid, int(position.max()) + 1)  # more where both sides were measured
-            _draw_map(ax, position, ball, vectors[:, i], (count, len(balls)), largest)
+            image = np.full((count, len(balls)), np.nan)
+            image[position, ball] = vectors[:, i]
+            ax.grid(visible=False)
+            ax.set_facecolor(style.MISSING)
+            ax.imshow(
+                image.T, cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto",
+                interpolation="nearest",
+            )  # fmt: skip
+            style.whole_numbers(ax.xaxis)
             ax.plot(
                 position[~rows.used], ball[~rows.used], "x", color=style.INK, markersize=6,
                 markeredgewidth=1.4,
@@ -179,37 +188,14 @@ def centre_tests(result: Result) -> str:
     return style.svg(ax)
 
 
-def _draw_map(
-    ax: style.Axes,
-    position: Ints,
-    ball: Ints,
-    values: Floats,
-    size: tuple[int, int],
-    largest: float,
-) -> None:
-    image = np.full(size, np.nan)
-    image[position, ball] = values
-    ax.grid(visible=False)
-    ax.set_facecolor(style.MISSING)
-    ax.imshow(
-        image.T, cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto",
-        interpolation="nearest",
-    )  # fmt: skip
-    style.whole_numbers(ax.xaxis)
-
-
 def _local(vectors: Floats, angles: Floats) -> Floats:
     """Turn x, y, z (n, 3) into radial, tangential, axial at ``angles`` (n,)."""
-    x, y, z = vectors.T
-    cos, sin = np.cos(angles), np.sin(angles)
-    return np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+    return np.asarray((rotation_about_z(-angles) @ vectors[:, :, None])[:, :, 0])
 
 
 def _local_std(std: Floats, angles: Floats) -> Floats:
     """Turn standard deviations of x, y, z (n, 3) likewise; x and y count as uncorrelated."""
-    x, y, z = std.T
-    cos, sin = np.cos(angles), np.sin(angles)
-    return np.column_stack([np.hypot(cos * x, sin * y), np.hypot(sin * x, cos * y), z])
+    return np.asarray(np.sqrt((rotation_about_z(-angles) ** 2 @ std[:, :, None] ** 2)[:, :, 0]))
 
 
 def tables(result: Result) -> list[ResultTable]:
@@ -219,36 +205,27 @@ def tables(result: Result) -> list[ResultTable]:
     found, groups = [], result.details["groups"]
     # groups count their balls anew, and live in turned frames: their tables would mislead
     for group in groups if len(groups) == 1 else ():
+        places = "Places of the balls, less their nominal ones"
         for name, title, key, steps in (
-            (
-                "balls",
-                "Places of the balls, less their nominal ones",
-                "plate_errors",
-                "ball_steps",
-            ),
+            ("balls", places, "plate_errors", "ball_steps"),
             ("machine", "Errors of the machine", "cmm_errors", "cmm_positions"),
         ):
             errors, std = (np.asarray(group[k]) / MICROMETRE for k in (key, f"{key}_std"))
             columns = by_axis("{}_um", errors) | by_axis("U_{}_um", COVERAGE_FACTOR * std)
             found.append(ResultTable.of(name, title, step=group[steps], **columns))
-    return [*found, *_residual_table(result)]
-
-
-def _residual_table(result: Result) -> list[ResultTable]:
     rows, residuals = result.details["residual_rows"], result.residuals
     if residuals is None:
-        return []
+        return found
     vector = np.asarray(rows["vector"], dtype=np.float64) / MICROMETRE
     order = np.argsort(np.asarray(rows["row"]))
-    return [
-        ResultTable.of(
-            "residuals",
-            "Residuals of the ball centres",
-            row=np.asarray(rows["row"])[order],
-            position=residuals.table_position[order],
-            ball_step=residuals.target[order],
-            **by_axis("{}_um", vector[order]),
-            test_value=residuals.test_value[order],
-            used=["yes" if used else "no" for used in residuals.used[order]],
-        )
-    ]
+    centres = ResultTable.of(
+        "residuals",
+        "Residuals of the ball centres",
+        row=np.asarray(rows["row"])[order],
+        position=residuals.table_position[order],
+        ball_step=residuals.target[order],
+        **by_axis("{}_um", vector[order]),
+        test_value=residuals.test_value[order],
+        used=["yes" if used else "no" for used in residuals.used[order]],
+    )
+    return [*found, centres]

@@ -102,7 +102,9 @@ def plan_measurement(
             "both directions are distinguished by the side of the approach: set backlash to true"
         )
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
-    _check_steps(grid, balls, cmm)
+    for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
+        if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
+            raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
     turns, ball = _ordered(order, grid, balls, cmm, rounds, backlash)
     upward = np.ones(len(turns), dtype=np.bool_)
     if bidirectional:
@@ -142,16 +144,9 @@ def _moves(
     return lead_in, np.where(far, direction * (np.abs(moves) + 2.0 * step), moves)
 
 
-def _check_steps(grid: int, balls: Ints, cmm: Ints) -> None:
-    for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
-        if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
-            raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
-
-
 def _ordered(
     order: Order, grid: int, balls: Ints, cmm: Ints, rounds: int, backlash: bool
 ) -> tuple[Ints, Ints]:
-    """Return turn of the table and ball step (n,) of every centre, in the order of measurement."""
     if order == "interleaved":
         return _interleaved(grid, balls, cmm, rounds or min(ROUNDS, len(balls)))
     if order == "table_once":
@@ -288,7 +283,6 @@ def _to_and_fro(grid: int, balls: Ints, cmm: Ints) -> tuple[Ints, Ints]:
 def _duration(
     grid: int, turns: Ints, ball: Ints, moves: Floats, radius: float, kinematics: Kinematics
 ) -> float:
-    """Add up table moves with settling, probe moves over the clearance, and touches."""
     k = kinematics
     table = Drive(k.table_velocity, k.table_acceleration).moving(np.abs(moves))
     settling = k.settle * np.count_nonzero(moves)

@@ -42,11 +42,7 @@ from rotcal_ros.methods.ball_plate.settings import (
     BallPlateSolverSettings,
     PlateSimulationSettings,
 )
-from rotcal_ros.methods.ball_plate.simulation import (
-    DISTURBANCES,
-    SimulatedTouchProbe,
-    plate_balls,
-)
+from rotcal_ros.methods.ball_plate.simulation import DISTURBANCES, SimulatedTouchProbe, plate_balls
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
 from rotcal_ros.methods.calibration import prepare
@@ -136,7 +132,6 @@ def _arrivals(configuration: Configuration, plan: Plan) -> Arrivals:
 def _chosen(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> BallPlateProblem:
-    """Return the part of the data that the settings of the solver choose."""
     settings: BallPlateSolverSettings = configuration.solver
     return ball_plate.select(
         problem(configuration, plan, observations),
@@ -189,7 +184,6 @@ def _times(observations: Sequence[Observation]) -> Floats | None:
 
 
 def _std(settings: BallPlateSolverSettings, observations: Sequence[Observation]) -> Floats | None:
-    """Return the standard deviations (n, 3) that the centres or the settings state, if any."""
     if not settings.own_std:
         axes = settings.sigma_axes_m
         return np.tile(axes, (len(observations), 1)) if axes else None

@@ -52,10 +52,9 @@ class Plate:
     ball_diameter_m: float = setting(doc="m, diameter of the balls", minimum=1e-4, first=True)
     name: str = setting("ball plate", doc="name of the plate")
     material: str = setting(
-        NOT_STATED,
+        NOT_STATED, choices=MATERIALS,
         doc="material of the plate, which turns its growth into kelvin; empty: another one",
-        choices=MATERIALS,
-    )
+    )  # fmt: skip
     separate_groups: bool = expert(
         False, doc="accept a plate whose table positions fall into groups that no ball connects"
     )
@@ -69,13 +68,10 @@ class Plate:
 
 
 def checked(plate: Plate, where: str) -> Plate:
-    """Return ``plate``; ConfigurationError for steps off the grid and balls without room."""
-    _check_steps(plate, where)
-    _check_room(plate, where)
-    return plate
+    """Return ``plate``; ConfigurationError for steps off the grid and balls without room.
 
-
-def _check_steps(plate: Plate, where: str) -> None:
+    And for lengths in millimetres.
+    """
     steps = plate.ball_steps
     outside = sorted(step for step in steps if step >= plate.grid)
     if outside:
@@ -88,23 +84,20 @@ def _check_steps(plate: Plate, where: str) -> None:
             f"{where}: {len(steps)} ball_steps, named twice: {twice}; give at least 3 "
             "different ones"
         )
-
-
-def _check_room(plate: Plate, where: str) -> None:
-    """Refuse lengths in millimetres and balls that overlap."""
     if plate.circle_radius_m > 10.0:
         raise ConfigurationError(
             f"{where}: a ball circle with a radius of {plate.circle_radius_m:g} m looks like "
             "millimetres; metres are expected"
         )
-    steps = np.sort(plate.ball_steps)
-    smallest = int(np.diff(steps, append=steps[0] + plate.grid).min())
+    places = np.sort(steps)
+    smallest = int(np.diff(places, append=places[0] + plate.grid).min())
     chord = 2.0 * plate.circle_radius_m * np.sin(np.pi * smallest / plate.grid)
     if chord < plate.ball_diameter_m:
         raise ConfigurationError(
             f"{where}: balls {smallest} grid steps apart are {chord:.4f} m apart, less "
             f"than their diameter of {plate.ball_diameter_m:.4f} m; check circle and diameter"
         )
+    return plate
 
 
 CLOSED_FORM: Final = "closed_form"
@@ -117,42 +110,32 @@ class BallPlateSolverSettings:
     """How the ball plate method is solved, and which part of the data is evaluated."""
 
     variant: str = setting(
-        "least_squares",
+        "least_squares", choices=("least_squares", CLOSED_FORM),
         doc="least_squares: of what was measured, with gaps too; closed_form: the means of the "
         "second paper, of as many balls as table positions",
-        choices=("least_squares", CLOSED_FORM),
-    )
+    )  # fmt: skip
     sigma_centre_m: float = setting(
-        0.0,
-        minimum=0.0,
-        maximum=1e-2,
+        0.0, minimum=0.0, maximum=1e-2,
         doc="m, known standard deviation of a ball centre; 0: from the residuals",
-    )
+    )  # fmt: skip
     drift: str = setting(
-        "none",
+        "none", choices=DRIFTS,
         doc="drift of the CMM's origin over the run that is estimated, for each axis",
-        choices=DRIFTS,
-    )
+    )  # fmt: skip
     drift_allowance_m: float = setting(
-        0.0,
-        minimum=0.0,
-        maximum=1e-3,
+        0.0, minimum=0.0, maximum=1e-3,
         doc="m, drift of the CMM's origin over the run, along each axis, that the uncertainty "
         "covers where it is not estimated; 0: none stated",
-    )
+    )  # fmt: skip
     group_allowance_m: float = expert(
-        0.0,
-        minimum=0.0,
-        maximum=1e-3,
+        0.0, minimum=0.0, maximum=1e-3,
         doc="m, on the circle of the balls: largest difference between the zeros of groups of "
         "table positions (plan.plate.separate_groups); 0: none stated, the difference is unknown",
-    )
+    )  # fmt: skip
     sigma_axes_m: tuple[float, ...] = expert(
-        (),
-        minimum=0.0,
-        maximum=1e-2,
+        (), minimum=0.0, maximum=1e-2,
         doc="m, known standard deviations of a ball centre in x, y, z; empty: the same in all",
-    )
+    )  # fmt: skip
     own_std: bool = expert(
         False, doc="weight every centre by the standard deviation that the machine states for it"
     )
@@ -167,7 +150,6 @@ class BallPlateSolverSettings:
     )
 
     def __post_init__(self) -> None:
-        """Raise ConfigurationError unless one standard deviation or three are stated."""
         if not self.sigma_axes_m:
             return
         if len(self.sigma_axes_m) != 3 or min(self.sigma_axes_m) <= 0.0:
@@ -216,8 +198,7 @@ class TouchProbeSettings:
     points_per_ball: int = points_setting()
     tip_radius_m: float = expert(0.0015, doc="m, radius of the probe tip", minimum=0.0)
     squareness_um_per_m: tuple[float, float, float] = expert(
-        (0.0, 0.0, 0.0),
-        doc="um/m, by which x reads more per y, x more per z, y more per z",
+        (0.0, 0.0, 0.0), doc="um/m, by which x reads more per y, x more per z, y more per z"
     )
     scale_um_per_m: tuple[float, float, float] = expert(
         (0.0, 0.0, 0.0), doc="um/m, by which x, y and z read more"
@@ -270,32 +251,27 @@ class BallPlatePlanSettings:
 
     plate: Plate = setting(doc="the ball plate")
     centre_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0), first=True,
         doc="m, point of the table axis at the height of the balls, in the machine frame",
-        first=True,
-    )
+    )  # fmt: skip
     table_start_deg: float = setting(
-        0.0,
+        0.0, first=True,
         doc="deg, table angle of table position 0, at which ball step 0 lies on the +x side",
-        first=True,
-    )
+    )  # fmt: skip
     cmm_positions: tuple[int, ...] = expert(
         (), doc="grid steps at which balls are measured; empty: all", minimum=0
     )
     order: str = setting(
-        DEFAULT_ORDER,
+        DEFAULT_ORDER, choices=get_args(Order),
         doc="interleaved: at every stop a share of the balls, in several turns of the table; "
         "table_once: all balls in one turn; probe_rests: the table brings the balls to the probe "
         "(paper)",
-        choices=get_args(Order),
-    )
+    )  # fmt: skip
     rounds: int = setting(
-        0,
-        minimum=0,
-        maximum=100,
+        0, minimum=0, maximum=100,
         doc="turns of the table: interleaved, each for a share of the balls; table_once, each "
         "for a share of the CMM positions; 0: as many as the order needs (4 and 1)",
-    )
+    )  # fmt: skip
     closing: bool = setting(True, doc="measure the first table position again at the end")
     backlash: bool = setting(True, doc="approach all angles in the positive direction")
     bidirectional: bool = setting(
@@ -304,11 +280,9 @@ class BallPlatePlanSettings:
         "approached from the other side",
     )
     measure: str = setting(
-        SURFACE,
-        choices=(SURFACE, CENTRE),
-        first=True,
+        SURFACE, choices=(SURFACE, CENTRE), first=True,
         doc="what the machine publishes of a ball: surface (touch points) or centre",
-    )
+    )  # fmt: skip
     points_per_ball: int = points_setting()
 
 

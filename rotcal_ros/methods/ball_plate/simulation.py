@@ -52,8 +52,7 @@ def upper_half(count: int) -> Floats:
     height = (np.arange(count) + 0.5) / count
     around = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     flat = np.sqrt(1.0 - height**2)
-    directions: Floats = np.column_stack([flat * np.cos(around), flat * np.sin(around), height])
-    return directions
+    return np.asarray(np.column_stack([flat * np.cos(around), flat * np.sin(around), height]))
 
 
 def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
@@ -67,8 +66,7 @@ def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
     errors = np.array([noise.normal(3 * int(step), 3) for step in steps])
     turn = np.array(settings.clamping_turn_arcsec)[:, None] * ARCSEC
     clamped = (places + settings.manufacture_um * MICROMETRE * errors) @ rotations(*turn)[0].T
-    balls: Floats = clamped + np.array(settings.clamping_shift_um) * MICROMETRE
-    return balls
+    return np.asarray(clamped + np.array(settings.clamping_shift_um) * MICROMETRE)
 
 
 class MachineError:
@@ -87,8 +85,7 @@ class MachineError:
         """Return reported - true place (n, 3) at ``places`` (n, 3), m."""
         waves = np.cos(places @ self._waves.T + self._phases)
         field = self._size * waves.reshape(len(places), 3, _WAVES).sum(axis=2)
-        error: Floats = field + places @ self._linear.T
-        return error
+        return np.asarray(field + places @ self._linear.T)
 
 
 class SimulatedTouchProbe(SeriesInstrument):
@@ -178,7 +175,7 @@ class SimulatedTouchProbe(SeriesInstrument):
         """Return the touches of a ball, or the one point that the machine makes of it."""
         count = self.settings.points_per_ball if order.kind == PointKind.SURFACE else 1
         settling_s, touch_s = self.settings.settling_time_s, self.settings.touch_time_s
-        return Series(count, _nanoseconds(settling_s), _nanoseconds(touch_s))
+        return Series(count, round(settling_s / NANOSECOND), round(touch_s / NANOSECOND))
 
     def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
         """Return a touch point, the centre that the machine computes, or how far off it is."""
@@ -199,30 +196,21 @@ class SimulatedTouchProbe(SeriesInstrument):
         return self.point(stamp_ns, order, place, std, number, tip)
 
     def _standing_balls(self, stamp_ns: int) -> Floats:
-        """Return the true ball centres (R, 3) in the machine frame, m."""
         rotation, translation = self._table.poses(np.array([stamp_ns]))
-        balls: Floats = self._balls @ rotation[0].T + translation[0]
-        return balls
+        return np.asarray(self._balls @ rotation[0].T + translation[0])
 
     def _nearest_ball(self, stamp_ns: int, place: Floats) -> Floats:
         balls = self._standing_balls(stamp_ns)
-        nearest: Floats = balls[int(np.argmin(np.linalg.norm(balls - place, axis=1)))]
-        return nearest
+        return np.asarray(balls[int(np.argmin(np.linalg.norm(balls - place, axis=1)))])
 
     def _dirt_now(self) -> float:
-        """Return the thickness (m) of the dirt under this touch."""
         dirty = self._dirt.uniform(self._touches, 1)[0] < self.settings.dirt_probability
         return float(dirty * self.settings.dirt_um * MICROMETRE)
 
     def _believed(self, place: Floats) -> Floats:
         """Return where the machine believes to be with the tip at ``place`` (3,), m."""
         noise = self.settings.noise_um * MICROMETRE * self._noise.normal(3 * self._touches, 3)
-        believed: Floats = place + self._error(place[None])[0] + noise
-        return believed
-
-
-def _nanoseconds(duration_s: float) -> int:
-    return round(duration_s / NANOSECOND)
+        return np.asarray(place + self._error(place[None])[0] + noise)
 
 
 USUAL_STD: Final = 5e-8

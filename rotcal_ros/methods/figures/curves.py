@@ -49,7 +49,8 @@ def _deviation_panels(
     result: Result, truth: Mapping[str, Any] | None, *, valid: bool
 ) -> style.Axes:
     names = result.components
-    large = any(_is_large(result, name) for name in names)
+    band = {name: COVERAGE_FACTOR * float(result.std[name].max()) for name in names}
+    large = any(np.ptp(result.deviations[name]) > LARGE * band[name] > 0.0 for name in names)
     columns = 1 if len(names) <= 2 else 3
     blocks = -(-len(names) // columns)
     tall = 2.2 if columns == 1 else 1.6
@@ -73,11 +74,6 @@ def _deviation_panels(
     return panels[0]
 
 
-def _is_large(result: Result, name: str) -> bool:
-    band = float(result.std[name].max()) * COVERAGE_FACTOR
-    return bool(np.ptp(result.deviations[name]) > LARGE * band > 0.0)
-
-
 def _draw_curve(
     ax: style.Axes, result: Result, name: str, truth: Mapping[str, Any] | None, *, valid: bool
 ) -> None:
@@ -98,7 +94,6 @@ def _draw_curve(
 def _draw_band(
     ax: style.Axes, result: Result, name: str, truth: Mapping[str, Any] | None, *, valid: bool
 ) -> None:
-    """Draw the band about zero, with what is measured beyond the truth where that is known."""
     factor, unit = unit_of(name)
     band = COVERAGE_FACTOR * result.std[name] / factor
     angles = result.angles / DEGREE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.figures import Figure, style
@@ -40,21 +39,17 @@ def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> s
         (left, rows.table_position, "table position (index)"),
         (right, rows.target, "target (index)"),
     ):
-        _scatter_residuals(ax, index, rows.residual / unit, rows.used)
+        residual, gone = rows.residual / unit, ~rows.used
+        ax.scatter(index[rows.used], residual[rows.used], s=7, color=style.BLUE, alpha=0.55,
+                   label="used")  # fmt: skip
+        if gone.any():
+            ax.scatter(index[gone], residual[gone], s=26, color=style.RED, marker="x",
+                       label="rejected")  # fmt: skip
+        ax.axhline(0.0, color=style.GREY, linewidth=0.8)
         ax.set_xlabel(name)
         style.whole_numbers(ax.xaxis)
     left.set_ylabel(f"residual / {label}")
     return style.svg(left)
-
-
-def _scatter_residuals(ax: style.Axes, index: Ints, residual: Floats, used: Bools) -> None:
-    ax.scatter(index[used], residual[used], s=7, color=style.BLUE, alpha=0.55, label="used")
-    if not used.all():
-        ax.scatter(
-            index[~used], residual[~used], s=26, color=style.RED, marker="x",
-            label="rejected",
-        )  # fmt: skip
-    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
 
 
 @style.styled

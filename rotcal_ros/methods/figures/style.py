@@ -95,6 +95,8 @@ def grid(rows: int = 1, columns: int = 1, height: float = 3.0, **options: Any) -
 
 def finished(ax: Axes) -> Figure:
     """Return the figure of ``ax``, whose panels share one legend above them."""
+    from matplotlib.text import Text
+
     figure = ax.get_figure(root=True)
     assert figure is not None
     entries: dict[str, Any] = {}
@@ -104,7 +106,11 @@ def finished(ax: Axes) -> Figure:
     if entries:
         columns = min(len(entries), LEGEND_COLUMNS)
         figure.legend(entries.values(), entries, loc="outside upper left", ncols=columns)
-    _make_plain(figure)
+    # what is ours in the language of the page, and names as they are: no formulas, no controls,
+    # and nothing wider than the figure
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+        text.set_text(shortened(printable_lines(SPOKEN.get()(text.get_text())), LONGEST_NAME))
     vars(figure)["_repr_png_"] = functools.partial(_png, figure)
     return figure
 
@@ -128,18 +134,6 @@ def svg(ax: Axes) -> str:
         canvas.print_svg(stream, metadata={"Date": None, "Creator": None})
     text = printable_lines(stream.getvalue())  # ticks get their names while they are drawn
     return text[text.index("<svg") :]
-
-
-def _make_plain(figure: Figure) -> None:
-    """Say what is ours in the language of the page, and take names for what they are.
-
-    No formulas, no controls, and nothing wider than the figure.
-    """
-    from matplotlib.text import Text
-
-    for text in figure.findobj(Text):
-        text.set_parse_math(False)
-        text.set_text(shortened(printable_lines(SPOKEN.get()(text.get_text())), LONGEST_NAME))
 
 
 def angle_axis(ax: Axes, angles_deg: Floats, label: str = "commanded table angle / °") -> None:

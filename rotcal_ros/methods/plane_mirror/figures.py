@@ -71,15 +71,16 @@ def ways(result: Result, truth: Mapping[str, Any] | None = None) -> str:
     others = [way for way in result.details.get("ways", ()) if "ecc_rad" in way]
     if not others:
         return ""
-    own = (result.angles, result.deviations["ECC"], result.std["ECC"])
+    own: tuple[Floats, ...] = (result.angles, result.deviations["ECC"], result.std["ECC"])
     curves = {str(result.details["way"]): own}
-    curves |= {str(way["way"]): _curve(way) for way in others}
+    names = ("angles_rad", "ecc_rad", "ecc_std_rad")
+    curves |= {str(way["way"]): tuple(_array(way[name]) for name in names) for way in others}
     panels = style.grid(2, len(curves), height=2.5, sharex=True, sharey="row")
     for number, (name, (angles, ecc, std)) in enumerate(curves.items()):
         top, bottom = panels[number], panels[number + len(curves)]
         band = COVERAGE_FACTOR * std / ARCSEC
         known = injected(truth, "ECC", angles)
-        reference = np.interp(angles, *own[:2]) if known is None else known
+        reference = np.interp(angles, own[0], own[1]) if known is None else known
         style.curve_with_band(top, angles / DEGREE, ecc / ARCSEC, band, "measured")
         if known is not None:
             top.plot(angles / DEGREE, known / ARCSEC, "--", color=style.ORANGE, linewidth=1.2,
@@ -100,7 +101,10 @@ def station_map(details: Mapping[str, Any]) -> str:
     stands, nests = details.get("stations", ()), details.get("nests", ())
     if not (_mappings(stands) and _mappings(nests) and "axis" in details):
         return ""
-    across = _across(_array(details["axis"]))
+    axis, x = _array(details["axis"]), np.array([1.0, 0.0, 0.0])
+    first = x - (x @ axis) * axis  # across the axis, as much along x as can be
+    first = first / np.linalg.norm(first)
+    across = np.column_stack([first, np.cross(axis, first)])
     places = {s["station"]: _array(s["position_m"]) @ across for s in stands}
     (ax,) = style.grid(height=5.4)
     for nest in nests:
@@ -214,20 +218,7 @@ def _draw_points(
         )
 
 
-def _across(axis: Floats) -> Floats:
-    """Return two columns (3, 2) across an axis; the first as much along x as can be."""
-    x = np.array([1.0, 0.0, 0.0])
-    first = x - (x @ axis) * axis
-    first = first / np.linalg.norm(first)
-    return np.column_stack([first, np.cross(axis, first)])
-
-
-def _curve(way: Mapping[str, Any]) -> tuple[Floats, Floats, Floats]:
-    return _array(way["angles_rad"]), _array(way["ecc_rad"]), _array(way["ecc_std_rad"])
-
-
 def _mappings(values: Sequence[Any]) -> bool:
-    """Return whether ``values`` are entries of the kind that is drawn here."""
     return len(values) > 0 and all(isinstance(value, Mapping) for value in values)
 
 

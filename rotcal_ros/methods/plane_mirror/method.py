@@ -173,7 +173,6 @@ def _solve_ways(
 
 
 def _other_way(solution: MirrorSolution, way: str, arrivals: Arrivals | None) -> dict[str, Any]:
-    """Return the curve of another way, or why there is none."""
     try:
         found = solution.by_way(way).found
     except (DataError, GeometryError) as error:
@@ -260,7 +259,6 @@ class TrackerPoints:
     sha256: Mapping[str, str]
 
     def __repr__(self) -> str:
-        """Return in one line what was measured."""
         return measured_in_words(self, f"{len(self.table.lines)} points")
 
     def solve(self) -> Result:
@@ -350,8 +348,7 @@ METHOD: Final = Method(
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
-        {kind: points(mean_point) for kind in KINDS.values()},
-        lambda _plan: (TrackerCheck(),),
+        {kind: points(mean_point) for kind in KINDS.values()}, lambda _plan: (TrackerCheck(),)
     ),
     solve=solve,
     of_curves=lambda *measured: _of_curves(measured[0], _problem(*measured)[0]),

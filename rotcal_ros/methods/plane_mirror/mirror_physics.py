@@ -94,8 +94,7 @@ class TrackerStation:
     def seen(self, points: Floats) -> Floats:
         """Return world points (..., 3) in the frame of the tracker."""
         turn = rotation_from_vector([0.0, 0.0, self.heading])
-        local: Floats = (points - np.array(self.place)) @ turn
-        return local
+        return np.asarray((points - np.array(self.place)) @ turn)
 
 
 def incidence(station: ArrayLike, centre: Floats, frame: Floats) -> float:
@@ -117,8 +116,7 @@ def reflector_places(
     reflected = beam - 2.0 * (beam @ frame[:, 2]) * frame[:, 2]
     side = np.linspace(-0.5, 0.5, count) if count > 1 else np.zeros(1)
     offsets = np.outer(side, frame[:, 0]) + np.outer(side**2, frame[:, 1])
-    places: Floats = centre + reach * reflected + SPREAD * edge * offsets
-    return places
+    return np.asarray(centre + reach * reflected + SPREAD * edge * offsets)
 
 
 def on_circle(radius: float, azimuth: float, height: float) -> tuple[float, float, float]:

@@ -158,8 +158,7 @@ def tracker_stands(settings: MirrorPlanSettings) -> tuple[Stand, ...]:
         for number, (azimuth, visit) in enumerate(zip(azimuths, visits, strict=True))
     )
     if settings.carries == MIRROR:
-        for stand in stands:
-            _check_incidence(settings, angles, stand)
+        _check_incidence(settings, angles, stands)
     return stands
 
 
@@ -178,14 +177,8 @@ def station_visits(n_positions: int, per_station: int, shared: int) -> tuple[ran
 
 def nominal_mirror(settings: MirrorPlanSettings) -> FlatMirror:
     """Return the mirror as the plan has it."""
-    width, height = settings.mirror_size_m
-    return FlatMirror(
-        centre=settings.mirror_centre_m,
-        azimuth=settings.mirror_azimuth_deg * DEGREE,
-        lean=settings.mirror_lean_deg * DEGREE,
-        width=width,
-        height=height,
-    )
+    turned = settings.mirror_azimuth_deg * DEGREE, settings.mirror_lean_deg * DEGREE
+    return FlatMirror(settings.mirror_centre_m, *turned, *settings.mirror_size_m)
 
 
 def tracker_sees(settings: MirrorPlanSettings) -> See:
@@ -239,7 +232,6 @@ def _round(stand: Stand, position: int, nests: tuple[Point, ...]) -> list[Row]:
 
 
 def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tuple[Point, ...]:
-    """Return where the reflectors of one visit stand, with the table at ``angle``."""
     if settings.carries == MIRROR:
         places = reflector_places(
             stand.place,
@@ -259,10 +251,10 @@ def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tup
 
 
 def _check_incidence(
-    settings: MirrorPlanSettings, angles: tuple[float, ...], stand: Stand
+    settings: MirrorPlanSettings, angles: tuple[float, ...], stands: tuple[Stand, ...]
 ) -> None:
     limit = settings.incidence_limit_deg
-    for position in stand.visit:
+    for stand, position in ((each, k) for each in stands for k in each.visit):
         pose = nominal_mirror(settings).pose(rotation_about_z(angles[position]))
         found = incidence(stand.place, *pose) / DEGREE
         if found > limit:

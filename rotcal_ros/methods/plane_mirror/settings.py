@@ -33,60 +33,40 @@ class MirrorSolverSettings:
         "table (direct), how stations with a mirror are joined (stitching, registration)",
     )
     range_std_m: float = setting(
-        2.5e-6,
-        minimum=0.0,
-        maximum=1e-2,
-        first=True,
+        2.5e-6, minimum=0.0, maximum=1e-2, first=True,
         doc="m, standard deviation of a tracker point along the beam, at distance 0",
-    )
+    )  # fmt: skip
     range_std_relative: float = setting(
-        0.25e-6,
-        minimum=0.0,
-        maximum=1e-2,
+        0.25e-6, minimum=0.0, maximum=1e-2,
         doc="m/m, growth of the standard deviation along the beam with the distance",
-    )
+    )  # fmt: skip
     transverse_std_m: float = setting(
-        3.75e-6,
-        minimum=0.0,
-        maximum=1e-2,
-        first=True,
+        3.75e-6, minimum=0.0, maximum=1e-2, first=True,
         doc="m, standard deviation of a tracker point across the beam, at distance 0",
-    )
+    )  # fmt: skip
     transverse_std_relative: float = setting(
-        1.5e-6,
-        minimum=0.0,
-        maximum=1e-2,
+        1.5e-6, minimum=0.0, maximum=1e-2,
         doc="m/m, growth of the standard deviation across the beam with the distance",
-    )
+    )  # fmt: skip
     mirror_slope_std_arcsec: float = setting(
-        0.0,
-        minimum=0.0,
-        maximum=3600.0,
-        first=True,
+        0.0, minimum=0.0, maximum=3600.0, first=True,
         doc="arcsec, flatness of the mirror, as standard deviation of its slope from spot to spot",
-    )
+    )  # fmt: skip
     tilt_std_arcsec: float = expert(
-        1.0,
-        minimum=1e-6,
-        maximum=3600.0,
+        1.0, minimum=1e-6, maximum=3600.0,
         doc="arcsec, standard deviation of the table's tilts (EAC, EBC) that is assumed",
-    )
+    )  # fmt: skip
     uneven_drift_std_arcsec: float = expert(
-        0.5,
-        minimum=0.0,
-        maximum=3600.0,
+        0.5, minimum=0.0, maximum=3600.0,
         doc="arcsec, standard deviation (k = 1) of the tracker's azimuth about the straight line "
         "between two rounds of nests that are a station apart; it is part of the uncertainty",
-    )
+    )  # fmt: skip
     significance: float = expert(
-        0.005,
+        0.005, minimum=1e-9, maximum=0.5,
         doc="probability of a false alarm, of the noise, of all groups, of all effects each",
-        minimum=1e-9,
-        maximum=0.5,
-    )
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        """Refuse a tracker without noise along or across the beam: its weight has no end."""
         for name in ("range_std", "transverse_std"):
             if getattr(self, f"{name}_m") + getattr(self, f"{name}_relative") <= 0.0:
                 raise ConfigurationError(
@@ -184,26 +164,20 @@ class MirrorPlanSettings(TableAngleSettings):
     """
 
     carries: str = setting(
-        MIRROR,
+        MIRROR, choices=(MIRROR, REFLECTORS),
         doc="what the table carries: the mirror, or reflectors that the tracker sees directly",
-        choices=(MIRROR, REFLECTORS),
-    )
+    )  # fmt: skip
     positions_per_station: int = setting(
         4, doc="table positions measured from one tracker station", minimum=1, maximum=3600
     )
     shared_positions: int = setting(
-        1,
-        minimum=0,
-        maximum=3599,
+        1, minimum=0, maximum=3599,
         doc="table positions that a station measures again of the station before",
-    )
+    )  # fmt: skip
     station_radius_m: float = setting(
-        2.0,
-        minimum=0.1,
-        maximum=30.0,
-        first=True,
+        2.0, minimum=0.1, maximum=30.0, first=True,
         doc="m, distance of the tracker from the table axis",
-    )
+    )  # fmt: skip
     station_height_m: float = setting(
         0.35, doc="m, height of the tracker's head above the table", minimum=-10.0, maximum=10.0
     )
@@ -211,72 +185,57 @@ class MirrorPlanSettings(TableAngleSettings):
         (), doc="deg, direction of each station from the axis; empty: each faces its positions"
     )
     incidence_limit_deg: float = expert(
-        INCIDENCE_LIMIT_DEG,
-        minimum=1.0,
-        maximum=85.0,
+        INCIDENCE_LIMIT_DEG, minimum=1.0, maximum=85.0,
         doc="deg, largest angle between beam and mirror normal",
-    )
+    )  # fmt: skip
     nests_m: tuple[float, ...] = setting(
-        (),
-        minimum=-30.0,
-        maximum=30.0,
-        first=True,
+        (), minimum=-30.0, maximum=30.0, first=True,
         doc="m, x y z of the reflector nests, fixed around the machine, that join the stations: "
         "of nest 1, then of nest 2 and so on",
-    )
+    )  # fmt: skip
     closing_nests: bool = setting(
         True,
         doc="measure the nests again before the tracker leaves a station; without that, its "
         "drift is in the deviations unnoticed",
     )
     nests_every: int = setting(
-        0,
-        minimum=0,
-        maximum=3600,
+        0, minimum=0, maximum=3600,
         doc="table positions between two rounds of nests at a station; 0: only before and after "
         "its positions",
-    )
+    )  # fmt: skip
     drift_limit_arcsec: float = expert(
-        5.0,
+        5.0, minimum=0.01,
         doc="arcsec, turn of the tracker between two rounds of nests beyond which its station is "
         "measured again",
-        minimum=0.01,
-    )
+    )  # fmt: skip
     bidirectional: bool = setting(
         False,
         doc="from every tracker station measure its positions on the way up and, from the other "
         "side, on the way down",
     )
     reflectors: int = setting(
-        1,
-        minimum=1,
-        maximum=20,
+        1, minimum=1, maximum=20,
         doc="reflectors put up at each position, each measured directly and in the mirror",
-    )
+    )  # fmt: skip
     reflector_reach_m: float = expert(
         1.5, doc="m, distance of these reflectors from the mirror", minimum=0.05, maximum=30.0
     )
     table_reflectors_m: tuple[float, ...] = setting(
-        (),
-        minimum=-30.0,
-        maximum=30.0,
+        (), minimum=-30.0, maximum=30.0,
         doc="m, x y z of reflector 1, then 2 and so on, on the table at angle 0; only where the "
         "table carries reflectors",
-    )
+    )  # fmt: skip
     mirror_centre_m: tuple[float, float, float] = setting(
-        (0.05, 0.0, 0.15),
+        (0.05, 0.0, 0.15), first=True,
         doc="m, x, y, z of the middle of the mirror's surface with the table at angle 0",
-        first=True,
-    )
+    )  # fmt: skip
     mirror_azimuth_deg: float = setting(
         0.0, doc="deg, direction of the mirror's normal with the table at angle 0"
     )
     mirror_lean_deg: float = setting(
-        0.0,
-        minimum=-45.0,
-        maximum=45.0,
+        0.0, minimum=-45.0, maximum=45.0,
         doc="deg, angle of the mirror's normal above the horizontal",
-    )
+    )  # fmt: skip
     mirror_size_m: tuple[float, float] = setting(
         (0.1, 0.1), doc="m, width and height of the mirror", minimum=0.001, maximum=10.0
     )

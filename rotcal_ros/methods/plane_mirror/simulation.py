@@ -36,11 +36,7 @@ from rotcal_ros.methods.disturbance import (
 )
 from rotcal_ros.methods.plane_mirror.mirror_physics import FlatMirror, TrackerStation, on_circle
 from rotcal_ros.methods.plane_mirror.plan import nominal_mirror, tracker_stands
-from rotcal_ros.methods.plane_mirror.settings import (
-    MirrorPlanSettings,
-    MirrorSimulationSettings,
-    SimulatedMirrorSettings,
-)
+from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings, MirrorSimulationSettings
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise, noise_of
 from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
@@ -62,14 +58,13 @@ class SimulatedTracker(SeriesInstrument):
     def __init__(self, cell: MirrorSimulationSettings, table: Table, start_ns: int) -> None:
         super().__init__(start_ns)
         self.settings, self._table = cell.tracker, table
-        settings, seed = cell.tracker, cell.noise_seed
-        self._mirror = _flat_mirror(cell.mirror)
-        self._noise = TrackerNoise(
-            range_std=settings.range_std_um * MICROMETRE,
-            range_std_per_metre=settings.range_std_um_per_m * MICROMETRE,
-            transverse_std=settings.transverse_std_um * MICROMETRE,
-            transverse_std_per_metre=settings.transverse_std_um_per_m * MICROMETRE,
-        )
+        settings, seed, mirror = cell.tracker, cell.noise_seed, cell.mirror
+        turned = mirror.azimuth_deg * DEGREE, mirror.lean_deg * DEGREE
+        bent = mirror.sag_um * MICROMETRE, mirror.twist_um * MICROMETRE
+        self._mirror = FlatMirror(mirror.centre_m, *turned, *mirror.size_m, *bent)
+        along = settings.range_std_um, settings.range_std_um_per_m
+        across = settings.transverse_std_um, settings.transverse_std_um_per_m
+        self._noise = TrackerNoise(*(MICROMETRE * um for um in (*along, *across)))
         self._point_noise = IndexedNoise(seed, NoiseSource.TRACKER)
         self._stand_noise = IndexedNoise(seed, NoiseSource.STAND)
         self._nest_noise = IndexedNoise(cell.seed, NoiseSource.NEST)
@@ -120,8 +115,7 @@ class SimulatedTracker(SeriesInstrument):
         hours = (stamp_ns - self._start_ns) * NANOSECOND / _HOUR_S
         turn = rotation_about_z(self.settings.azimuth_drift_arcsec_per_h * ARCSEC * hours)
         longer = self.settings.range_drift_um_per_h * MICROMETRE * hours
-        drifted: Floats = turn @ seen * (1.0 + longer / np.linalg.norm(seen))
-        return drifted
+        return np.asarray(turn @ seen * (1.0 + longer / np.linalg.norm(seen)))
 
     def _place(self, command: Command, stamp_ns: int) -> Floats:
         """Return where the reflector of an order really is, machine frame."""
@@ -135,8 +129,7 @@ class SimulatedTracker(SeriesInstrument):
         off = settings.reflector_placing_mm * self._reflector_noise.normal(3 * command.target, 3)
         carried = rotation_about_z(-command.table_angle) @ nominal + off * MILLIMETRE
         rotation, shift = self._table.poses(np.array([stamp_ns]))
-        place: Floats = rotation[0] @ carried + shift[0]
-        return place
+        return np.asarray(rotation[0] @ carried + shift[0])
 
     def _displaced(self, command: Command) -> Floats:
         """Return by how many millimetres a nest stands, or a reflector sits, wrong."""
@@ -152,26 +145,12 @@ class SimulatedTracker(SeriesInstrument):
         return np.array([0.6, -0.8, 0.0]) * settings.displaced_mm * wrong
 
     def _image(self, stand: TrackerStation, place: Floats, stamp_ns: int) -> Floats:
-        """Return the image of a reflector in the mirror as the table holds it at ``stamp_ns``."""
         rotation, shift = self._table.poses(np.array([stamp_ns]))
         pose = self._mirror.pose(rotation[0], shift[0])
         try:
             return self._mirror.image(pose, stand, place, "")
         except PlanError:
             return np.full(3, np.nan)
-
-
-def _flat_mirror(settings: SimulatedMirrorSettings) -> FlatMirror:
-    width, height = settings.size_m
-    return FlatMirror(
-        centre=settings.centre_m,
-        azimuth=settings.azimuth_deg * DEGREE,
-        lean=settings.lean_deg * DEGREE,
-        width=width,
-        height=height,
-        sag=settings.sag_um * MICROMETRE,
-        twist=settings.twist_um * MICROMETRE,
-    )
 
 
 def _same_place(before: Command | None, after: Command) -> bool:

@@ -29,8 +29,7 @@ class SimulatedAir:
         """Return the true pressure (n,), Pa."""
         settings, time = self.settings, (stamps - self._start_ns) * NANOSECOND
         swing = np.sin(2 * np.pi * time / settings.pressure_swing_period_s)
-        pressure: Floats = settings.pressure_pa + settings.pressure_swing_pa * swing
-        return pressure
+        return np.asarray(settings.pressure_pa + settings.pressure_swing_pa * swing)
 
     def index(self, stamps: Stamps) -> Floats:
         """Return the true index of refraction (n,) for the tracer's light."""
@@ -67,8 +66,7 @@ class SimulatedTemperature:
         """Return the true change of temperature since the start, K, (n,)."""
         time = (stamps - self._start_ns) * NANOSECOND
         swing = self.settings.swing_k * np.sin(2 * np.pi * time / self.settings.swing_period_s)
-        change: Floats = self.settings.drift_k_per_h * time / 3600.0 + swing
-        return change
+        return np.asarray(self.settings.drift_k_per_h * time / 3600.0 + swing)
 
     def length_change(self, stamps: Stamps, distances: Floats) -> Floats:
         """Return by how much readings over ``distances`` (n,) grow, m."""

@@ -101,10 +101,13 @@ class SimulatedCell:
         before, self.now_ns = self.now_ns, self.now_ns + round(duration_s / NANOSECOND)
         first, stamps = self._table_ticks.until(self.now_ns)
         number, seconds = self._temperature_ticks.until(self.now_ns)
+        order, rest_ns = self.instrument.pending, 1 << 62  # far away: the table is not ordered yet
+        if order is not None and self._table_order == (order.step, order.attempt):
+            rest_ns = self.table.rest_ns
         return CellOutput(
             tracer=self.instrument.lengths(self.now_ns),
             table=self.table.feedback(first, stamps),
-            probe=self.instrument.report(before, self.now_ns, self._table_rest_ns()),
+            probe=self.instrument.report(before, self.now_ns, rest_ns),
             temperature=self._temperature.readings(number, seconds),
             air=self._air.readings(number, seconds),
         )
@@ -112,10 +115,3 @@ class SimulatedCell:
     def unasked_point(self) -> ProbeSample:
         """Return a point of kind UNKNOWN, without an order: where the probe stands now."""
         return self.instrument.unasked(self.now_ns)
-
-    def _table_rest_ns(self) -> int:
-        """Return when the table is at rest for the probe's order; far away: not ordered yet."""
-        order = self.instrument.pending
-        if order is not None and self._table_order == (order.step, order.attempt):
-            return self.table.rest_ns
-        return 1 << 62

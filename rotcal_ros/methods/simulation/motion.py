@@ -74,7 +74,11 @@ class Motion:
         self.place = places[-1]
         for number, (start, stop) in enumerate(pairwise(places), 2):
             own = last if last is not None and number == len(places) else limits
-            self._legs.append(_leg(self.end_ns, start, stop, own))
+            way = abs(stop - start)
+            ramp = min(own.speed / own.acceleration, sqrt(way / own.acceleration))
+            cruise = way / (own.acceleration * ramp) - ramp if ramp > 0 else 0.0
+            lasts = max(2 * ramp + cruise, 0.0)
+            self._legs.append(Leg(self.end_ns, start, stop, ramp, lasts, own.acceleration))
             self.end_ns = self._legs[-1].end_ns
 
     def state(self, stamps: Stamps) -> tuple[Floats, Floats]:
@@ -99,10 +103,3 @@ class Motion:
         decay = np.exp(-np.maximum(since, 0.0) / self._limits.settling_time)
         lag: Floats = np.where(since >= 0, -np.sign(last.stop - last.start) * decay, 0.0)
         return self._limits.lag * lag
-
-
-def _leg(begin_ns: int, start: float, stop: float, limits: MotionLimits) -> Leg:
-    way = abs(stop - start)
-    ramp = min(limits.speed / limits.acceleration, sqrt(way / limits.acceleration))
-    cruise = way / (limits.acceleration * ramp) - ramp if ramp > 0 else 0.0
-    return Leg(begin_ns, start, stop, ramp, max(2 * ramp + cruise, 0.0), limits.acceleration)

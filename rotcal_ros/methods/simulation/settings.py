@@ -69,20 +69,17 @@ class TableSettings:
         0.0, doc="arcsec, by which the angle stays larger when approached from above"
     )
     repeatability_arcsec: float = expert(
-        0.0,
+        0.0, minimum=0.0,
         doc="arcsec, standard deviation of the angle from one arrival to the next",
-        minimum=0.0,
-    )
+    )  # fmt: skip
     repeatability_um: float = expert(
-        0.0,
+        0.0, minimum=0.0,
         doc="um, standard deviation of the shifts along x, y and z from one arrival to the next",
-        minimum=0.0,
-    )
+    )  # fmt: skip
     repeatability_tilt_arcsec: float = expert(
-        0.0,
+        0.0, minimum=0.0,
         doc="arcsec, standard deviation of the tilts about x and y from one arrival to the next",
-        minimum=0.0,
-    )
+    )  # fmt: skip
     axis_offset_m: tuple[float, float, float] = expert(
         (0.0, 0.0, 0.0), doc="m, origin of the table axis in the machine frame"
     )
@@ -167,18 +164,14 @@ class SimulationSettings:
 
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
     run: int = expert(
-        0,
-        minimum=0,
-        maximum=2**31 - 1,
+        0, minimum=0, maximum=2**31 - 1,
         doc="another number: the same machine measured again, with other noise",
-    )
+    )  # fmt: skip
     time_scale: float = setting(
-        1.0,
-        minimum=0.01,
-        maximum=1000.0,
+        1.0, minimum=0.01, maximum=1000.0,
         doc="machine seconds in a second of the clock while something moves or settles; 1: real "
         "time",
-    )
+    )  # fmt: skip
     hold_s: float = expert(
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )

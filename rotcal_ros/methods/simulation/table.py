@@ -35,8 +35,7 @@ def harmonics(series: LinearHarmonics | AngularHarmonics, angles: Floats) -> Flo
     else:
         parts = _parts(series.amplitudes_arcsec, ARCSEC, series.phases_deg)
     orders, amplitudes, phases = parts
-    total: Floats = np.cos(np.multiply.outer(angles, orders) + phases) @ amplitudes
-    return total
+    return np.asarray(np.cos(np.multiply.outer(angles, orders) + phases) @ amplitudes)
 
 
 @lru_cache(maxsize=64)
@@ -67,8 +66,7 @@ def rotations(rx: Floats, ry: Floats, rz: Floats) -> Floats:
     rows[0] = cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx
     rows[1] = sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx
     rows[2] = -sy, cy * sx, cy * cx
-    matrices: Floats = rows.transpose(2, 0, 1)
-    return matrices
+    return np.asarray(rows.transpose(2, 0, 1))
 
 
 def table_poses(
@@ -140,12 +138,8 @@ class SimulatedTable:
     def order(self, now_ns: int, angle: float, approach: Approach) -> None:
         """Go to ``angle`` (rad), reached from the side ``approach``."""
         here = float(self._motion.state(np.array([now_ns]))[0][0])
-        resting = now_ns >= self._motion.end_ns
-        if (
-            resting
-            and self._motion.place == angle
-            and approach in (self._approach, Approach.UNKNOWN)
-        ):
+        resting, there = now_ns >= self._motion.end_ns, self._motion.place == angle
+        if resting and there and approach in (self._approach, Approach.UNKNOWN):
             self.rest_ns = max(self.rest_ns, now_ns)
             return
         start = self._motion.place if resting else here
@@ -192,18 +186,12 @@ class SimulatedTable:
             extra += self.settings.backlash_arcsec * ARCSEC
         angles = self.angles(stamps)
         angles = angles + correction(self.settings, angles, self._approach)
-        return self._scattered(*table_poses(self.settings, angles, extra))
-
-    def _scattered(self, rotation: Floats, shift: Floats) -> tuple[Floats, Floats]:
-        """Return poses (n, 3, 3), (n, 3) with the shifts and tilts of this arrival added."""
-        shift_um, tilt_arcsec = (
-            self.settings.repeatability_um,
-            self.settings.repeatability_tilt_arcsec,
-        )
-        if not self._arrives or not (shift_um or tilt_arcsec):
+        rotation, shift = table_poses(self.settings, angles, extra)
+        shift_um, tilt_as = self.settings.repeatability_um, self.settings.repeatability_tilt_arcsec
+        if not self._arrives or not (shift_um or tilt_as):
             return rotation, shift
-        drawn = self._motion_noise.normal(5 * self._arrivals, 5)
-        tilt = tilt_arcsec * ARCSEC * drawn[3:, None]
+        drawn = self._motion_noise.normal(5 * self._arrivals, 5)  # of this arrival
+        tilt = tilt_as * ARCSEC * drawn[3:, None]
         scatter = rotations(tilt[0], tilt[1], np.zeros(1))
         return scatter @ rotation, shift + shift_um * MICROMETRE * drawn[:3]
 
@@ -269,8 +257,7 @@ class ExternalTable:
         """Return the actual angles at ``stamps`` (n,), rad; the last one stays."""
         begin = self._stamps[0]
         times = np.array(self._stamps, dtype=np.int64) - begin
-        angles: Floats = np.interp(stamps - begin, times, np.array(self._angles))
-        return angles
+        return np.asarray(np.interp(stamps - begin, times, np.array(self._angles)))
 
     def poses(self, stamps: Stamps) -> tuple[Floats, Floats]:
         """Return the actual poses at ``stamps``; the settings' deviations come on top."""

@@ -13,19 +13,14 @@ from rotcal_ros.adjust import alternatives
 from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
-from rotcal_ros.capture.attempt import Attempt, AttemptStreams, CaptureRules, Wait
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
 from rotcal_ros.capture.passage import Line, decide_passage
-from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
-from rotcal_ros.foundation.errors import (
-    ConfigurationError,
-    DataError,
-    PlanError,
-)
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
 from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.results import AxisLine, Result
@@ -60,7 +55,12 @@ from rotcal_ros.methods.table_balls.model import (
     model_of,
     untold_of,
 )
-from rotcal_ros.methods.table_balls.motions import MOTION_KINDS, stated_motions_of
+from rotcal_ros.methods.table_balls.motions import (
+    EXCEEDED,
+    MOTION_KINDS,
+    exceeded,
+    stated_motions_of,
+)
 from rotcal_ros.methods.table_balls.settings import (
     BAR,
     DISPLACEMENT,
@@ -73,7 +73,6 @@ from rotcal_ros.methods.table_balls.settings import (
     sense_of,
 )
 from rotcal_ros.methods.table_balls.simulation import TouchedBalls
-from rotcal_ros.methods.table_balls.statements import EXCEEDED, exceeded
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 from rotcal_ros.planning.readings import Readings
@@ -91,12 +90,7 @@ NEAR_AXIS_M: Final = 5e-3
 """A ball nearer to the axis shows nothing of its turns."""
 MISPLACED_M: Final = 0.02
 """A ball that is farther from its planned place is another one, or turns the other way."""
-AXIS_SHOWN: Final = (
-    (MICROMETRE, "um"),
-    (MICROMETRE, "um"),
-    (ARCSEC, "arcsec"),
-    (ARCSEC, "arcsec"),
-)
+AXIS_SHOWN: Final = (*((MICROMETRE, "um"),) * 2, *((ARCSEC, "arcsec"),) * 2)
 """Units in which people read :data:`AXIS`."""
 MILLISECOND: Final = 1e-3
 STATED_BY: Final = {
@@ -176,7 +170,6 @@ class Stop(NamedTuple):
 
 
 def _order(settings: BallsPlanSettings, balls: BallsOnTable) -> Iterator[tuple[int, int, Stop]]:
-    """Yield number of the tilt, target and stop of every step."""
     stops, targets = list(_stops(settings)), range(len(balls.aims))
     if settings.turning_deg_s:
         yield from ((0, target, stop) for target, stop in _passed(settings, targets))
@@ -206,7 +199,6 @@ def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
 
 
 def _check_orders(solver: BallsSolverSettings, source: str) -> None:
-    """Raise ConfigurationError for orders of motions that are stated, and all of size zero."""
     if solver.error_motion_orders != STATED:
         return
     for name in ("radial_orders", "axial_orders", "tilt_orders"):
@@ -218,7 +210,6 @@ def _check_orders(solver: BallsSolverSettings, source: str) -> None:
 
 
 def _check_turning(settings: BallsPlanSettings, source: str) -> None:
-    """Raise ConfigurationError for a table that turns on where it has to stand."""
     speeds = settings.turning_deg_s
     if not speeds:
         return
@@ -240,7 +231,6 @@ def _check_turning(settings: BallsPlanSettings, source: str) -> None:
 
 
 def _check_chain(settings: BallsPlanSettings, source: str) -> None:
-    """Raise ConfigurationError for tilts without an axis, too few, or beyond its limits."""
     tilts, (lowest, highest) = settings.tilts_deg, settings.tilt_limits_deg
     letter = below_the_table(settings.chain)
     if not letter:
@@ -263,7 +253,6 @@ def _check_chain(settings: BallsPlanSettings, source: str) -> None:
 
 
 def _stops(settings: BallsPlanSettings) -> Iterator[Stop]:
-    """Yield every stop of the table."""
     angles, on = np.array(table_angles(settings)), _turns_on(settings)
     for run in range(settings.runs):
         for position, angle in enumerate(angles.tolist()):
@@ -313,7 +302,6 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
 
 
 def _check_turns(configuration: Configuration, planned: Plan) -> None:
-    """Raise PlanError where a table cannot turn on, or so slowly that steps are given up."""
     if configuration.plan.turning_deg_s and "table_adapter" in configuration.given:
         raise PlanError(
             "plan.turning_deg_s: table_adapter moves the table alone, from rest to rest, and no "
@@ -376,7 +364,6 @@ def model(configuration: Configuration, read: Readings, *, whole: bool = False) 
 
 
 def _check_lengths(balls: BallsOnTable, read: Readings) -> None:
-    """Raise DataError for a length that the set-up of its bar cannot have."""
     wanted = np.linalg.norm(balls.arms, axis=1)[balls.target]
     worst = int(np.abs(read.value - wanted).argmax())
     if abs(read.value[worst] - wanted[worst]) > MISPLACED_M:
@@ -493,7 +480,6 @@ def _stated_only(effect: Effect, why: str, every: Sequence[Unseen]) -> Protectio
 
 
 def _lag(configuration: Configuration, found: Adjusted) -> Protection:
-    """Return what becomes of late readings: they turn the balls, in each run by its own speed."""
     left = found.also["lag"][1][0]
     if np.isclose(left, configuration.solver.lag_std_s, rtol=0.01):
         return Protection(
@@ -525,7 +511,16 @@ def _axes(balls: BallsOnTable, found: Adjusted, chain: str) -> tuple[AxisLine, .
 def tables(result: Result) -> list[ResultTable]:
     """Return the axes, motions that are no deviations, and what is found of the linear axes."""
     details = result.details
-    found = [_line_table(*each) for each in zip(AXES, result.axes, strict=False)]
+    found, factor = list[ResultTable](), np.array([si for si, _ in AXIS_SHOWN])
+    for name, axis in zip(AXES, result.axes, strict=False):
+        x, y, z = axis.origin / MILLIMETRE
+        titles = (
+            f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
+            f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
+        )
+        columns = {"value": axis.value / factor, "U_value": COVERAGE_FACTOR * axis.std / factor}
+        unit, title = [unit for _, unit in AXIS_SHOWN], titles[AXES.index(name)]
+        found.append(ResultTable.of(name, title, quantity=axis.names, unit=unit, **columns))
     found.append(table_of_ranges(details))
     for name, rows in details["also"].items():
         si, suffix = MICROMETRE, "um" if "motion" in name else "um_per_m"
@@ -542,23 +537,6 @@ def tables(result: Result) -> list[ResultTable]:
             ResultTable.of(name.replace(" ", "_"), name.capitalize(), number=number, **columns)
         )
     return found
-
-
-def _line_table(name: str, axis: AxisLine) -> ResultTable:
-    x, y, z = axis.origin / MILLIMETRE
-    titles = (
-        f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
-        f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
-    )
-    factor = np.array([si for si, _ in AXIS_SHOWN])
-    return ResultTable.of(
-        name,
-        titles[AXES.index(name)],
-        quantity=axis.names,
-        unit=[unit for _, unit in AXIS_SHOWN],
-        value=axis.value / factor,
-        U_value=COVERAGE_FACTOR * axis.std / factor,
-    )
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> list[Figure]:
@@ -689,14 +667,6 @@ def read_rows(configuration: Configuration, table: Table, targets: Table | None)
     return READERS[measure, ("tilt",) * tilted].read(configuration, table, targets)
 
 
-def decide_displacement(
-    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings
-) -> Observation | Wait:
-    """Return the displacement at an angle where the table rests, or which it passes."""
-    decide = AT_REST if attempt.step.turn is None else decide_passage
-    return decide(attempt, streams, settings)
-
-
 AT_REST: Final = points(mean_point)
 BY_MODEL: Final = ByModel(
     NAME,
@@ -726,7 +696,10 @@ METHOD: Final = BY_MODEL.method(
         {
             PointKind.SURFACE: points(touched_centre),
             PointKind.CENTRE: points(reported_centre),
-            PointKind.READING: decide_displacement,
+            # at an angle where the table rests, or which it passes
+            PointKind.READING: lambda attempt, *more: (
+                AT_REST if attempt.step.turn is None else decide_passage
+            )(attempt, *more),
             PointKind.REFLECTOR: decide_length,
         }
     ),

@@ -562,7 +562,6 @@ def mean_of_tilts(balls: BallsOnTable, name: str) -> Floats:
 
 
 def _by_tilt(balls: BallsOnTable, tilting: Tilting) -> dict[str, Floats]:
-    """Return rows of the table's axis and its motions at each tilt, and of the tilting axis."""
     blocks, found = balls.blocks, dict[str, Floats]()
     line = balls.first[tilting.line[0]]
     for name, rows in tilting.table_axis(balls.origin).items():

@@ -6,6 +6,10 @@ follows from the orders. Of orders that nobody states, each alone, several and w
 held to be possible, and of those that fit what the balls show every output keeps the worst: one in
 a low order, as those of real axes are, is the same witness at every angle, and passes for an axis
 that stands or leans elsewhere.
+
+Whether what is stated of motions, linear axes, tip and bar is true is another matter: of a motion
+in one order a ball shows a part, which may be small by chance. What stays unseen of more
+(:func:`exceeded`) follows from the solution alone, not from what was read.
 """
 
 from __future__ import annotations
@@ -13,13 +17,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from math import isfinite
+from typing import TYPE_CHECKING, Final, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
-from rotcal_ros.adjust.engine import LIMITS
+from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality
+from rotcal_ros.adjust.effects import UNSEEN, Unseen
+from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.error_motion import HIGHEST, WHITE, Correlated, Spectrum
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Model
@@ -32,13 +38,16 @@ from rotcal_ros.methods.table_balls.settings import (
     BallsSolverSettings,
 )
 
+if TYPE_CHECKING:
+    from rotcal_ros.methods.table_balls.model import BallsOnTable
+
 MOTION_KINDS: Final = {"radial": (0, 1), "axial": (2,), "tilt": (3, 4)}
 """Motions of one kind by their numbers among the six: EXC and EYC, EZC, EAC and EBC."""
 LOWEST: Final = {"radial": 2, "axial": 1, "tilt": 2}
 """Lowest order that is no part of the definition of the axis, but for what EXC and EYC, or EAC and
 EBC, have of the first order against the turn."""
-
-
+EXCEEDED: Final = 5.0
+"""Times as large as stated that something may be without striking anybody."""
 FACTORS: Final = np.geomspace(0.05, 1000.0, 80)
 """Sizes of motions, per stated, that are tried."""
 SILENT: Final = 1e-9
@@ -249,6 +258,43 @@ class StatedMotions(Correlated):
 def stated_motions_of(model: Model) -> Iterator[StatedMotions]:
     """Yield what is stated of motions; nothing where balls determine all of them."""
     yield from (each for each in model.correlated if isinstance(each, StatedMotions))
+
+
+def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Unseen]:
+    """Return what may stay unseen of each kind of motion that is stated, and of each other block.
+
+    A motion is found by what the balls show of it, see
+    :meth:`~.motions.StatedMotions.contradictions`, all else by chi-squared; where motions are
+    stated too, they explain whatever that would find.
+    """
+    fit, model, outputs = found.fit, found.model, len(found.value)
+    std = found.counting_std[:outputs]
+    counts, last = std > 0.0, len(model.components) - 1
+    row, worst = int(np.argmax(model.of_component == last)), dict[str, Unseen]()
+
+    def share(rows: slice) -> Floats:
+        return np.asarray(
+            fit.alone(np.arange(rows.start, rows.stop))[:outputs][counts] / std[counts, None]
+        )
+
+    for together in stated_motions_of(model):
+        every = slice(row, row + len(together.rows))
+        felt, row = share(every), every.stop
+        sizes = together.found_from(fit)
+        for kind, roots, size in zip(MOTION_KINDS, together.parts, sizes, strict=True):
+            moved = [np.linalg.norm(felt @ root, axis=1).max(initial=0.0) for root in roots]
+            worst[kind] = Unseen.worst(size, np.array(moved), EXCEEDED)
+    needed = noncentrality(LIMITS.significance, POWER, max(fit.dof, 1))
+    for name in (name for name, std in balls.known.items() if isfinite(std)):
+        block = slice(row, row + balls.blocks[name])
+        left, row = fit.redundancy[block], block.stop
+        checked = (left > UNSEEN) & (not model.correlated)
+        size = np.where(checked, np.sqrt(needed / np.where(checked, left, 1.0)), np.inf)
+        does = share(block)
+        error = np.linalg.norm(np.minimum(size, EXCEEDED) * does, axis=1).max(initial=0.0)
+        feels = np.abs(does).max(axis=0, initial=0.0) > UNSEEN
+        worst[name] = Unseen(float(error), bool((size <= EXCEEDED)[feels].all()))
+    return worst
 
 
 def _waves(order: int, angles: Floats) -> Floats:

@@ -51,7 +51,8 @@ def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwis
     plan = configuration.plan
     for letter in (below_the_table(plan.chain), "C"):
         if letter:
-            turned = replace(configuration, plan=replace(plan, chain=_toggled(plan.chain, letter)))
+            chain = plan.chain.replace(letter, f"-{letter}").replace("--", "")
+            turned = replace(configuration, plan=replace(plan, chain=chain))
             yield Otherwise("sense", f"{letter} turns the other way", turned, read)
     step = float(np.median(np.diff(table_angles(plan)))) / DEGREE
     for on, what in (
@@ -64,13 +65,6 @@ def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwis
     for what, target in _exchanged(configuration, read):
         yield Otherwise("numbering", what, configuration, replace(read, target=target))
     yield from _signs(configuration, read)
-
-
-def _toggled(chain: str, letter: str) -> str:
-    """Return a chain whose axis ``letter`` turns the other way."""
-    if f"-{letter}" in chain:
-        return chain.replace(f"-{letter}", letter)
-    return chain.replace(letter, f"-{letter}")
 
 
 def _exchanged(configuration: Configuration, read: Readings) -> Iterator[tuple[str, np.ndarray]]:

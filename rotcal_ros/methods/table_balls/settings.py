@@ -29,21 +29,15 @@ class BallsPlanSettings(TableAngleSettings):
     """Where the balls stand, where the table stops, how often."""
 
     balls_m: tuple[float, ...] = setting(
-        (0.12, 0.0, 0.05),
+        (0.12, 0.0, 0.05), minimum=-FARTHEST_M, maximum=FARTHEST_M, first=True,
         doc="m, x y z of ball 0, then of ball 1 and so on, in the machine's coordinates with the "
         "table at angle 0, to a millimetre",
-        minimum=-FARTHEST_M,
-        maximum=FARTHEST_M,
-        first=True,
-    )
+    )  # fmt: skip
     axis_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0), minimum=-FARTHEST_M, maximum=FARTHEST_M, first=True,
         doc="m, nominal point of the table axis in the machine's coordinates: XOC and YOC are "
         "how far the axis is from it at its height, EXC and EYC are the table's motions there",
-        minimum=-FARTHEST_M,
-        maximum=FARTHEST_M,
-        first=True,
-    )
+    )  # fmt: skip
     ball_diameter_m: float = setting(0.025, doc="m, of the balls", minimum=1e-4, first=True)
     chain: str = setting(
         "C",
@@ -52,43 +46,34 @@ class BallsPlanSettings(TableAngleSettings):
         choices=tuple(f"{below}{c}" for below in ("", "A", "-A", "B", "-B") for c in ("C", "-C")),
     )
     tilts_deg: tuple[float, ...] = setting(
-        (),
-        doc="deg, where the tilting axis stops; 0 need not be among them",
+        (), doc="deg, where the tilting axis stops; 0 need not be among them"
     )
     tilt_limits_deg: tuple[float, float] = expert(
         (-120.0, 120.0), doc="deg, between which the tilting axis may stand"
     )
     tilting_axis_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0), minimum=-FARTHEST_M, maximum=FARTHEST_M,
         doc="m, nominal point of the tilting axis: YOA and ZOA (XOB and ZOB) count from it",
-        minimum=-FARTHEST_M,
-        maximum=FARTHEST_M,
-    )
+    )  # fmt: skip
     runs: int = setting(
-        2,
+        2, minimum=1, maximum=100,
         doc="how often the table goes through its angles; with one ball only a second run checks "
         "anything",
-        minimum=1,
-        maximum=100,
-    )
+    )  # fmt: skip
     closing: bool = setting(True, doc="measure the first table angle again at the end")
     turns_on: bool = setting(
         True, doc="the table goes on turning from run to run; false: it turns back first"
     )
     measure: str = setting(
-        SURFACE,
+        SURFACE, choices=(SURFACE, CENTRE, DISPLACEMENT, BAR), first=True,
         doc="what is measured of a ball: surface (touch points), centre, displacement from a "
         "nest in the spindle that follows it (R-test), or the length of a ball bar to the spindle",
-        choices=(SURFACE, CENTRE, DISPLACEMENT, BAR),
-        first=True,
-    )
+    )  # fmt: skip
     bars_m: tuple[float, ...] = setting(
-        (0.1, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1),
+        (0.1, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1), minimum=-FARTHEST_M, maximum=FARTHEST_M,
         doc="m, set-ups of a ball bar at each ball: how far outward from the axis, along its way "
         "and up the spindle is, which then turns with it; radial, tangential and axial of 0.1 m",
-        minimum=-FARTHEST_M,
-        maximum=FARTHEST_M,
-    )
+    )  # fmt: skip
     points_per_ball: int = points_setting(5)
     turning_deg_s: tuple[float, ...] = expert(
         (),
@@ -96,12 +81,10 @@ class BallsPlanSettings(TableAngleSettings):
         "negative for back; none: it stops at every angle",
     )
     run_up_deg: float = expert(
-        15.0,
+        15.0, minimum=1e-3, maximum=360.0,
         doc="deg, of a table that turns: before the first angle and behind the last, where it "
         "gets up to its speed and comes to rest",
-        minimum=1e-3,
-        maximum=360.0,
-    )
+    )  # fmt: skip
     passing_deg: float = expert(
         1.0, doc="deg, readings up to so far from a table angle count for it", minimum=1e-3
     )
@@ -122,79 +105,57 @@ class BallsSolverSettings:
     """How sure a centre is, and what is known about table and machine beforehand."""
 
     sigma_centre_m: float = setting(
-        1e-6,
+        1e-6, minimum=1e-9, maximum=1e-2, first=True,
         doc="m, standard deviation of each coordinate of a centre, or of a ball bar's length, the "
         "table's repeatability included",
-        minimum=1e-9,
-        maximum=1e-2,
-        first=True,
-    )
+    )  # fmt: skip
     error_motion_std_m: float = setting(
-        3e-6,
+        3e-6, minimum=1e-9, maximum=1e-2, first=True,
         doc="m, standard uncertainty (k = 1) of EXC, EYC and EZC at each angle, which counts "
         "where the balls do not determine them",
-        minimum=1e-9,
-        maximum=1e-2,
-        first=True,
-    )
+    )  # fmt: skip
     tilt_std_arcsec: float = setting(
-        3.0,
-        doc="arcsec, the same of EAC and EBC",
-        minimum=1e-3,
-        maximum=3600.0,
+        3.0, doc="arcsec, the same of EAC and EBC", minimum=1e-3, maximum=3600.0
     )
     error_motion_orders: str = expert(
-        ANY,
+        ANY, choices=(ANY, FALLING, WHITE_ONLY, STATED),
         doc="how these motions are spread over orders, undulations per turn: in any (the "
         "uncertainty holds the worst that fits), in sizes that are falling as 1 / order to the "
         "tenth, white (another at every angle), or as stated",
-        choices=(ANY, FALLING, WHITE_ONLY, STATED),
-    )
+    )  # fmt: skip
     radial_orders: tuple[float, ...] = expert(
-        (0.0, 1.0),
+        (0.0, 1.0), minimum=0.0,
         doc="sizes of EXC and EYC in the orders 1, 2, 3 ..., in relation to each other, if they "
         "are stated",
-        minimum=0.0,
-    )
+    )  # fmt: skip
     axial_orders: tuple[float, ...] = expert((1.0,), doc="the same of EZC", minimum=0.0)
     tilt_orders: tuple[float, ...] = expert((0.0, 1.0), doc="the same of EAC and EBC", minimum=0.0)
     squareness_std_um_per_m: float = setting(
-        10.0,
+        10.0, minimum=1e-3, maximum=1e4,
         doc="um/m, standard uncertainty (k = 1) of the squareness of each pair of linear axes",
-        minimum=1e-3,
-        maximum=1e4,
-    )
+    )  # fmt: skip
     scale_std_um_per_m: float = setting(
-        10.0,
+        10.0, minimum=1e-3, maximum=1e4,
         doc="um/m, standard uncertainty (k = 1) of the length that each linear axis shows",
-        minimum=1e-3,
-        maximum=1e4,
-    )
+    )  # fmt: skip
     bar_std_m: float = expert(
-        5e-6,
+        5e-6, minimum=1e-9, maximum=1.0,
         doc="m, standard uncertainty (k = 1) of the ball bar's own length in each set-up",
-        minimum=1e-9,
-        maximum=1.0,
-    )
+    )  # fmt: skip
     tip_std_m: float = setting(
-        0.0,
+        0.0, minimum=0.0, maximum=1e-3,
         doc="m, standard uncertainty (k = 1) of where the probe's tip, or a ball in the spindle, "
         "is in x, y and z; 0: not stated, and not in the uncertainty of the axis",
-        minimum=0.0,
-        maximum=1e-3,
-    )
+    )  # fmt: skip
     lag_std_s: float = expert(
-        1e-3,
+        1e-3, minimum=1e-9, maximum=1.0,
         doc="s, standard uncertainty (k = 1) of how late the linear axes, and so the nest, are "
         "behind a table that turns; runs of several speeds determine it without that",
-        minimum=1e-9,
-        maximum=1.0,
-    )
+    )  # fmt: skip
     largest_shift_um: float = expert(
-        100.0,
+        100.0, minimum=1e-3,
         doc="um, a drift or a knock of machine or table that nobody would overlook",
-        minimum=1e-3,
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

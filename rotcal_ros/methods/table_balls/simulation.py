@@ -132,7 +132,6 @@ class TouchedBalls(SimulatedTouchProbe):
         )
 
     def _standing_balls(self, stamp_ns: int) -> Floats:
-        """Return the true ball centres (k, 3) in the machine frame, m."""
         (balls,) = self._standing(np.array([stamp_ns]))
         return np.asarray(balls)
 

@@ -20,11 +20,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
-from rotcal_ros.methods.table_balls.settings import (
-    BallsPlanSettings,
-    below_the_table,
-    sense_of,
-)
+from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, below_the_table, sense_of
 
 
 @dataclass(frozen=True, eq=False)

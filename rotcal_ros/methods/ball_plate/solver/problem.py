@@ -17,12 +17,8 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, PlanError
 
 COLUMNS: Final = {
-    "position": np.int64,
-    "ball_step": np.int64,
-    "centres": np.float64,
-    "row": np.int64,
-    "std": np.float64,
-    "time": np.float64,
+    **dict.fromkeys(("position", "ball_step", "row"), np.int64),
+    **dict.fromkeys(("centres", "std", "time"), np.float64),
 }
 """What a problem holds row by row."""
 
@@ -105,14 +101,9 @@ class BallPlateProblem:
     @cached_property
     def run_time(self) -> Floats:
         """When each row was measured, -0.5 at the first and 0.5 at the last, (n,)."""
-        return self.run_time_on(self)
-
-    def run_time_on(self, reference: BallPlateProblem) -> Floats:
-        """When each row was measured (n,), on the scale of the run time of ``reference``."""
-        own = self.rows if self.time is None else self.time
-        scale = reference.rows if reference.time is None else reference.time
-        first, span = float(scale.min()), float(scale.max() - scale.min()) or 1.0
-        return np.asarray((own - first) / span - 0.5, dtype=np.float64)
+        when = self.rows if self.time is None else self.time
+        first, span = float(when.min()), float(np.ptp(when)) or 1.0
+        return np.asarray((when - first) / span - 0.5, dtype=np.float64)
 
     @cached_property
     def cmm_index(self) -> Ints:
@@ -156,11 +147,6 @@ class BallPlateProblem:
     def table_positions(self) -> Ints:
         """The table positions in use, ascending, (M,); all of them unless some are missing."""
         return _in_use(self.position)
-
-    @cached_property
-    def table_index(self) -> Ints:
-        """Where the table position of every row stands in ``table_positions``, (n,)."""
-        return np.searchsorted(self.table_positions, self.position)
 
     @cached_property
     def angles(self) -> Floats:

@@ -197,7 +197,6 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
 
 
 def _found(layout: PlateLayout) -> tuple[Adjusted, bool]:
-    """Return what the engine finds, and whether x and y scatter unequally."""
     found = engine.adjust(plate_model(layout), LIMITS)
     if not _unequal(layout, found):
         return found, False
@@ -405,7 +404,6 @@ def _groups_in_words(solution: PlateSolution) -> str:
 
 
 def _doubts(solution: PlateSolution) -> Iterator[str]:
-    """Yield what a person should look into, beside what the engine says."""
     found = solution.found
     for effect in found.found_effects:
         if effect.effect.effect == "growth":
@@ -425,7 +423,6 @@ def _doubts(solution: PlateSolution) -> Iterator[str]:
 
 
 def _of_growth(found: FoundEffect, material: str) -> str:
-    """Say what makes a plate grow by so much."""
     amount = float(found.sizes[0])
     warmed, warms = kelvin(amount, material), "warms" if amount > 0.0 else "cools"
     if warmed is None:
@@ -441,7 +438,6 @@ def _of_growth(found: FoundEffect, material: str) -> str:
 
 
 def _warnings(solution: PlateSolution) -> Iterator[str]:
-    """Yield what is known to limit the result, in words."""
     problem, found = solution.fitted, solution.found
     left_out = np.setdiff1d(np.arange(problem.n_positions), solution.table_positions)
     if len(left_out):
@@ -508,7 +504,6 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
 
 
 def _protections(solution: PlateSolution) -> Iterator[Protection]:
-    """Yield what is done about effects that the engine cannot know."""
     problem, found, count = solution.problem, solution.found, solution.layout.groups
     drift = problem.drift_allowance / MICROMETRE
     if problem.drift:

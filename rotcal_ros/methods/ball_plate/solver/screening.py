@@ -103,7 +103,6 @@ def _centred(problem: BallPlateProblem) -> BallPlateProblem:
 
 
 def _check_circle(problem: BallPlateProblem) -> None:
-    """Compare size and place of the circle of all centres with the plate's."""
     plane = problem.centres[:, :2]
     distance = np.hypot(plane[:, 0], plane[:, 1])
     typical = float(np.median(distance))
@@ -170,7 +169,6 @@ def _check_whole_balls(problem: BallPlateProblem, bad: Ints, steps: Floats) -> N
 
 
 def _mistake(problem: BallPlateProblem, angle: Floats) -> str:
-    """Name the mistake behind a table of which most rows are misplaced."""
     grid, table = problem.grid, problem.angles[problem.position]
     if _coherence(problem, angle - table) < COHERENT:
         return _turning_otherwise(problem, angle + table)
@@ -200,7 +198,9 @@ def _turning_otherwise(problem: BallPlateProblem, mirrored: Floats) -> str:
             "the centres of a ball do not turn with the table: the columns position and "
             "ball_step, or the grid of the plate, do not belong to these centres"
         )
-    if _clockwise(problem, mirrored):
+    seen, places = np.angle(_of_balls(problem, mirrored)), problem.angles[problem.balls]
+    reverse, straight = (abs(np.exp(1j * (seen + sign * places)).mean()) for sign in (1.0, -1.0))
+    if reverse > 0.99 > straight:
         return (
             "in these coordinates both the balls' steps and the table run clockwise: the "
             "frame of the CMM is left-handed or its z axis points down (an axis turned "
@@ -214,7 +214,6 @@ def _turning_otherwise(problem: BallPlateProblem, mirrored: Floats) -> str:
 
 
 def _reversed(problem: BallPlateProblem, found: Ints) -> str:
-    """Distinguish a plate numbered the other way round from one mounted upside down."""
     grid, balls = problem.grid, problem.balls
     mirrored = len(np.unique((found + balls) % grid)) == 1
     renumbered = any(
@@ -237,15 +236,6 @@ def _reversed(problem: BallPlateProblem, found: Ints) -> str:
         )
     pairs = ", ".join(f"{b} at {f}" for b, f in zip(balls, found, strict=True) if b != f)
     return f"balls do not stand at their steps (ball step at step: {pairs}): wrong plate file"
-
-
-def _clockwise(problem: BallPlateProblem, on_plate: Floats) -> bool:
-    """Return whether the balls' steps run clockwise; ``on_plate`` (n,) is where they stand."""
-    seen, places = np.angle(_of_balls(problem, on_plate)), problem.angles[problem.balls]
-    mirrored, straight = (
-        float(np.abs(np.mean(np.exp(1j * (seen + sign * places))))) for sign in (1.0, -1.0)
-    )
-    return mirrored > 0.99 > straight
 
 
 def _between_steps(problem: BallPlateProblem, found: Floats) -> str:

@@ -67,19 +67,14 @@ class TrackerNoise:
         beam = points[..., :, None] * points[..., None, :] / distance**2
         along = self.range_std + self.range_std_per_metre * distance
         across = self.transverse_std + self.transverse_std_per_metre * distance
-        total: Floats = across**2 * np.eye(3) + (along**2 - across**2) * beam
-        return total
+        return np.asarray(across**2 * np.eye(3) + (along**2 - across**2) * beam)
 
 
 def noise_of(settings: MirrorSolverSettings) -> TrackerNoise:
     """Return the noise of the tracker that the settings state."""
-    return TrackerNoise(
-        range_std=settings.range_std_m,
-        range_std_per_metre=settings.range_std_relative,
-        transverse_std=settings.transverse_std_m,
-        transverse_std_per_metre=settings.transverse_std_relative,
-        mirror_slope_std=settings.mirror_slope_std_arcsec * ARCSEC,
-    )
+    along = settings.range_std_m, settings.range_std_relative
+    across = settings.transverse_std_m, settings.transverse_std_relative
+    return TrackerNoise(*along, *across, settings.mirror_slope_std_arcsec * ARCSEC)
 
 
 @dataclass(frozen=True)

@@ -368,5 +368,4 @@ def _exchange(here: Floats, there: Floats) -> tuple[int, int] | None:
 
 
 def _distances(points: Floats) -> Floats:
-    """Return the distances (K, K) between points (K, 3)."""
     return np.asarray(np.linalg.norm(points[:, None] - points[None, :], axis=2))

@@ -280,7 +280,6 @@ class MirrorSolution:
         return found
 
     def _details(self) -> dict[str, Any]:
-        """Return the method's own part of the result; SI, plain arrays and numbers."""
         layout, tracker, x = self.layout, self.tracker, self.found.fit.x
         problem = layout.problem
         again = [
@@ -324,7 +323,6 @@ class MirrorSolution:
         }
 
     def _nests(self) -> list[dict[str, Any]]:
-        """Return each reading of a nest for the details."""
         layout, problem, fit = self.layout, self.layout.problem, self.found.fit
         nests, poses = layout.nests, self.tracker.poses(fit.x)
         placed = poses.placed(problem.xyz[nests.row], nests.station)
@@ -415,7 +413,6 @@ class MirrorSolution:
         return Drift.of(self)
 
     def _protections(self) -> Iterator[Protection]:
-        """Yield a statement about every effect that the engine cannot know."""
         layout, problem = self.layout, self.layout.problem
         direct = layout.pairs is None
         open_ = spans_of(layout)[1]
@@ -457,7 +454,6 @@ class MirrorSolution:
         yield Protection("tilt", "bounded", stated)
 
     def _uneven_drift(self) -> Protection:
-        """Return the statement about a drift that is no straight line between rounds of nests."""
         stated = self.layout.problem.uneven_drift_std
         if stated > 0.0:
             return Protection(

@@ -1,4 +1,4 @@
-"""The table of rooms in CONTRIBUTING and the import contracts agree."""
+"""The table of packages in CONTRIBUTING and the import contracts agree."""
 
 import re
 from pathlib import Path
@@ -26,51 +26,53 @@ def rows(head: str) -> list[list[str]]:
 
 
 def table() -> dict[str, list[str]]:
-    """Return what each room of the table knows, in the table's order."""
-    cells = rows("| room | knows | holds |")
-    return {room: names(knows) for several, knows, _holds in cells for room in names(several)}
+    """Return what each package of the table knows, in the table's order."""
+    cells = rows("| package | knows | holds |")
+    return {
+        package: names(knows) for several, knows, _holds in cells for package in names(several)
+    }
 
 
 def allowed() -> dict[str, set[str]]:
-    """Return what each room may know by the layers: all below, and beside it where ":" joins."""
+    """Return what each package may know: all below, and beside it where ":" joins layers."""
     found: dict[str, set[str]] = {}
     below: set[str] = set()
     for layer in reversed(LAYERS):
-        rooms = names(layer, "|:")
-        for room in rooms:
-            found[room] = below | (set(rooms) - {room} if ":" in layer else set())
-        below = below | set(rooms)
+        packages = names(layer, "|:")
+        for package in packages:
+            found[package] = below | (set(packages) - {package} if ":" in layer else set())
+        below = below | set(packages)
     return found
 
 
 def test_the_layers_hold_every_room():
-    rooms = {
+    packages = {
         path.stem
         for path in (ROOT / "rotcal_ros").iterdir()
         if (path.suffix == ".py" and path.stem != "__init__") or (path / "__init__.py").is_file()
     }
-    assert rooms == set(allowed())
+    assert packages == set(allowed())
 
 
 def test_the_table_holds_the_rooms_in_the_order_of_the_layers():
-    assert list(table()) == [room for layer in LAYERS for room in names(layer, "|:")]
+    assert list(table()) == [package for layer in LAYERS for package in names(layer, "|:")]
 
 
-@pytest.mark.parametrize("room", table())
-def test_the_table_says_nothing_that_the_contract_forbids(room):
-    knows = table()[room]
-    assert knows in (["nothing"], ["all below"]) or set(knows) <= allowed()[room]
+@pytest.mark.parametrize("package", table())
+def test_the_table_says_nothing_that_the_contract_forbids(package):
+    knows = table()[package]
+    assert knows in (["nothing"], ["all below"]) or set(knows) <= allowed()[package]
 
 
 def test_the_table_names_every_room_that_a_room_imports():
     graph = grimp.build_graph("rotcal_ros", cache_dir=None)
-    for room in table():
-        graph.squash_module(f"rotcal_ros.{room}")
-    for room, knows in table().items():
-        imported = graph.find_modules_directly_imported_by(f"rotcal_ros.{room}")
+    for package in table():
+        graph.squash_module(f"rotcal_ros.{package}")
+    for package, knows in table().items():
+        imported = graph.find_modules_directly_imported_by(f"rotcal_ros.{package}")
         found = {name.split(".")[1] for name in imported - {"rotcal_ros"}}
-        unnamed = found - {room, *knows, *names(LAYERS[-1], "|:")}
-        assert knows == ["all below"] or not unnamed, room
+        unnamed = found - {package, *knows, *names(LAYERS[-1], "|:")}
+        assert knows == ["all below"] or not unnamed, package
 
 
 def test_the_table_holds_every_extension():
