@@ -577,7 +577,7 @@ def _determined(rows: Floats, open_: float) -> tuple[Floats, Floats]:
     They are what is left of columns of length 1: nothing where that is a share ``open_`` of it.
     """
     squares, axes = np.linalg.eigh(rows.T @ rows)
-    if len(squares) and squares[0] > SURE * squares[-1]:  # of which no digits that matter go
+    if len(squares) and squares[0] > SURE * max(squares[-1], 1.0):  # no digits that matter go
         return axes / np.sqrt(squares), axes[:, :0]
     _, share, turn = np.linalg.svd(_triangle(rows))
     determined = np.arange(rows.shape[1]) < (share > open_ * share.max(initial=1.0)).sum()
