@@ -89,7 +89,7 @@ class FoundEffect(NamedTuple):
     std: Floats
     probability: float
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return what happened, by how much as far as the observations show it."""
         unit, seen = self.effect.unit, self.std > ROUNDED * self.std.max(initial=0.0)
         sizes, expanded = self.sizes[seen] / unit.si, 2.0 * self.std[seen] / unit.si
@@ -522,7 +522,7 @@ def _doubts(found: Adjusted) -> Iterator[str]:
         )
     for e in found.found_effects:
         yield (
-            f"it looks as if {e.in_words()}: that was taken off, and the uncertainty holds it; "
+            f"it looks as if {e.describe()}: that was taken off, and the uncertainty holds it; "
             "find out why, and measure again"
         )
     for best, rivals in found.diagnosis.open_contests:

@@ -349,7 +349,7 @@ class MirrorSolution:
         for effect, seen in zip(taken, self.joint.found_effects, strict=True):
             if seen.effect.what == NEST_MOVED:
                 touched = effect.columns[part].reshape(len(self.layout.nests.row), -1) != 0.0
-                found.append((f"it looks as if {seen.in_words()}", np.any(touched, axis=1)))
+                found.append((f"it looks as if {seen.describe()}", np.any(touched, axis=1)))
         return found
 
     @property
