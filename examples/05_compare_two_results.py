@@ -10,9 +10,9 @@ DATA = Path(__file__).parent / "data"
 tracer = rc.read_result(DATA / "result_tracer.json")
 plate = rc.read_result(DATA / "result_ball_plate.json")
 compared = rc.compare(tracer, plate)
-print(compared.in_words())
+print(compared.describe())
 
 wrong = replace(plate, deviations={"ECC": -plate.deviations["ECC"]})
 compared = rc.compare(tracer, wrong)
-print(compared.in_words())
+print(compared.describe())
 print(*compared.notes, sep="\n")

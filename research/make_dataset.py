@@ -317,7 +317,7 @@ def found(scores: Sequence[Score]) -> str:
         "are off by more than U at some angle, where chance alone makes 43 % of sound curves of "
         "12 angles so. Beyond chance are, with the effect named or not:"
     )
-    wrong = [fill(f"* {s.in_words()}", 98, subsequent_indent="  ") for s in own if not s.agree]
+    wrong = [fill(f"* {s.describe()}", 98, subsequent_indent="  ") for s in own if not s.agree]
     listed = "\n".join(wrong) or "* none"
     return f"{board}\n\n{LEGEND}\n\n{fill(words, 98)}\n\n{listed}\n"
 

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.foundation.machine_load import cores, in_words
+from rotcal_ros.foundation.machine_load import cores, describe
 from rotcal_ros.foundation.node_names import EXECUTABLES
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.foundation.results import Result
@@ -134,7 +134,7 @@ def session(
         )
         nodes = Nodes(process.pid, generator, stops=per_core > 0)
         out, err = process.communicate()
-        loaded = in_words()
+        loaded = describe()
         nodes.end()
     found: dict[str, Any] = {
         "method": method, "busy_per_core": per_core, "seconds": round(time.monotonic() - begin),

@@ -22,6 +22,7 @@ from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -34,6 +35,8 @@ DENSE: Final = 4
 """Outputs of which more than one in DENSE of the numbers is not zero are written out."""
 MOST_WHOLE: Final = 2000
 """Unknowns up to which normal equations are written out (32 MB)."""
+SURE: Final = 1e-5
+"""Least eigenvalue, per largest, of normal equations whose inverse keeps ten digits."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
 
@@ -340,6 +343,16 @@ class Bordered(Kernel):
             found += (place[:, :, None] == place[:, None]) & ~mine[:, :, None]
         return np.asarray(found)
 
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        place = self._place[rows]
+        group = np.where(place < len(self.along), place // self.groups.depth, -1 - place)
+        if len(np.unique(group)) < len(rows):
+            return None  # of rows of one group more is in common
+        low = self._every_low[place]
+        own = np.append((self.basis**2).sum(axis=2), np.ones(len(self.root)))[place]
+        return LowRank(own[:, None, None], low, np.diag(self._signs)).if_low()
+
     @cached_property
     def leverage(self) -> Floats:
         """The diagonal (n + m,) of J N^-1 J'."""
@@ -360,10 +373,16 @@ class Bordered(Kernel):
         found = blocks @ blocks.T + 2.0 * beside + turned @ low.reshape(len(share), -1).T
         return np.asarray(found + (known * (1.0 + 2.0 * squares)) @ known.T)
 
-    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
-        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n + m) of each row."""
-        if _dense(outputs):
-            return super().variances_from(outputs, share)
+    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) of what a unit of one row does to each output times one of another.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
+        """
+        if _dense(outputs) or not np.array_equal(first, second):
+            return super().products_of(outputs, first, second, weight)
+        share = np.stack(
+            [np.bincount(first, each, len(self._place)).astype(np.float64) for each in weight]
+        )
         felt, found = self._felt_by(outputs), np.empty((len(outputs), len(share)))
         groups, size = self.groups.own.shape
         common = felt.common.reshape(-1, groups, size)
@@ -452,7 +471,9 @@ class Bordered(Kernel):
         weight = np.zeros((len(share), len(every)))
         weight[:, groups.place] = share[:, : len(groups.place)]
         weight[:, len(self.along) :] = share[:, len(groups.place) :]
-        low = np.stack([every.T @ (every * each[:, None]) for each in weight])
+        felt = [np.flatnonzero(each) for each in weight]
+        some = [(every[rows], each[rows, None]) for rows, each in zip(felt, weight, strict=True)]
+        low = np.stack([rows.T @ (rows * each) for rows, each in some])
         of_groups = weight[:, : len(self.along)].reshape(len(share), *self.basis.shape[:2])
         stacked = every[: len(self.along)].reshape(*self.basis.shape[:2], -1)
         turned = self.basis.swapaxes(1, 2) * of_groups[:, :, None]
@@ -555,6 +576,9 @@ def _determined(rows: Floats, open_: float) -> tuple[Floats, Floats]:
 
     They are what is left of columns of length 1: nothing where that is a share ``open_`` of it.
     """
+    squares, axes = np.linalg.eigh(rows.T @ rows)
+    if len(squares) and squares[0] > SURE * max(squares[-1], 1.0):  # no digits that matter go
+        return axes / np.sqrt(squares), axes[:, :0]
     _, share, turn = np.linalg.svd(_triangle(rows))
     determined = np.arange(rows.shape[1]) < (share > open_ * share.max(initial=1.0)).sum()
     return turn[determined].T / share[: int(determined.sum())], turn[~determined].T

@@ -130,8 +130,8 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     if apart >= 2.0 * np.log(ALIKE) or not best.fit.felt(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
-    chosen = Explanation(best.in_words(), "", none, nothing, 0.0, 0.0, 0.0 * change)
-    rival = chosen._replace(what=other.in_words(), support=-0.5 * apart, change=change)
+    chosen = Explanation(best.describe(), "", none, nothing, 0.0, 0.0, 0.0 * change)
+    rival = chosen._replace(what=other.describe(), support=-0.5 * apart, change=change)
     return replace(best, contests=(*best.contests, Contest(chosen, (rival,))))
 
 

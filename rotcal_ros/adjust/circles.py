@@ -44,6 +44,8 @@ STEADY: Final = 1e-3
 LOOKED: Final = 10
 SURELY: Final = 0.9
 """Share of a limit below which bounds that are found by iteration need not be known exactly."""
+MOST_KINDS: Final = 100
+"""Ways in which two places lie to each other that are worked out one by one."""
 SAME: Final = 1e-12
 """Difference of squared weights, in the largest of them, that is rounding."""
 Orders: TypeAlias = NDArray[np.complex128]
@@ -393,30 +395,89 @@ class ByOrder(Kernel):
         return np.ascontiguousarray(self.inverse.transpose(1, 2, 0))
 
     def variances_of(self, outputs: Outputs) -> Floats:
-        """Return the variances (o,) of ``outputs``, by how far apart the places are they read."""
-        (circles, size), count = (self.turns.circles, self.turns.size), outputs.each
-        column, value = outputs.entries
+        """Return the variances (o,) of ``outputs``."""
+        every = np.arange(len(outputs))
+        return self._between(outputs, every, every)
+
+    def covariance_of(self, outputs: Outputs) -> Floats:
+        """Return the covariance (o, o) of ``outputs``."""
+        every = np.arange(len(outputs))
+        return self._between(outputs, every[:, None], every)
+
+    def _between(self, outputs: Outputs, first: Ints, second: Ints) -> Floats:
+        """Return covariances (...) of ``outputs``, by how far apart the places are they read."""
+        (circles, size), (column, value) = (self.turns.circles, self.turns.size), outputs.entries
         along = np.fft.irfft(self._by_circle, size)  # between places of two circles
         circle, place = np.divmod(np.minimum(column, circles * size), size)
         there = column < circles * size
-        inside = np.where(there, value, 0.0)
-        met = np.where(there, circle, 0)
-        found = np.zeros(len(outputs))
-        for a in range(count):
-            for b in range(count):
-                between = along[met[:, a], met[:, b], (place[:, a] - place[:, b]) % size]
-                found += inside[:, a] * inside[:, b] * between
+        inside, met = np.where(there, value, 0.0), np.where(there, circle, 0)
+        place = place.astype(np.int32)
         sums = np.zeros((len(outputs), len(self.zero)))
         at = np.where(there, circle, column - circles * size + circles)
-        for a in range(count):
-            sums[np.arange(len(outputs)), at[:, a]] += np.where(
-                there[:, a], value[:, a] / np.sqrt(size), value[:, a]
-            )
-        found += ((sums @ self.zero) * sums).sum(axis=1)
+        by = np.where(there, value / np.sqrt(size), value)
+        np.add.at(sums, (np.arange(len(outputs))[:, None], at), by)
         carried = self.times(outputs.common.T)
-        both = ((outputs.few @ carried) * outputs.share).sum(axis=1)
-        own = ((outputs.share @ (outputs.common @ carried)) * outputs.share).sum(axis=1)
-        return np.asarray(found + 2.0 * both + own)
+        # what is common: each output's own part, and half of what all of them share
+        half = outputs.few @ carried + 0.5 * outputs.share @ (outputs.common @ carried)
+        pairs = [(sums @ self.zero, sums), (half, outputs.share), (outputs.share, half)]
+        left, right = (np.hstack([pair[k] for pair in pairs]) for k in (0, 1))
+        found = left @ right.T if first.ndim > 1 else (left * right).sum(axis=1)
+        for a in range(outputs.each):
+            for b in range(outputs.each):
+                step = (place[first, a] - place[second, b]) % np.int32(size)
+                between = along[met[first, a], met[second, b], step]
+                found += inside[first, a] * inside[second, b] * between
+        return np.asarray(found)
+
+    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) of what a unit of one row does to each output times one of another.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k). Rows at one place of
+        two turns move outputs by what follows from how far away these read: sums over all places
+        are products of their orders.
+        """
+        turns, (column, value), many = self.turns, outputs.entries, outputs.each
+        size, place = turns.size, turns.place[first]
+        if (place != turns.place[second]).any():
+            return super().products_of(outputs, first, second, weight)
+        beyond = ((column >= turns.circles * size) & (value != 0.0)).any(axis=1)
+        if beyond.any():  # these read what is no place
+            found = np.empty((len(outputs), len(weight)))
+            some, rest = (outputs.part(np.flatnonzero(which)) for which in (beyond, ~beyond))
+            found[beyond] = super().products_of(some, first, second, weight)
+            found[~beyond] = self.products_of(rest, first, second, weight)
+            return found
+        circle, at = np.divmod(np.where(value != 0.0, column, column[:, :1]), size)
+        a, b = (each.ravel() for each in np.indices((many, many)))
+        both = np.stack([circle[:, a], circle[:, b], (at[:, b] - at[:, a]) % size], axis=-1)
+        kinds, kind = np.unique(both.reshape(-1, 3), axis=0, return_inverse=True)
+        if len(kinds) > MOST_KINDS:
+            return super().products_of(outputs, first, second, weight)
+        kind, by = kind.reshape(at[:, a].shape), value[:, a] * value[:, b]
+        met, pair = np.unique([turns.turn[first], turns.turn[second]], axis=1, return_inverse=True)
+        cell = pair.ravel() * size + place
+        every = np.divmod(np.arange(len(turns.sign) * size), size)
+        common = turns.rows_of(*every) @ self.times(outputs.common.T)
+        common = common.reshape(len(turns.sign), size, len(outputs.common))
+        places, found = self._felt[0], np.empty((len(outputs), len(weight)))
+        for k, part in enumerate(weight):
+            share = np.bincount(cell, part, met.shape[1] * size).reshape(-1, size)
+            beside, twice = share[:, :, None] * common[met[1]], np.zeros_like(common)
+            np.add.at(twice, met[0], beside)
+            np.add.at(twice, met[1], share[:, :, None] * common[met[0]])
+            orders = np.einsum(
+                "tcq,tqg->cgq", np.fft.rfft(places), np.fft.rfft(twice, axis=1), optimize=True
+            )
+            mixed = np.fft.irfft(orders, size)[circle, :, at] * value[:, :, None]  # (o, e, g)
+            squares = np.tensordot(common[met[0]], beside, ((0, 1), (0, 1)))
+            mixed = mixed.sum(axis=1) + outputs.share @ squares
+            found[:, k] = (mixed * outputs.share).sum(axis=1)
+            waves = np.fft.rfft(share)
+            for number, (c, d, apart) in enumerate(kinds.tolist()):
+                product = places[met[0], c] * np.roll(places[met[1], d], -apart, axis=1)
+                here = np.fft.irfft((waves * np.fft.rfft(product)).sum(axis=0), size)
+                found[:, k] += (np.where(kind == number, by, 0.0) * here[at[:, a]]).sum(axis=1)
+        return found
 
     @cached_property
     def _felt(self) -> tuple[Floats, Floats]:

@@ -132,7 +132,7 @@ class Diagnosis:
         found.__dict__["fit"] = fit  # it is known already
         return found
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return what is wrong with the observations."""
         name = self.model.names
         every = list(dict.fromkeys(name[row] for row in sorted(self.why)))

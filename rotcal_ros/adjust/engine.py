@@ -44,7 +44,6 @@ from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model, Steps
 from rotcal_ros.adjust.noise import PRIOR
-from rotcal_ros.adjust.outputs import AT_ONCE
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -89,7 +88,7 @@ class FoundEffect(NamedTuple):
     std: Floats
     probability: float
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return what happened, by how much as far as the observations show it."""
         unit, seen = self.effect.unit, self.std > ROUNDED * self.std.max(initial=0.0)
         sizes, expanded = self.sizes[seen] / unit.si, 2.0 * self.std[seen] / unit.si
@@ -522,7 +521,7 @@ def _doubts(found: Adjusted) -> Iterator[str]:
         )
     for e in found.found_effects:
         yield (
-            f"it looks as if {e.in_words()}: that was taken off, and the uncertainty holds it; "
+            f"it looks as if {e.describe()}: that was taken off, and the uncertainty holds it; "
             "find out why, and measure again"
         )
     for best, rivals in found.diagnosis.open_contests:
@@ -654,17 +653,18 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     if not len(each) or len(std) * len(each) > MOST_AT_ONCE:
         return
     sizes, counts = (model.elements[each] >= 0).sum(axis=1), std > 0.0
-    squares, significance = np.zeros(int(counts.sum())), limits.of_each_observation(model)
+    squares, significance = np.zeros(len(std)), limits.of_each_observation(model)
     for size in np.unique(sizes).tolist():
         alike = model.elements[each[sizes == size], :size]
         needed = noncentrality(significance, POWER, size)
-        for rows in np.array_split(alike, alike.size // AT_ONCE + 1):
-            values, ways = np.linalg.eigh(fit.cofactors(rows))
-            felt = fit.response_of(rows.ravel())[: len(std)][counts]
-            felt = (felt.reshape(-1, len(rows), 1, size) @ ways)[:, :, 0]
-            seen = np.maximum(values, needed / LARGEST**2)
-            squares += (felt**2 * needed / seen).sum(axis=(1, 2)) / len(each)
-    error = float(np.sqrt((squares / std[counts] ** 2).max(initial=0.0)))
+        values, ways = np.linalg.eigh(fit.cofactors(alike))
+        seen = np.maximum(values, needed / LARGEST**2)
+        weight = (ways * (needed / seen / len(each))[:, None]) @ ways.swapaxes(1, 2)
+        first, second = np.repeat(alike, size, axis=1), np.tile(alike, (1, size))
+        found_of = fit.products_of(first.ravel(), second.ravel(), weight.reshape(1, -1))
+        squares += found_of[: len(std), 0]
+    squares = squares[counts] / std[counts] ** 2
+    error = float(np.sqrt(squares.max(initial=0.0)))
     if error <= TOLERABLE:
         yield Protection("single readings", "tested", f"{words.elements} check each other", error)
         return

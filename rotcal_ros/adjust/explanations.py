@@ -21,7 +21,7 @@ probable: so a disturbance of any size from half a standard deviation up is met.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -44,6 +44,8 @@ OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
 LARGE: Final = 200
 """Elements of a group from which on runs are leading sums: products cost their square."""
+MOST_NUMBERS: Final = 1_000_000
+"""Numbers of subsets of groups that are worked out at once."""
 AT_ONCE: Final = 64
 """Outputs of which it is worked out at a time what runs do to them."""
 MOST_STEPS: Final = 60
@@ -125,6 +127,19 @@ class Hypotheses:
         return total([self.moment(weights, sizes)], self.group.sensitivity.outputs)
 
 
+def log_bayes_of_each(found: Sequence[Hypotheses]) -> list[Floats]:
+    """Return ln B (q, t) of each, those with as many sizes at once."""
+    logs, alike = dict[int, Floats](), dict[int, list[int]]()
+    for k, each in enumerate(found):
+        alike.setdefault(each.values.shape[1], []).append(k)
+    for every in alike.values():
+        whole = log_bayes(*(np.concatenate([getattr(found[k], name) for k in every])
+                            for name in ("values", "along")))  # fmt: skip
+        ends = np.cumsum([len(found[k].values) for k in every])
+        logs |= zip(every, np.split(whole, ends[:-1]), strict=True)
+    return [logs[k] for k in range(len(found))]
+
+
 def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
     """Return ln B (q, t) of ``values`` and ``along`` (q, d), for prior deviations ``sizes``."""
     variance = sizes**2
@@ -137,16 +152,46 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
     """Return that each of the ``subsets`` (q, e) is off by the same along each axis."""
     large = group.residual.shape[1] == 1 and group.size >= LARGE
     square, score = (_of_runs if large else _of_any)(group, subsets)
-    values, along, vectors = _own_axes(square, score)
+    found = _along_axes(group, subsets, *_own_axes(square, score))
+    if not large:
+        return found
+    where = bounds(subsets)
+    return replace(found, times=lambda matrix: _times_runs(group, subsets, where, matrix))
 
+
+def shifts_of_each(groups: Sequence[Group], subsets: Sequence[Bools]) -> list[Hypotheses]:
+    """Return :func:`shifts` of each group, those of one size with one axis at once."""
+    found, alike = dict[int, Hypotheses](), dict[int, list[int]]()
+    for k, group in enumerate(groups):
+        if group.residual.shape[1] > 1 or group.size >= LARGE:
+            found[k] = shifts(group, subsets[k])
+        else:
+            alike.setdefault(group.size, []).append(k)
+    for size, every in alike.items():
+        many = max(len(subsets[k]) for k in every)
+        for some in np.array_split(every, -(-len(every) * many * size // MOST_NUMBERS)):
+            part = np.zeros((len(some), many, size))
+            for at, k in enumerate(some.tolist()):
+                part[at, : len(subsets[k])] = subsets[k]
+            weight = np.stack([groups[k].weight[:, 0, :, 0] for k in some])
+            score = np.stack([groups[k].score for k in some])
+            square = ((part @ weight) * part).sum(axis=2)
+            own = _own_axes(square[:, :, None, None], part @ score)
+            for at, k in enumerate(some.tolist()):
+                mine = (each[at, : len(subsets[k])] for each in own)
+                found[k] = _along_axes(groups[k], subsets[k], *mine)
+    return [found[k] for k in range(len(groups))]
+
+
+def _along_axes(
+    group: Group, subsets: Bools, values: Floats, along: Floats, vectors: Floats
+) -> Hypotheses:
     def on_rows() -> Floats:
         part = subsets.astype(np.float64)
         mix = np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors)
         return np.asarray(mix.reshape(group.residual.size, *along.shape))
 
-    where = bounds(subsets) if large else None
-    times = None if where is None else lambda matrix: _times_runs(group, subsets, where, matrix)
-    return Hypotheses(values, along, on_rows, group, vectors, times)
+    return Hypotheses(values, along, on_rows, group, vectors)
 
 
 def _of_any(group: Group, subsets: Bools) -> tuple[Floats, Floats]:

@@ -32,6 +32,7 @@ FROZEN, SHRINKS, STRAIGHT = 0.01, 0.01, 1e-8
 """Squared step, in standard deviations, from which on derivatives stay as they were, as long as
 the next one is so much smaller; and how much smaller it is where they hardly change at all."""
 HALVINGS: Final = 20
+"""Times that steps are shortened in all before damped ones are taken, which do not creep."""
 MOST_DAMPED: Final = 200
 """Damped steps on the way to a minimum: many, for long bent valleys."""
 LEAST_DAMPING, STIFF = 1e-12, 1e12
@@ -300,15 +301,21 @@ class Fit:
         """Standard deviations (o + a,) of all outputs, by the noise alone."""
         return np.sqrt(self.variance)
 
+    def products_of(self, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o + a, c) of what a unit of one row does to each output times another's.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k), each as it is.
+        """
+        if self._influence is None:
+            return self.kernel.products_of(self.model.output_rows, first, second, weight)
+        return np.asarray((self._influence[:, first] * self._influence[:, second]) @ weight.T)
+
     def variance_from(self, part: Bools) -> Floats:
         """Return the variances (o + a, c) of the outputs by the noise of each ``part`` (c, n)."""
         if len(part) == 1:
             return self.variance[:, None]
-        share = part.astype(np.float64)
-        if self._influence is None:
-            found = self.kernel.variances_from(self.model.output_rows, share)
-        else:
-            found = self._influence**2 @ share.T
+        share, every = part.astype(np.float64), np.arange(len(self.std))
+        found = self.products_of(every, every, share)
         for each, (alone, spread) in zip(self.model.correlated, self._spread, strict=True):
             found += (spread**2 - alone**2) @ share[:, each.rows].T
         return np.maximum(found, 0.0)
@@ -418,16 +425,39 @@ def fitted(
 ) -> Fit:
     """Return the least-squares solution with the observations ``used`` (n,), weighed by ``std``.
 
-    ``start`` (p,) or longer; ``extra`` (n, q): columns that are unknowns, too. Gauss-Newton with
-    halved steps where the sum of squares would grow; the steps may be rough, what they end at is
-    where the gradient vanishes, to a step whose square, in standard deviations and per
-    chi-squared, is ``settled``. Raises ObservabilityError where an output feels what nothing
-    tells, DataError where the iteration does not settle.
+    ``start`` (p,) or longer; ``extra`` (n, q): columns that are unknowns, too. Gauss-Newton; where
+    its steps creep, damped ones lead on. The steps may be rough, what they end at is where the
+    gradient vanishes, to a step whose square, in standard deviations and per chi-squared, is
+    ``settled``. Raises ObservabilityError where an output feels what nothing tells, DataError
+    where the iteration does not settle.
     """
     n, p = model.size
     extra = np.zeros((n, 0)) if extra is None else extra
-    x = np.zeros(p + extra.shape[1])
+    x, weight = np.zeros(p + extra.shape[1]), used / std
     x[: min(len(start), len(x))] = start[: len(x)]
+    x, found = _stepped(model, x, (used, std), extra, settled)
+    if found is not None:
+        return found
+    damped = _damped(model, x, weight, extra)
+    if damped is None:
+        raise _unsettled()
+    found = _stepped(model, damped, (used, std), extra, settled)[1]  # digits, where it is steep
+    if found is not None:
+        return found
+    computed, jacobian = _computed(model, damped, extra)
+    form = _Steps.of(model, jacobian.weighted(weight)).by_form
+    return Fit(model, damped, model.observed - computed, std, used, jacobian, form)
+
+
+def _stepped(
+    model: Model, x: Floats, weighed: tuple[Bools, Floats], extra: Floats, settled: float
+) -> tuple[Floats, Fit | None]:
+    """Return where Gauss-Newton leads from ``x`` (p + q,), and the solution if it settles there.
+
+    With halved steps where the sum of squares would grow, not very often. ``weighed``: ``used``
+    and ``std`` (n,) of the observations.
+    """
+    used, std = weighed
     weight, before = used / std, np.inf
     computed, jacobian = _computed(model, x, extra)
     steps, solved = _Steps.of(model, jacobian.weighted(weight)), jacobian
@@ -435,7 +465,7 @@ def fitted(
         x = steps.defined(x)
         computed, jacobian = _computed(model, x, extra)
         solved = jacobian
-    slow = False
+    slow, halved = False, 0
     for _ in range(MAX_ITERATIONS):
         residual = model.observed - computed
         white = residual * weight
@@ -449,24 +479,19 @@ def fitted(
         if left <= settled * max(square, 1.0) or (near and 0.25 * before < left):
             x = x + step  # no more matter, but digits
             left_over = model.observed - _computed(model, x, extra)[0]
-            return Fit(model, x, left_over, std, used, jacobian, steps.by_form)
+            return x, Fit(model, x, left_over, std, used, jacobian, steps.by_form)
         slow, before = left > SHRINKS * before, left
-        for _halved in range(HALVINGS):
+        while True:
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
             finite = np.isfinite(after).all() and jacobian.finite
             if finite and (near or float(after @ after) <= square):
                 break
-            step = 0.5 * step
-        else:
-            break  # no step makes it better
+            if halved == HALVINGS:
+                return x, None  # these steps creep
+            step, halved = 0.5 * step, halved + 1
         x = x + step
-    found = _damped(model, x, weight, extra)
-    if found is None:
-        raise _unsettled()
-    computed, jacobian = _computed(model, found, extra)
-    form = _Steps.of(model, jacobian.weighted(weight)).by_form
-    return Fit(model, found, model.observed - computed, std, used, jacobian, form)
+    return x, None
 
 
 def _damped(model: Model, x: Floats, weight: Floats, extra: Floats) -> Floats | None:

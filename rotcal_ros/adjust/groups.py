@@ -105,7 +105,9 @@ class Group:
     @cached_property
     def _usual(self) -> float:
         there = self.unit[self.unit > 0.0]
-        return float(np.median(there)) if there.size else 1.0
+        if not there.size or there.min() == there.max():
+            return float(there[0]) if there.size else 1.0
+        return float(np.median(there))
 
     @cached_property
     def score(self) -> Floats:
@@ -145,21 +147,17 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Undivided:
-    """A group of e rows that are judged together and no other way, however many they are.
+    """A group of ``size`` elements that are judged together and no other way, however many.
 
-    ``residual`` (e,) and ``cofactor`` (e, e) as of a :class:`Group`.
+    ``residual`` (n,) and ``cofactor`` (n, n) of their rows as of a :class:`Group`.
     """
 
     kind: str
     name: str
+    size: int
     residual: Floats
     cofactor: LowRank
     lost: int = 0
-
-    @property
-    def size(self) -> int:
-        """The number e of rows."""
-        return len(self.residual)
 
     @cached_property
     def together(self) -> tuple[float, int]:
@@ -169,7 +167,7 @@ class Undivided:
     @property
     def checks(self) -> tuple[float, int]:
         """Sum of the rows' shares that others check, and the number of rows."""
-        return float(self.cofactor.diagonal().sum()), self.size
+        return float(self.cofactor.diagonal().sum()), len(self.residual)
 
 
 class JudgedWhole(NamedTuple):

@@ -31,11 +31,13 @@ from rotcal_ros.adjust.explanations import (
     any_subset,
     free,
     log_bayes,
+    log_bayes_of_each,
     log_sum,
     scatter,
     search,
     shifts,
     shifts_flipped,
+    shifts_of_each,
     studentised,
     without,
 )
@@ -205,13 +207,13 @@ def judge(
     if not groups:
         return Judgement((), (), belief, -np.inf, ())
     groups, freedom = zip(*(_seen(group, rest) for group in groups), strict=True)
-    weighed = [w for g, group in enumerate(groups) for w in _weigh(g, group, belief, searched)]
+    weighed = tuple(_weighed(groups, belief, searched))
     logs = np.concatenate([w.log_weight.ravel() for w in weighed])
     logs -= np.log(max(len(groups), among))
     single = np.concatenate([np.repeat(w.single, w.log_weight.shape[1]) for w in weighed])
     calm = float(log_sum(np.append(logs[single], np.log(1.0 - belief.outlier))))
     bayes = float(log_sum(logs[~single])) - calm
-    return Judgement(groups, freedom, belief, bayes, tuple(weighed))
+    return Judgement(groups, freedom, belief, bayes, weighed)
 
 
 def _seen(group: Group, rest: tuple[float, float] | None) -> tuple[Group, float]:
@@ -241,21 +243,30 @@ def _families(group: Group, belief: Belief) -> tuple[list[tuple[Bools, Floats]],
     return [single, (group.gathered, np.full(many, belief.gathered / many))], noisier
 
 
-def _weigh(g: int, group: Group, belief: Belief, searched: float) -> list[WeighedHypotheses]:
-    """Return the families of one group, each with priors that add up to its share of belief."""
-    families, noisier = _families(group, belief)
-    if chi2_sf(*group.together) < searched and len(other := search(group)):
-        count = other.sum(axis=1).astype(np.float64)
-        families.append((other, belief.scattered * np.exp(any_subset(group.size, count))))
-    prior = np.concatenate([priors for _, priors in families])
-    found = shifts(group, np.concatenate([subsets for subsets, _ in families]))
-    whole, alike = scatter(group), float(np.log(len(SIZES)))
-    weight = found.log_bayes() + (np.log(prior) - alike)[:, None]
-    noisy = whole.log_bayes() + float(np.log(noisier)) - alike
-    return [
-        WeighedHypotheses(g, found, weight, np.arange(len(prior)) < group.size),
-        WeighedHypotheses(g, whole, noisy, np.zeros(1, dtype=np.bool_)),
-    ]
+def _weighed(
+    groups: Sequence[Group], belief: Belief, searched: float
+) -> Iterator[WeighedHypotheses]:
+    """Yield the families of each group, each with priors that add up to its share of belief."""
+    parts, priors, noisier = list[Bools](), list[Floats](), list[float]()
+    for group in groups:
+        families, noisy = _families(group, belief)
+        if chi2_sf(*group.together) < searched and len(other := search(group)):
+            count = other.sum(axis=1).astype(np.float64)
+            families.append((other, belief.scattered * np.exp(any_subset(group.size, count))))
+        parts.append(np.concatenate([subsets for subsets, _ in families]))
+        priors.append(np.concatenate([prior for _, prior in families]))
+        noisier.append(noisy)
+    found, whole = shifts_of_each(groups, parts), [scatter(group) for group in groups]
+    each = zip(groups, found, whole, log_bayes_of_each(found), log_bayes_of_each(whole),
+               priors, noisier, strict=True)  # fmt: skip
+    alike, nothing = float(np.log(len(SIZES))), np.zeros(1, dtype=np.bool_)
+    for g, (group, shift, scattered, logs, noisy_logs, prior, noisy) in enumerate(each):
+        weight, single = (
+            logs + (np.log(prior) - alike)[:, None],
+            np.arange(len(prior)) < group.size,
+        )
+        yield WeighedHypotheses(g, shift, weight, single)
+        yield WeighedHypotheses(g, scattered, noisy_logs + float(np.log(noisy)) - alike, nothing)
 
 
 def _drawn(

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from scipy.linalg import block_diag, lapack
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -188,6 +190,10 @@ class Kernel(ABC):
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         return np.stack([self.among(each) for each in rows])
 
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        return None
+
     @property
     @abstractmethod
     def leverage(self) -> Floats:
@@ -232,9 +238,19 @@ class Kernel(ABC):
 
     def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
         """Return the variances (o, c) of ``outputs`` by ``share`` (c, n) of each row."""
-        found, every = np.zeros((len(outputs), len(share))), np.arange(share.shape[1])
-        for rows in np.array_split(every, len(every) // AT_ONCE + 1):
-            found += self.response(outputs, rows) ** 2 @ share[:, rows].T
+        every = np.arange(share.shape[1])
+        return self.products_of(outputs, every, every, share)
+
+    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) of what a unit of one row does to each output times one of another.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
+        """
+        found = np.zeros((len(outputs), len(weight)))
+        for some in np.array_split(np.arange(len(first)), len(first) // AT_ONCE + 1):
+            rows, at = np.unique([first[some], second[some]], return_inverse=True)
+            felt = self.response(outputs, rows)
+            found += (felt[:, at[0]] * felt[:, at[1]]) @ weight[:, some].T
         return found
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
@@ -321,6 +337,10 @@ class Whole(Kernel):
     def among(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return np.asarray(self.basis[rows] @ self.basis[rows].T)
+
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        return LowRank.outer(self.basis[rows]).if_low()
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
@@ -442,15 +462,21 @@ class Updated(Kernel):
         low, own = outputs.times(self.columns), outputs.of_first(len(self.base.directions))
         return np.asarray(self.base.covariance_of(own) + (low @ self.core) @ low.T)
 
-    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
-        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n) of each row."""
-        p, low = len(self.base.directions), self.design.times(self.columns)
+    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) of what a unit of one row does to each output times one of another.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
+        """
+        p, low = len(self.base.directions), self._low
         own, by = outputs.of_first(p), outputs.times(self.columns) @ self.core
-        found = self.base.variances_from(own, share * self.share**2)
-        for k, part in enumerate(share):
-            each = part[:, None] * low
-            both = own.times(self.base.times(self.design.adjoint(each)[:p]))
-            found[:, k] += ((2.0 * both + by @ (low.T @ each)) * by).sum(axis=1)
+        share = self.share[first] * self.share[second]
+        found = self.base.products_of(own, first, second, weight * share)
+        for k, part in enumerate(weight):
+            pairs = (part, (first, second)), (part, (second, first))
+            shape = (len(low), len(low))
+            there, back = (csr_array(coo_array(each, shape=shape)) for each in pairs)
+            both = own.times(self.base.times(self.design.adjoint(there @ low + back @ low)[:p]))
+            found[:, k] += ((both + by @ (low.T @ (there @ low))) * by).sum(axis=1)
         found[outputs.idle] = 0.0
         return found
 
@@ -459,7 +485,7 @@ class Updated(Kernel):
         found = self.base.response(outputs.of_first(len(self.base.directions)), rows)
         found *= self.share[rows]
         if self.columns.shape[1]:
-            low = self.design.some_times(rows, self.columns)
+            low = self._low[rows]
             found += (outputs.times(self.columns) @ self.core) @ low.T
         found[outputs.idle] = 0.0
         return found
@@ -469,16 +495,25 @@ class Updated(Kernel):
         found, share = self.base.among(rows), self.share[rows]
         found *= share[:, None]
         found *= share
-        low = self.design.some_times(rows, self.columns)
+        low = self._low[rows]
         found += low @ self.core @ low.T
         return np.asarray(found)
+
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        base, share = self.base.low_rank(rows), self.share[rows, None]
+        if base is None or base.columns is None:
+            return None
+        alone = LowRank(base.blocks * share[:, :, None] ** 2, base.columns * share, base.core)
+        low = self._low[rows]
+        return (alone + LowRank(0.0 * base.blocks, low, self.core)).if_low()
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         share = self.share[rows]
         found = self.base.among_each(rows) * share[:, :, None] * share[:, None]
         if self.columns.shape[1]:
-            low = self.design.some_times(rows.ravel(), self.columns).reshape(*rows.shape, -1)
+            low = self._low[rows]
             found += (low @ self.core) @ low.swapaxes(1, 2)
         return np.asarray(found)
 
@@ -488,7 +523,7 @@ class Updated(Kernel):
         Of a base B and a low rank L C L': those of B, of both, and of the low rank alone.
         """
         found = self.base.squares_between(share * self.share**2)
-        low, p = self.design.times(self.columns), self.base.directions.shape[0]
+        low, p = self._low, self.base.directions.shape[0]
         each = [part[:, None] * low for part in share]
         taken = np.zeros((len(share), *self.columns.shape))
         taken[:, :p] = [self.base.times(self.design.adjoint(own)[:p]) for own in each]
@@ -499,13 +534,18 @@ class Updated(Kernel):
         spread = self.core @ squares @ self.core
         return np.asarray(found + (spread[:, None] * squares).sum(axis=(2, 3)))
 
-    @property
+    @cached_property
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""
-        low = self.design.times(self.columns)
+        low = self._low
         return np.asarray(
             self.base.leverage * self.share**2 + ((low @ self.core) * low).sum(axis=1)
         )
+
+    @cached_property
+    def _low(self) -> Floats:
+        """What the rows feel of the columns, (n, r)."""
+        return self.design.times(self.columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -551,6 +591,10 @@ class Defined(Kernel):
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return self.base.among(rows)
 
+    def low_rank(self, rows: Ints) -> LowRank | None:
+        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
+        return self.base.low_rank(rows)
+
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         return self.base.among_each(rows)
@@ -588,9 +632,13 @@ class Defined(Kernel):
         """Return the covariance (o, o) of ``outputs``."""
         return self.base.covariance_of(outputs.fixed(self.fixing, self.rows))
 
-    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
-        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n) of each row."""
-        return self.base.variances_from(outputs.fixed(self.fixing, self.rows), share)
+    def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) of what a unit of one row does to each output times one of another.
+
+        Of the pairs ``first`` and ``second`` (k,) with the ``weight`` (c, k).
+        """
+        fixed = outputs.fixed(self.fixing, self.rows)
+        return self.base.products_of(fixed, first, second, weight)
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""

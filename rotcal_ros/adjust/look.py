@@ -7,10 +7,10 @@ their number).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import gammaln
@@ -40,6 +40,10 @@ MOST_RIVALS: Final = 12
 """Other causes that are compared with the best of a kind."""
 LARGEST_GROUP: Final = 720
 """Observations of a group up to which it is asked which of them are off together."""
+MANY_ROWS: Final = 100
+"""The same from which on it is asked what little they have in common."""
+MOST_NUMBERS: Final = 4_000_000
+"""Numbers of what rows of groups have in common that are worked out at once (32 MB)."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -299,11 +303,12 @@ class Look:
 
     def _groups(self) -> list[Group | JudgedWhole | Undivided]:
         """Return the groups of what is used, with which of their members lie together."""
-        fit, model, found = self.fit, self.before.model, list[Group | JudgedWhole | Undivided]()
+        fit, model = self.fit, self.before.model
+        found = list[Group | JudgedWhole | Undivided | _Members]()
         first, each = model.elements[:, 0], model.elements.shape[1]
         used, may_go = fit.used[first], model.may_go[first]
         for grouping in (g.at(first) for g in model.groupings):
-            if not (grouping.gathers or fit.jacobian.divided):
+            if not grouping.gathers:
                 found += self._together_each(grouping)
                 continue
             for number, members in members_of(grouping, may_go).items():
@@ -320,10 +325,31 @@ class Look:
                     here = part[used[part]]
                     if len(here) > 1:
                         of = f"{name}, part {k + 1} of {len(parts)}" if len(parts) > 1 else name
-                        found.append(self._group(grouping, of, here, len(part) - len(here)))
-        return found
+                        found.append(_Members(grouping, of, here, len(part) - len(here)))
+        groups = self._of_one_size([each for each in found if isinstance(each, _Members)])
+        return [next(groups) if isinstance(each, _Members) else each for each in found]
 
-    def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
+    def _of_one_size(self, asked: Sequence[_Members]) -> Iterator[Group]:
+        """Return the groups that are asked for, those of as many rows at once."""
+        found, alike = dict[int, Group](), dict[int, list[int]]()
+        table = self.fit.model.elements
+        for k, each in enumerate(asked):
+            alike.setdefault(
+                len(each.members) * int((table[each.members[0]] >= 0).sum()), []
+            ).append(k)
+        for size, every in alike.items():
+            for some in np.array_split(every, -(-len(every) * size**2 // MOST_NUMBERS)):
+                members = [asked[k].members for k in some]
+                rows = [table[m, : size // len(m)].ravel() for m in members]
+                leverage = self.fit.kernel.among_each(np.stack(rows))
+                groups = [self._group(asked[k], of) for k, of in zip(some, leverage, strict=True)]
+                cofactors = [group.cofactor.reshape(size, size) for group in groups]
+                eigen = zip(*np.linalg.eigh(np.stack(cofactors)), strict=True)
+                for k, group, own in zip(some.tolist(), groups, eigen, strict=True):
+                    found[k] = replace(group, eigen=own)
+        return iter([found[k] for k in range(len(asked))])
+
+    def _together_each(self, grouping: Grouping) -> list[JudgedWhole | Undivided]:
         """Return groups of which it is not asked what gathers, those of one size at once."""
         fit, model = self.fit, self.before.model
         first = model.elements[:, 0]
@@ -331,9 +357,15 @@ class Look:
         kept = {number: each[used[each]] for number, each in every.items()}
         kept = {number: each for number, each in kept.items() if 1 < len(each) < len(used)}
         of = {number: model.rows_of(each) for number, each in kept.items()}
-        found = dict[int, JudgedWhole]()
+        lost = {number: len(every[number]) - len(each) for number, each in kept.items()}
+        found = dict[int, JudgedWhole | Undivided]()
         for size in {len(rows) for rows in of.values()}:
             numbers = [number for number, rows in of.items() if len(rows) == size]
+            names = {number: f"{grouping.kind} {number}" for number in numbers}
+            if size > MANY_ROWS:
+                for k in numbers:
+                    found[k] = _as_a_whole(fit, grouping.kind, names[k], of[k], lost[k])
+                continue
             rows = np.stack([of[number] for number in numbers])
             values, vectors = np.linalg.eigh(np.eye(size) - fit.kernel.among_each(rows))
             along, seen = (fit.white[rows][:, None] @ vectors)[:, 0], values > CHECKED
@@ -342,19 +374,18 @@ class Look:
             each = zip(numbers, squares.tolist(), seen.sum(axis=1).tolist(), checked.tolist(),
                        strict=True)  # fmt: skip
             for number, square, rank, share in each:
-                elements = len(kept[number])
                 found[number] = JudgedWhole(
-                    grouping.kind, f"{grouping.kind} {number}", elements, (square, rank),
-                    (share, size), len(every[number]) - elements,
+                    grouping.kind, names[number], len(kept[number]), (square, rank),
+                    (share, size), lost[number],
                 )  # fmt: skip
         return [found[number] for number in kept]
 
-    def _group(self, grouping: Grouping, name: str, members: Ints, lost: int) -> Group:
-        """Return the group of elements (e,) that are used, of which ``lost`` ones are not."""
-        fit, gathered = self.fit, gathered_of(grouping, members)
-        table = fit.model.elements[members]
-        rows = table[:, : int((table[0] >= 0).sum())]
-        white, leverage = fit.white[rows], fit.kernel.among(rows.ravel())
+    def _group(self, asked: _Members, leverage: Floats) -> Group:
+        """Return a group whose rows have this ``leverage`` (e c, e c)."""
+        grouping, name, members, lost = asked
+        fit, gathered, table = self.fit, gathered_of(grouping, members), self.fit.model.elements
+        rows = table[members][:, : len(leverage) // len(members)]
+        white = fit.white[rows]
         frame = None if grouping.frame is None else grouping.frame[members]
 
         def turned(values: Floats) -> Floats:
@@ -370,6 +401,15 @@ class Look:
             grouping.kind, name, members, turned(white).reshape(rows.shape), 1.0 / fit.std[rows],
             turned(turned(leverage).T), felt, gathered, lost,
         )  # fmt: skip
+
+
+class _Members(NamedTuple):
+    """A group of elements ``members`` (e,) that are used, of which ``lost`` ones are not."""
+
+    grouping: Grouping
+    name: str
+    members: Ints
+    lost: int
 
 
 def _largest(squares: Floats) -> list[int]:
@@ -395,14 +435,18 @@ def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
 def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole | Undivided:
     """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
 
-    T is what chi-squared is less by in the solution without them, where that is firm.
+    Where they have little in common T follows from that; else it is what chi-squared is less by in
+    the solution without them, where that is firm.
     """
-    rest = fit.without(rows)
+    elements = len(np.unique(fit.model.of_element[rows]))
+    low = fit.kernel.low_rank(rows)
+    rest = fit.without(rows) if low is None and not fit.jacobian.divided else None
     if rest is None:
-        cofactor = LowRank.whole(np.eye(len(rows)) - fit.kernel.among(rows))
-        return Undivided(kind, name, fit.white[rows], cofactor, lost)
+        taken = low or LowRank.whole(fit.kernel.among(rows))
+        return Undivided(
+            kind, name, elements, fit.white[rows], taken.scaled(-1.0).lifted(1.0), lost
+        )
     rank = len(rows) - (fit.kernel.rank - rest[1])
     checked = float(fit.redundancy[rows].sum())
     together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
-    elements = len(np.unique(fit.model.of_element[rows]))
     return JudgedWhole(kind, name, elements, together, checks, lost)

@@ -65,6 +65,10 @@ class LowRank:
             return self
         return LowRank.whole(self.dense(), self.blocks.shape[1])
 
+    def if_low(self) -> LowRank | None:
+        """Return it where its rank is a low one; else None."""
+        return None if self.quick().columns is None else self
+
     def __add__(self, other: LowRank) -> LowRank:
         """Return the sum of two with blocks of the same size."""
         blocks = self.blocks + other.blocks
@@ -150,6 +154,9 @@ class LowRank:
             seen = values > least
             along = vectors[:, seen].T @ vector
             return float((along**2 / values[seen]).sum()), int(seen.sum())
+        if plain._least > 2.0 * least:
+            inverse = plain.solved(vector[:, None])[0][:, 0]
+            return float(vector @ inverse), self.order
         unseen = plain._below(least)
         inside = vector - unseen @ (unseen.T @ vector)
         filled = plain + LowRank(np.zeros_like(plain.blocks), unseen, np.eye(unseen.shape[1]))
@@ -167,6 +174,16 @@ class LowRank:
         blocks[weak] = 1.0
         lack = LowRank(np.zeros_like(blocks), unit, np.diag(self.blocks[weak, 0, 0] - 1.0))
         return replace(self, blocks=blocks) + lack
+
+    @property
+    def _least(self) -> float:
+        """What no eigenvalue is below, of a matrix without small diagonal entries."""
+        assert self.columns is not None
+        own = self.blocks[:, 0, 0]
+        size, ways = np.linalg.eigh((self.columns / own[:, None]).T @ self.columns)
+        root = ways * np.sqrt(np.maximum(size, 0.0))
+        beside = np.linalg.eigvalsh(root.T @ self.core @ root)
+        return float(own.min() * min(1.0, 1.0 + beside.min(initial=0.0)))
 
     def _below(self, least: float) -> Floats:
         """Return the eigenvectors (k, c) of eigenvalues up to ``least``.

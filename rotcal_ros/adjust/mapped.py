@@ -20,7 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,9 +87,9 @@ class MappedFit(Fit):
         """Variances (o,) of the outputs."""
         return np.asarray((self.response**2).sum(axis=1) + self.left_out**2)
 
-    def variance_from(self, part: Bools) -> Floats:
-        """Return the variances (o, c) of the outputs by the noise of each ``part`` (c, n)."""
-        return np.asarray(self.response**2 @ part.T)
+    def products_of(self, first: Ints, second: Ints, weight: Floats) -> Floats:
+        """Return sums (o, c) over pairs of rows, as of :class:`Fit`."""
+        return np.asarray((self.by[:, first] * self.by[:, second]) @ weight.T)
 
     @property
     def output_std(self) -> Floats:

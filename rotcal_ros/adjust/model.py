@@ -844,9 +844,11 @@ def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:
 
 def gathered_of(grouping: Grouping, members: Ints) -> Bools:
     """Return which members (e,) of a group lie together, (q, e); none where nothing says so."""
-    found = [np.zeros((0, len(members)), dtype=np.bool_)]
+    found = []
     if grouping.along is not None:
         found.append(runs(grouping.along[members], grouping.closed))
     if grouping.near is not None:
         found.append(neighbourhoods(grouping.near[members]))
-    return distinct(*found)
+    if not found:
+        return np.zeros((0, len(members)), dtype=np.bool_)
+    return found[0] if len(found) == 1 else distinct(*found)

@@ -115,7 +115,7 @@ class Outputs:
             return self
         return Outputs(self.few[:, :unknowns], self.common[:, :unknowns], self.share)
 
-    def part(self, which: slice) -> Outputs:
+    def part(self, which: slice | Ints) -> Outputs:
         """Return some of them."""
         share = self.share[which]
         felt = share.any(axis=0)

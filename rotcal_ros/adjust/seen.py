@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +11,7 @@ import numpy as np
 from rotcal_ros.adjust.effects import Seen, SeenFamily
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Steps
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 
 AT_A_TIME, FEW = 128, 64
@@ -139,7 +140,16 @@ class StepMoves:
 
     def __getitem__(self, which: slice) -> Floats:
         """Return what some columns do, (m, o + a)."""
-        return np.asarray(self.fit.moved(self.white(which)).T)
+        at, w = np.arange(self.steps.shape[1])[which], self.steps.width
+        if len(at) <= FEW:
+            return np.asarray(self.fit.moved(self.white(which)).T)
+        found = np.empty((len(at), len(self.fit.model.output_rows)))
+        place = np.full(self.steps.shape[1], -1)
+        place[at] = np.arange(len(at))
+        for members, felt in self._each(None):
+            to = place[members[:, None] * w + np.arange(w)]
+            found[to[to >= 0]] = felt[to >= 0]
+        return found
 
     def worst(self, std: Floats, *roots: Floats) -> list[Floats]:
         """Return the most (k,) that combinations of each do to an output, of ``std`` (o + a,).
@@ -148,9 +158,22 @@ class StepMoves:
         """
         counts, outputs = np.isfinite(std) & (std > 0.0), self.fit.model.counting_outputs
         unit = np.where(counts, 1.0 / np.where(counts, std, 1.0), 0.0)[: len(outputs)]
-        found, before = [np.zeros(len(r)) for r in roots], 0
+        found = [np.zeros(len(r)) for r in roots]
+        for members, felt in self._each(outputs):
+            share = (felt * unit).swapaxes(1, 2)  # (m, o, w)
+            for each, r in zip(found, roots, strict=True):
+                squares = ((share @ r[members]) ** 2).sum(axis=2)
+                each[members] = np.sqrt(squares.max(axis=1, initial=0.0))
+        return found
+
+    def _each(self, outputs: Outputs | None) -> Iterator[tuple[Ints, Floats]]:
+        """Yield some moments (m,), and what moves from them on do to ``outputs``, (m, w, o).
+
+        Sums of what all later rows do; ``outputs`` None: all of them.
+        """
+        before, o = 0, len(self.fit.model.output_rows if outputs is None else outputs)
         for rows, first in self.steps.runs:
-            carried = np.zeros((self.steps.width, len(outputs)))
+            carried = np.zeros((self.steps.width, o))
             for end in range(len(rows), 0, -FEW):
                 part = slice(max(end - FEW, 0), end)
                 felt = self.fit.response_of(rows[part], outputs).T[::-1, None]
@@ -159,12 +182,8 @@ class StepMoves:
                 felt = np.cumsum(felt, axis=0, out=felt)
                 carried = felt[-1].copy()
                 mine = np.flatnonzero((first >= part.start) & (first < end))
-                share = (felt[end - 1 - first[mine]] * unit).swapaxes(1, 2)  # (m, o, w)
-                for each, r in zip(found, roots, strict=True):
-                    squares = ((share @ r[before + mine]) ** 2).sum(axis=2)
-                    each[before + mine] = np.sqrt(squares.max(axis=1, initial=0.0))
+                yield before + mine, felt[end - 1 - first[mine]]
             before += len(first)
-        return found
 
 
 def _later(rows: Floats) -> Floats:

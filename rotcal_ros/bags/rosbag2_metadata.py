@@ -174,7 +174,7 @@ class FileEntry:
     start_ns: int | None = None
     duration_ns: int | None = None
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return how much is in the file."""
         if self.messages is None or self.duration_ns is None:
             return ""

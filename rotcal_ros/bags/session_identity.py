@@ -52,7 +52,7 @@ class FileHead:
         known = self.first_ns is not None and (self.configuration or self.item)
         return not (self.stated or known)
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return in words what distinguishes the session from others."""
         begun = "" if self.first_ns is None else str(np.datetime64(self.first_ns // 10**9, "s"))
         known = (
@@ -133,7 +133,7 @@ def require_one_session(files: Sequence[Path], limits: ReadingLimits = DEFAULT_L
     found = sessions_in(files, limits)
     if len(found) > 1:
         groups = "; ".join(
-            f"{', '.join(head.path.name for head in heads)} ({heads[0].in_words()})"
+            f"{', '.join(head.path.name for head in heads)} ({heads[0].describe()})"
             for heads in list(found.values())[:_NAMED]
         )
         groups += "; ..." * (len(found) > _NAMED)

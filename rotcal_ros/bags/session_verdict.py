@@ -147,7 +147,7 @@ def _missing_files(
         if following:
             stated[following] = f"the session went on in it after {verdict.path.name}"
     for entry in listed:
-        about = entry.in_words()
+        about = entry.describe()
         stated[entry.name] = f"{METADATA_FILE} lists it{f' with {about}' if about else ''}"
     for name, evidence in stated.items():
         if name not in files.by_name:

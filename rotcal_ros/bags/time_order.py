@@ -66,7 +66,7 @@ class TimeOrder:
     doubtful: bool = False
     rearranged: bool = True
 
-    def in_words(self) -> tuple[str, ...]:
+    def describe(self) -> tuple[str, ...]:
         """Return what a reader of the messages should know; nothing if all is in order."""
         if self.sort_by is not None and self.rearranged:
             reason = (

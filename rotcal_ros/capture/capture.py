@@ -175,7 +175,7 @@ class Capture:
         attempt, wait = self._pending[0], self._waiting
         lag_s = seconds(self._streams.lag_ns(attempt, wait))
         return (
-            f"{attempt.step.in_words(attempt.number)}: waiting for "
+            f"{attempt.step.describe(attempt.number)}: waiting for "
             f"{self._name(wait.stream)}, now {lag_s:.3g} s behind the other streams"
         )
 
@@ -199,7 +199,7 @@ class Capture:
         attempt, table = self._pending[-1], self._streams.table
         if attempt.step.turn is not None:
             fault = why_not_turning(table, attempt, _PATIENCE_NS)
-            return fault and f"{attempt.step.in_words(attempt.number)}: {fault}"
+            return fault and f"{attempt.step.describe(attempt.number)}: {fault}"
         reached_ns = self._streams.reached(table, attempt)
         if reached_ns - attempt.begin_ns < _PATIENCE_NS or attempt.search_ns <= reached_ns:
             return None
@@ -207,7 +207,7 @@ class Capture:
         reason = why_not_at_rest(
             table, attempt.begin_ns, reached_ns, step.table_angle, self._settings
         )
-        return f"{step.in_words(attempt.number)}: {reason}"
+        return f"{step.describe(attempt.number)}: {reason}"
 
     def _no_answer(self) -> str | None:
         """Return that table and probe stand still, and nobody answers the latest order."""
@@ -236,7 +236,7 @@ class Capture:
             table, newest.begin_ns, newest.step.table_angle, self._had_velocity,
             self._answers.ordered_ns,
         )  # fmt: skip
-        return fault and f"{newest.step.in_words(newest.number)}: {fault}"
+        return fault and f"{newest.step.describe(newest.number)}: {fault}"
 
     def remarks(self) -> tuple[str, ...]:
         """Return and forget what was wrong with records that belong to no observation."""
@@ -473,7 +473,7 @@ class Capture:
         outcome = decide(attempt, self._streams, self._settings)
         if late and isinstance(outcome, Observation):
             names = ", ".join(late)
-            self._remarks.append(f"{attempt.step.in_words()}: no {names} came in time")
+            self._remarks.append(f"{attempt.step.describe()}: no {names} came in time")
         if isinstance(outcome, Observation) and outcome.accepted:
             self._refuse_without_air(outcome)
         return outcome

@@ -87,7 +87,7 @@ class Intruder:
     topic: str
     publisher: str
 
-    def in_words(self, node: str | None, *, anew: bool = False) -> str:
+    def describe(self, node: str | None, *, anew: bool = False) -> str:
         """Return a sentence for people; ``node`` published the messages, None: gone or not known.
 
         ``anew``: it has the name of an accepted node, or an accepted node is gone.

@@ -46,7 +46,7 @@ class Commonest:
         ((kind, count),) = kinds.most_common(1)
         return cls(examples[kind], count, kinds.total())
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return how many, and an example."""
         return f"{self.count} of {self.total} like this: {self.example}"
 
@@ -84,13 +84,13 @@ class Rejections:
         """Whether so many were rejected in a row that all further ones may be."""
         return len(self.running) >= ALARM_AFTER
 
-    def in_words(self) -> str | None:
+    def describe(self) -> str | None:
         """Return what was rejected since the last accepted attempt."""
         commonest = Commonest.of(self.running)
         if commonest is None:
             return None
         attempts = f"{commonest.total} attempts" if commonest.total > 1 else "an attempt"
-        return f"{attempts} rejected in a row, {commonest.in_words()}"
+        return f"{attempts} rejected in a row, {commonest.describe()}"
 
 
 HIDDEN: Final = 10
@@ -130,7 +130,7 @@ class FailedSteps:
         assert commonest is not None
         steps = f"{failed} steps running" if failed > 1 else "a step"
         raise TooManyFailedError(
-            f"given up: {steps} failed; of their attempts {commonest.in_words()}. Correct that, "
+            f"given up: {steps} failed; of their attempts {commonest.describe()}. Correct that, "
             "then go on with 'rotcal run --resume', which measures these steps again "
             f"(planner.max_failed_steps = {self.limit} says how many may fail in a row)"
         )

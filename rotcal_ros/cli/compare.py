@@ -120,7 +120,7 @@ def _scored(folder: Path, *, as_json: bool) -> int:
     else:
         from rotcal_ros.report.terminal.tables import print_leaderboard
 
-        print_leaderboard(leaderboard(scores), [s.in_words() for s in scores if s.misleads])
+        print_leaderboard(leaderboard(scores), [s.describe() for s in scores if s.misleads])
     return int(any(score.misleads for score in scores))
 
 

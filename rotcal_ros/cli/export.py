@@ -134,7 +134,7 @@ def command(
     else:
         backward = None if reverse is None else read(reverse)
         export, paths = write_export(forward, asked, backward)
-        _show_written(export.files, paths, as_json, export.in_words())
+        _show_written(export.files, paths, as_json, export.describe())
     return 0
 
 
@@ -177,10 +177,10 @@ def _write_volumetric(forward: ResultSource, asked: ExportRequest) -> tuple[Path
     """Write all deviations."""
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
-    from rotcal_ros.foundation.in_force import in_words
+    from rotcal_ros.foundation.in_force import describe
 
     letter, result = _letter(forward, asked), forward.result
-    say(in_words(result.measured_on))
+    say(describe(result.measured_on))
     name = asked.name or f"{letter}_{VOLUMETRIC}".lower()
     return write_files(volumetric_files(result, name, letter), asked.out)
 

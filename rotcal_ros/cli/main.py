@@ -15,7 +15,7 @@ from rotcal_ros import __version__
 from rotcal_ros.cli.console import INTERRUPTED, in_lines
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.url_secrets import has_secret, in_words, masked
+from rotcal_ros.foundation.url_secrets import describe, has_secret, masked
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.plugins import Verb
@@ -81,7 +81,7 @@ class LazyGroup(click.Group):
         """Refuse a secret in a URL, which outputs, names of files and logs would repeat."""
         for number, text in enumerate(args, 1):
             if has_secret(text):
-                context.fail(in_words(f"argument {number}"))
+                context.fail(describe(f"argument {number}"))
         return super().parse_args(context, args)
 
     def list_commands(self, _context: click.Context) -> list[str]:

@@ -170,7 +170,7 @@ def reliability(
         print_json({**data, "prospects": [each.to_dict() for each in expected]})
     else:
         _print_reliability(data)
-        print_words(*(each.in_words(expected[0]) for each in expected))
+        print_words(*(each.describe(expected[0]) for each in expected))
     return 0
 
 

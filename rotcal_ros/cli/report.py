@@ -183,7 +183,7 @@ def _acting(result: Result, in_force: Path | None) -> int:
 
     effect = effect_in_force(result, in_force)
     if effect is not None:
-        say(f"warning: {effect.fault}" if effect.fault else f"table acts: {effect.in_words()}")
+        say(f"warning: {effect.fault}" if effect.fault else f"table acts: {effect.describe()}")
     return 1 if effect is not None and effect.fault else 0
 
 

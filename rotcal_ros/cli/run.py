@@ -114,7 +114,7 @@ def command(
                 )
             seconds = round(time.monotonic() - started, 1)
             standing = goal_standing(session.folder)
-            goal_line = "" if standing is None else standing.in_words()
+            goal_line = "" if standing is None else standing.describe()
             outcome |= {"seconds": seconds, "files": files, "goal_line": goal_line}
         viewers.end(outcome)
         return print_outcome(outcome, as_json=as_json)

@@ -205,7 +205,7 @@ def _show_evaluations(
     evaluations: tuple[Evaluation, ...], output: Path | None, as_json: bool
 ) -> int:
     """Print or write several evaluations side by side; the exit code is the worst one's."""
-    from rotcal_ros.evaluation.ways import in_words
+    from rotcal_ros.evaluation.ways import describe
     from rotcal_ros.foundation.files import write_atomically
 
     for warning in dict.fromkeys(w for e in evaluations for w in e.result.warnings):
@@ -217,5 +217,5 @@ def _show_evaluations(
     if as_json:
         print_json(data)
     else:
-        tell(*in_words(evaluations))
+        tell(*describe(evaluations))
     return max(VERDICT_EXIT_CODES[evaluation.result.verdict] for evaluation in evaluations)

@@ -166,7 +166,7 @@ def _verify(folder: Path, as_json: bool) -> int:
         tell(f"report:        {session.report}")
         _print(verification)
         if (standing := goal_standing(session)) is not None:
-            tell(standing.in_words())
+            tell(standing.describe())
     return VERDICT_EXIT_CODES[verification.verdict]
 
 
@@ -185,7 +185,7 @@ def _print(verification: Verification) -> None:
             "was added to the table"
         )
     if verification.effect is not None:
-        click.echo(verification.fault or f"table acts:    {verification.effect.in_words()}")
+        click.echo(verification.fault or f"table acts:    {verification.effect.describe()}")
     mark = f" ({SIMULATED})" if verification.simulated else ""
     print_verdict(
         f"{verification.verdict}{mark}",

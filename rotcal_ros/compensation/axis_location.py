@@ -32,7 +32,7 @@ DECIMALS: Final = 6
 """Decimals of millimetres and degrees: nanometres, a hundredth of an arcsecond."""
 
 
-def in_words(line: AxisLine) -> str:
+def describe(line: AxisLine) -> str:
     """Return place and lean with U (k = 2); files of controllers hold no other signs."""
     x, y, z = line.point / MILLIMETRE
     parts = []
@@ -86,7 +86,7 @@ def prepare_location(
     usual = f"{check_axis(axis)}_{controller_name}_axis"
     name = stem_of(stem, usual, simulated=result.simulated)
     head = [
-        *(in_words(line) for line in result.axes),
+        *(describe(line) for line in result.axes),
         *([NOTHING_MEASURED] if result.simulated else []),
     ]
     located = controller.locate(result.axes, name, head)

@@ -27,7 +27,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.in_force import NONE, UNKNOWN, in_words, known_hash
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN, describe, known_hash
 from rotcal_ros.foundation.units import ARCSEC
 
 Combination = Literal["as_measured", "replace", "add"]
@@ -55,19 +55,19 @@ def combined(
         check_verdict(table)
     _refuse_word(table, word)
     if table.measured_on == UNKNOWN:
-        note = f"'{word}' is the word of a person: {in_words(UNKNOWN)}"
+        note = f"'{word}' is the word of a person: {describe(UNKNOWN)}"
         table = replace(table, warnings=(*table.warnings, note))
     if table.measured_on == NONE or word == "replace":
         return table
     held = in_force()
     if held is None:
         raise DataError(
-            f"there is no table to add to: {in_words(table.measured_on)}; name it (rotcal export "
+            f"there is no table to add to: {describe(table.measured_on)}; name it (rotcal export "
             "--add-to), or restore it"
         )
     if known_hash(table.measured_on) and held.in_force != table.measured_on:
         raise DataError(
-            f"not added: {in_words(table.measured_on)}, and the one to add to is "
+            f"not added: {describe(table.measured_on)}, and the one to add to is "
             f"{held.in_force[:12]}; measure again with what the controller holds now"
         )
     acts = effect_on(table, held)
@@ -87,16 +87,16 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
         )
     if table.measured_on == UNKNOWN and word == "as_measured":
         raise DataError(
-            f"{in_words(UNKNOWN)}. Say which: 'replace' if there was none, 'add' if it was the "
+            f"{describe(UNKNOWN)}. Say which: 'replace' if there was none, 'add' if it was the "
             "one that the controller holds now (rotcal export --replace, --add-to; "
             "rc.write_controller_files replaces, add_to; bridge.combine); before measuring: "
             "cell.table_in_force"
         )
     if table.measured_on == NONE and word == "add":
-        raise DataError(f"not added: {in_words(NONE)}; let it replace the table in force")
+        raise DataError(f"not added: {describe(NONE)}; let it replace the table in force")
     if known_hash(table.measured_on) and word == "replace":
         raise DataError(
-            f"not replaced: {in_words(table.measured_on)}, and replacing that table would lose "
+            f"not replaced: {describe(table.measured_on)}, and replacing that table would lose "
             "what it corrects; add to it"
         )
 

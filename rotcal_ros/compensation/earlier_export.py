@@ -14,7 +14,7 @@ from rotcal_ros.compensation.held_table import Effect, HeldTable, effect_of_resu
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.in_force import describe
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.untrusted import load_json, read_text, reading
 
@@ -88,7 +88,7 @@ def effect_in_force(result: Result, folder: Path) -> Effect | None:
     if not found:
         there = ", ".join(table.in_force[:12] for table in held) or "none"
         raise ConfigurationError(
-            f"tables in {folder}: {there}; {in_words(result.measured_on)}: name the folder with "
+            f"tables in {folder}: {there}; {describe(result.measured_on)}: name the folder with "
             f"the files of the table that was in force and its *{PROVENANCE}"
         )
     return effect_of_result(result, found[0])

@@ -42,7 +42,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.in_force import in_words, known_hash
+from rotcal_ros.foundation.in_force import describe, known_hash
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND, TURN
 
 CONFIRMATION: Final = "confirmation_sha256"
@@ -70,10 +70,10 @@ class ExportFiles:
     confirmation: str
     controller: Controller
 
-    def in_words(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return what the files do to the table in force, what they leave, and the warnings."""
         warnings = (f"warning: {warning}" for warning in self.warnings)
-        return [standing(self.table), self.residual.in_words(), *warnings]
+        return [standing(self.table), self.residual.describe(), *warnings]
 
     def with_machine_files(self) -> dict[str, str]:
         """Return the files, and copies of the machine's own files that use them.
@@ -179,7 +179,7 @@ def _refuse(
     check_verdict(table)
     if known_hash(table.measured_on) and not table.adds_to:
         raise DataError(
-            f"{in_words(table.measured_on)}, and alone it would lose what that table corrects: "
+            f"{describe(table.measured_on)}, and alone it would lose what that table corrects: "
             "add to it (rotcal export --add-to); nothing was written"
         )
     if axis is not None and check_axis(axis) != table.axis:
@@ -204,7 +204,7 @@ def default_stem(axis: str, controller_name: str) -> str:
 def standing(table: CompensationTable) -> str:
     """Return in words whether ``table`` replaces the table in force or adds to it."""
     what = f"adds to the table {table.adds_to}" if table.adds_to else "replaces the table in force"
-    return f"{what}; {in_words(table.measured_on)}"
+    return f"{what}; {describe(table.measured_on)}"
 
 
 def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:
@@ -305,7 +305,7 @@ def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str
 def _left(residual: ResidualBudget, table: CompensationTable) -> dict[str, Any]:
     figures = {**asdict(residual), "stated": residual.stated}
     return {
-        "residual": residual.in_words(),
+        "residual": residual.describe(),
         "residual_arcsec": {part: value / ARCSEC for part, value in figures.items()},
         "blind_to": _blind_to(table),
     }
@@ -363,7 +363,7 @@ class ResidualBudget:
         between_rows = self.interpolation + self.sampling
         return between_rows + self.rounding + self.direction + self.second_order + self.following
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return the figures in one line, in arcseconds."""
         parts = {
             "interpolation": self.interpolation,

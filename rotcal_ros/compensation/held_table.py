@@ -156,10 +156,10 @@ class Effect:
         sure = abs(self.factor) - COVERAGE_FACTOR * self.std > SURE and self.share >= SHARE
         for (low, high), cause in zip(WRONG, CAUSES, strict=True):
             if sure and low <= self.factor < high:
-                return f"the table in force does not do what it should: {cause}; {self.in_words()}"
+                return f"the table in force does not do what it should: {cause}; {self.describe()}"
         return None
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return the factor with its expanded uncertainty."""
         factor = value_with_uncertainty(self.factor, COVERAGE_FACTOR * self.std)
         return (

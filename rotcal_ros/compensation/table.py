@@ -197,7 +197,7 @@ def check_verdict(origin: Result | CompensationTable) -> None:
 
     Nothing else may move an axis. Export and bridge both call this.
     """
-    open_zeros = origin.zeros.in_words() if isinstance(origin, Result) else origin.open_zeros
+    open_zeros = origin.zeros.describe() if isinstance(origin, Result) else origin.open_zeros
     if open_zeros:
         raise DataError(f"{open_zeros}, so nothing bounds its error. {LINK}; nothing was written")
     if origin.verdict != "ok":
@@ -274,7 +274,7 @@ def table_from_result(
     circumstances = [r.circumstances for r in every]
     begun = [c.begun_ns or 0 for c in circumstances]
     ended = [c.ended_ns or 0 for c in circumstances]
-    open_zeros = (r.zeros.in_words(["ECC"]) for r in every)
+    open_zeros = (r.zeros.describe(["ECC"]) for r in every)
     return CompensationTable(
         axis=axis,
         method=result.method,

@@ -19,7 +19,7 @@ from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
 from rotcal_ros.foundation.curves.directional import refuse_lost_reversal
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.in_force import in_words, known_hash
+from rotcal_ros.foundation.in_force import describe, known_hash
 from rotcal_ros.foundation.results import Result
 
 SIGN: Final = "deviation = actual - commanded; angles counter-clockwise about +z"
@@ -46,7 +46,7 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         columns[f"u_{name}_{_si_unit(name)}"] = std[name]
     numbers = np.column_stack(list(columns.values()))
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in numbers.tolist())]
-    on_top = [in_words(result.measured_on)] if known_hash(result.measured_on) else []
+    on_top = [describe(result.measured_on)] if known_hash(result.measured_on) else []
     data = {
         "schema": 1,
         "kind": KIND,

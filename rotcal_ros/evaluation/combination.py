@@ -161,7 +161,7 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
     closed = {c: own for c, own in joined.items() if c not in " ".join(left_out)}
     doubtful = [m for m in inputs if m.verdict != "ok"]
     warnings = [f"{m.name} is {m.verdict} ({'; '.join(m.warnings)})" for m in doubtful]
-    warnings += [group.in_words() for group in groups if not group.consistent]
+    warnings += [group.describe() for group in groups if not group.consistent]
     warnings += [
         f"{group.name}: {TOO_ALIKE} (chi2/dof {group.chi2_of_noise / group.dof:.2f})"
         for group in groups
@@ -169,7 +169,7 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
     ]
     checked = {n for group in groups if group.dof for names in group.members for n in names}
     unchecked = [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
-    notes = [link.in_words() for group in groups for link in group.links] + left_out
+    notes = [link.describe() for group in groups for link in group.links] + left_out
     notes += [f"{name}: {UNCHECKED}" for name in unchecked]
     chi2, dof = sum(group.chi2 for group in groups), sum(group.dof for group in groups)
     steps = np.diff(np.eye(len(angles)), axis=0) if "ECC" in deviations else None
@@ -200,7 +200,7 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
         raw_data=reduce(RawData.joined, (m.raw_data for m in inputs)),
         measured_on=agreed(m.measured_on for m in inputs),
     ).counted_from("mean", zeros)
-    open_zeros = [result.zeros.in_words()] if result.zeros.free else []
+    open_zeros = [result.zeros.describe()] if result.zeros.free else []
     return replace(result, warnings=(*result.warnings, *open_zeros, *notes))
 
 

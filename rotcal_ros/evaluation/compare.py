@@ -76,7 +76,7 @@ class Comparison(ByAngle):
         """The largest |E_n|."""
         return float(np.max(np.abs(self.normalised_error)))
 
-    def in_words(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> str:
+    def describe(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> str:
         """Return the verdict in one line."""
         worst = int(np.argmax(np.abs(self.normalised_error)))
         above = int(np.sum(np.abs(self.normalised_error) > 1.0))

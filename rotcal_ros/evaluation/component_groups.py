@@ -54,7 +54,7 @@ class Link:
     std: float
     share: float
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return where the offset comes from and what it costs, in one sentence."""
         unit, label = unit_of(self.component)
         alone = "" if self.checked else " alone: nothing checks that, its stated uncertainty rules"
@@ -127,7 +127,7 @@ class ComponentGroup:
         own = self.columns[component]
         return self.factor**2 * self.spread[own, own]
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return in words that the inputs contradict each other, and what was done about it."""
         unit, label = unit_of(next(iter(self.joined)))
         done = {

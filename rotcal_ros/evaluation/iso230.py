@@ -379,7 +379,7 @@ def runs_of(result: Result) -> BidirectionalRuns | None:
     DataError names an arrival that is missing, or offsets between targets that are open.
     """
     runs = result.runs
-    if runs is not None and (words := result.zeros.in_words(["ECC"])):
+    if runs is not None and (words := result.zeros.describe(["ECC"])):
         raise DataError(
             f"{words}: figures of ISO 230-2 are ranges over all targets, and nothing would bound "
             "them; join it with a result that links them (rotcal combine)"

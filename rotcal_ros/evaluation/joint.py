@@ -644,8 +644,8 @@ def _common_variance(shared: _Shared, views: _Views, known: Mapping[Members, _Kn
         return fit.dof / fit.chi2 - 1.0  # nearly a straight line
 
     # where it would be if all values had one variance
-    typical = float(np.mean([1.0 / np.mean((own.rows**2).sum(axis=1)) for own in known.values()]))
-    high = typical * (views.fit.chi2 / views.fit.dof - 1.0)
+    variance = float(np.mean([1.0 / np.mean((own.rows**2).sum(axis=1)) for own in known.values()]))
+    high = variance * (views.fit.chi2 / views.fit.dof - 1.0)
     while missing(high) < 0.0:
         high *= 1.5
     return float(brentq(missing, 0.0, high, xtol=1e-6 * high, rtol=1e-9))

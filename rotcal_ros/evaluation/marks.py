@@ -60,7 +60,7 @@ class Conformity:
     worst: int
     open_zeros: str = ""
 
-    def in_words(self, result: Result) -> str:
+    def describe(self, result: Result) -> str:
         """Return the statement of conformity in one sentence."""
         unit, label = unit_of(self.component)
         limit = f"±{self.tolerance / unit:g} {label}"
@@ -87,7 +87,7 @@ def conformities(result: Result, identity: Identity) -> tuple[Conformity, ...]:
         tolerance = tolerance_of(name, identity)
         if tolerance:
             values, std = result.deviations[name], result.std[name]
-            if words := result.zeros.in_words([name]):
+            if words := result.zeros.describe([name]):
                 worst = int(np.argmax(np.abs(values)))
                 found.append(Conformity(name, tolerance, "undecided", np.nan, worst, words))
                 continue

@@ -254,10 +254,10 @@ class Propagated:
             )
         return tuple(texts)
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return the verdict in one line."""
         verdict = "CONTRADICT" if self.warnings else "confirm"
-        open_zeros = self.result.zeros.in_words()
+        open_zeros = self.result.zeros.describe()
         within = f"; {open_zeros}: no trial shows it" if open_zeros else ""
         stable = "stable to" if self.spread.stable else "not yet stable to"
         return (
@@ -287,7 +287,7 @@ class Propagated:
             "angles_rad": self.result.angles.tolist(),
             "components": {name: plain_fields(p) for name, p in self.components.items()},
             "warnings": list(self.warnings),
-            "open_zeros": self.result.zeros.in_words(),
+            "open_zeros": self.result.zeros.describe(),
         }
 
 

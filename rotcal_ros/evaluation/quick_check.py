@@ -56,7 +56,7 @@ class QuickCheck(ByAngle):
         """The largest |difference|."""
         return float(np.max(np.abs(self.difference)))
 
-    def in_words(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> str:
+    def describe(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> str:
         """Return the verdict in one line."""
         rule = self.rule
         return (

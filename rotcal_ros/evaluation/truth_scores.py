@@ -83,7 +83,7 @@ class Score:
         """Whether the result says ok, does not name the effect, and is wrong by more than U."""
         return self.says_ok and not self.agree and not self.named
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return what the result claims and what is true of it, in one line."""
         factor, unit = unit_of(self.component)
         says = self.verdict + (f", not protected against {self.effect}" if self.named else "")

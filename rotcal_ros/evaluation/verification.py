@@ -127,7 +127,7 @@ class Verification:
             "after": self.after.to_dict(),
         }
         if self.effect is not None:
-            data["effect"] = {**asdict(self.effect), "words": self.fault or self.effect.in_words()}
+            data["effect"] = {**asdict(self.effect), "words": self.fault or self.effect.describe()}
         if self.again is not None:
             data["again"] = self.again.to_dict()
         if self.iso:

@@ -102,7 +102,7 @@ def largest_differences(method: Method, first: Result, second: Result) -> dict[s
     return {name: float(np.abs(left[name] - right[name]).max()) for name in names}
 
 
-def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
+def describe(evaluations: Sequence[Evaluation]) -> list[str]:
     """Return lines for people: each way with its largest U (k = 2), if it may be stated."""
     lines = []
     for evaluation in evaluations:

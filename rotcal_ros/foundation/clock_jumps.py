@@ -32,7 +32,7 @@ class ClockJump:
         """Whether it is reported to a person at once."""
         return abs(self.ahead_ns) >= NAMED_NS
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return what happened and when, in UTC."""
         at = f"{_EPOCH + timedelta(microseconds=self.at_ns // 1000):%Y-%m-%dT%H:%M:%SZ}"
         return f"the system clock jumped by {self.ahead_ns / 1e9:+.1f} s at {at}"
@@ -75,7 +75,7 @@ def read_note(note: Mapping[str, str]) -> tuple[ClockJump, ...]:
     for text in note.values():
         with suppress(ValueError, OverflowError, TypeError):
             jump = ClockJump(*map(int, text.split()))
-            jump.in_words()  # a date that the calendar does not have is no jump either
+            jump.describe()  # a date that the calendar does not have is no jump either
             found.append(jump)
     return tuple(found)
 

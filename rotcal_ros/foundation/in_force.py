@@ -77,7 +77,7 @@ def known_hash(state: str) -> bool:
     return state not in (UNKNOWN, NONE, "")
 
 
-def in_words(state: str) -> str:
+def describe(state: str) -> str:
     """Return what was in force during a measurement, for people."""
     if known_hash(state):
         return phrase("measured on top of the table {0}: the deviations are what it leaves",

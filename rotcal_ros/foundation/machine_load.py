@@ -35,7 +35,7 @@ def load() -> float:
         return 0.0
 
 
-def in_words() -> str:
+def describe() -> str:
     """Return the load of the machine for people."""
     number = cores()
     return f"load {load():.1f} on {number} core{'s' * (number != 1)}"

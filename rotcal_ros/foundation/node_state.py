@@ -1,7 +1,7 @@
 """The state of a node of the cell as data, and the one place where it becomes words.
 
 ``State`` and ``Why`` are the constants of the messages NodeState and NodeReason: what programs
-compare. ``in_words`` is for people: on a terminal, on the page, in /diagnostics.
+compare. ``describe`` is for people: on a terminal, on the page, in /diagnostics.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Reason:
         """Return a reason with arguments of any kind."""
         return cls(code, tuple(map(str, arguments)))
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return the reason for a person to read; what a foreign node left out is blank."""
         if self.code is Why.UNKNOWN:
             return "; ".join(self.arguments)
@@ -152,9 +152,9 @@ class NodeState:
         """Return whether ``code`` is among the reasons."""
         return any(reason.code is code for reason in self.reasons)
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return the state for a person to read."""
-        reasons = listed([reason.in_words() for reason in self.reasons])
+        reasons = listed([reason.describe() for reason in self.reasons])
         if self.state is State.CALIBRATING:
             return phrase("calibrating: step {0} of {1}, {2}", self.step, self.total, reasons)
         state = phrase(STATES[self.state])

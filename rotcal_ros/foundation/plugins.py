@@ -164,7 +164,7 @@ def culprit(error: BaseException) -> str | None:
     return f"in the {named} ({_package(suspects[0][1])}: {line_of_code})"
 
 
-def in_words(error: BaseException) -> str:
+def describe(error: BaseException) -> str:
     """Return an unexpected exception in words, with the plug-in that it was raised in."""
     plug_in = culprit(error)
     return f"{type(error).__name__}{f' {plug_in}' if plug_in else ''}: {error}"

@@ -298,7 +298,7 @@ class Zeros:
         )
         return replace(self, free=tuple(moved))
 
-    def in_words(self, components: Iterable[str] = COMPONENTS) -> str:
+    def describe(self, components: Iterable[str] = COMPONENTS) -> str:
         """Return a clause for each open offset of ``components``."""
         wanted = set(components)
         touched: dict[str, set[str]] = {}
@@ -382,7 +382,7 @@ class Result:
         if self.simulated:
             verdict = phrase("{0} (SIMULATED)", verdict)
         if self.zeros.free:
-            verdict = phrase("{0}, {1}", verdict, phrase(self.zeros.in_words()))
+            verdict = phrase("{0}, {1}", verdict, phrase(self.zeros.describe()))
         return verdict
 
     @property
@@ -452,7 +452,7 @@ class Result:
                 _require_numbers(f"{self.method}: free direction of {name}", self.angles, values)
         if self.zeros.free and self.verdict == "ok":
             raise DataError(
-                f"{self.method}: the verdict is ok although {self.zeros.in_words()}: expected "
+                f"{self.method}: the verdict is ok although {self.zeros.describe()}: expected "
                 "suspect, nothing bounds the error of such an offset"
             )
 

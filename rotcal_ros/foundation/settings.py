@@ -18,7 +18,7 @@ from typing import Any, Final, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.url_secrets import in_words as secret_found
+from rotcal_ros.foundation.url_secrets import describe as secret_found
 from rotcal_ros.foundation.url_secrets import secrets_in
 
 T = TypeVar("T")

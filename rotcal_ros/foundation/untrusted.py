@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
-from rotcal_ros.foundation.url_secrets import has_secret, in_words
+from rotcal_ros.foundation.url_secrets import describe, has_secret
 
 LARGEST_FILE: Final = 1 << 28
 """Bytes of a file that is read whole; the result of 20 000 lengths has 10 million."""
@@ -74,7 +74,7 @@ def open_plain(path: Path) -> BinaryIO:
 def require_no_secret(text: str, place: str) -> None:
     """Raise ConfigurationError, which does not repeat it, if a URL in ``text`` has a secret."""
     if has_secret(text):
-        raise ConfigurationError(in_words(place))
+        raise ConfigurationError(describe(place))
 
 
 def require_plain(path: Path) -> None:

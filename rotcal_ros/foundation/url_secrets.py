@@ -78,7 +78,7 @@ def secrets_in(value: Any, place: str) -> Iterator[str]:
             yield from secrets_in(inner, f"{place}[{number}]")
 
 
-def in_words(place: str) -> str:
+def describe(place: str) -> str:
     """Return the error for a URL with a secret at ``place``, which does not repeat it."""
     return (
         f"{place}: a URL with a secret in it, such as a password: it would be copied into bags, "

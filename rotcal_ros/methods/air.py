@@ -105,7 +105,7 @@ class Refraction:
         error = moved.model.observed - found.model.observed
         return replace(found, model=found.model.sharing(error[:, None]))
 
-    def in_words(self, observations: Observations) -> str:
+    def describe(self, observations: Observations) -> str:
         """Say who corrects, by what, and how uncertain it is; empty without lengths."""
         if not self.lengths:
             return ""

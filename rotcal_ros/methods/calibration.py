@@ -147,7 +147,7 @@ class Calibration:
             temperature_c=Range.of([o.temperature_c for o in used]) or stated.temperature_c,
             pressure_pa=Range.of([o.pressure_pa for o in used]) or stated.pressure_pa,
             humidity=Range.of([o.humidity for o in used]) or stated.humidity,
-            refraction=self.refraction.in_words(used),
+            refraction=self.refraction.describe(used),
             counts=StepCounts(
                 planned, len(steps), 0 if chosen else planned - len(steps), len(retried)
             ),

@@ -169,19 +169,19 @@ class DryRun:
             seconds, why = self.taking()
         except DataError:
             return CheckLine(PART, "time", "open", "not known: the table cannot go there")
-        return CheckLine(PART, "time", "note", f"about {in_words(seconds)}, with {why}")
+        return CheckLine(PART, "time", "note", f"about {describe(seconds)}, with {why}")
 
     def _prospects(self) -> Iterator[CheckLine]:
         """Yield what the plan cannot show, and what one more would bring, where that is quick."""
         if self.calibration.method.one_more is None or len(self._steps) > QUICK:
             return
         before, *more = prospects(self.calibration)
-        yield CheckLine(PART, "result", "note", before.in_words(before))
+        yield CheckLine(PART, "result", "note", before.describe(before))
         for each in more:
-            yield CheckLine(PART, "one more", "note", each.in_words(before))
+            yield CheckLine(PART, "one more", "note", each.describe(before))
 
 
-def in_words(seconds: float) -> str:
+def describe(seconds: float) -> str:
     """Return a duration as people say it."""
     minutes = round(seconds / 60)
     if seconds < 100:
@@ -216,7 +216,7 @@ class Prospect:
         std = {name: float(result.std[name].max()) for name in result.components}
         return cls(change, std, result.unprotected)
 
-    def in_words(self, before: Prospect) -> str:
+    def describe(self, before: Prospect) -> str:
         """Return it for people; of more than the plan, what is better than ``before``."""
         expanded = ", ".join(
             f"U({name}) {COVERAGE_FACTOR * std / unit_of(name)[0]:.2g} {unit_of(name)[1]}"

@@ -34,7 +34,7 @@ class GoalStanding:
     reason: str
     compared: Compared
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return one short line for the terminal."""
         papers = self.compared.papers
         sign = "<=" if self.reached <= self.goal else ">"

@@ -48,7 +48,7 @@ class Step:
     turn: Turn | None = None
     passing: float = 0.0
 
-    def in_words(self, attempt: int = 0) -> str:
+    def describe(self, attempt: int = 0) -> str:
         """Return the place of this step, for people."""
         return place_in_words(self.table_position, self.target, attempt)
 

@@ -172,7 +172,7 @@ def _rejections(observations: Sequence[Observation]) -> str:
     """Return how many were rejected, and the commonest reason."""
     commonest = Commonest.of(o.reason for o in observations)
     assert commonest is not None
-    return f"all {commonest.total} were rejected, {commonest.in_words()}"
+    return f"all {commonest.total} were rejected, {commonest.describe()}"
 
 
 def doubtful(
@@ -188,7 +188,7 @@ def doubtful(
     if commonest and 2 * commonest.total > len(observations):
         texts.append(
             f"{commonest.total} of {len(observations)} attempts were rejected, "
-            f"{commonest.in_words()}"
+            f"{commonest.describe()}"
         )
     elif failed := _failed_steps(observations):
         texts.append(failed)
@@ -211,7 +211,7 @@ def _failed_steps(observations: Sequence[Observation]) -> str | None:
     commonest, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
     if commonest is None or steps <= _FEW * (len(done) + steps):
         return None
-    return f"{steps} of {len(done) + steps} steps were tried in vain, {commonest.in_words()}"
+    return f"{steps} of {len(done) + steps} steps were tried in vain, {commonest.describe()}"
 
 
 def unanswered(commands: Mapping[str, int]) -> str:

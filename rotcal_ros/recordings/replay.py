@@ -497,11 +497,11 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
     """
     jumps = [j for scan in scans for j in read_note(scan.metadata.get(names.CLOCK_JUMPS, {}))]
     jumps = sorted(set(jumps), key=lambda jump: (not jump.named, jump.at_ns))
-    texts = [jump.in_words() for jump in jumps[:_SHOWN]]
+    texts = [jump.describe() for jump in jumps[:_SHOWN]]
     if len(jumps) > _SHOWN:
         texts.append(f"the system clock jumped {len(jumps) - _SHOWN} times more")
     if not (jumps and order.back):
-        texts += order.in_words()
+        texts += order.describe()
     return tuple(texts)
 
 

@@ -61,7 +61,7 @@ def comparison_page(
     pairs = [
         {
             "names": f"{a} − {b}",
-            "words": phrase(comparison.in_words(unit, name)),
+            "words": phrase(comparison.describe(unit, name)),
             "notes": [phrase(note) for note in comparison.notes],
             "rows": [
                 (*cells, phrase("interpolated") if between else "")

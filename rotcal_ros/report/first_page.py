@@ -29,7 +29,7 @@ from rotcal_ros.foundation.gum_numbers import (
     value_with_uncertainty,
 )
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.in_force import describe
 from rotcal_ros.foundation.language import listed, noted, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
@@ -66,7 +66,7 @@ def about_the_item(result: Result, identity: Identity) -> list[Fact]:
     return [
         Fact(phrase("Item"), _item(identity), "7.8.2.1 g"),
         Fact(phrase("Axis"), result.circumstances.axis),
-        Fact(phrase("Compensation in force"), in_words(result.measured_on)),
+        Fact(phrase("Compensation in force"), describe(result.measured_on)),
         Fact(phrase("Tolerance"), _tolerance(identity)),
         Fact(phrase("Customer"), _joined(customer), "7.8.2.1 e"),
         Fact(phrase("Customer's number"), identity.customer_number),
@@ -230,7 +230,7 @@ def statements_of_conformity(result: Result, withheld: str | None) -> list[str]:
         return []
     if withheld:
         return [phrase("No statement of conformity, because U is not stated.")]
-    return [phrase("{0} (decision rule: {1}).", found.in_words(result), RULE) for found in every]
+    return [phrase("{0} (decision rule: {1}).", found.describe(result), RULE) for found in every]
 
 
 def value_blocks(result: Result, withheld: str | None) -> list[ValueBlock]:

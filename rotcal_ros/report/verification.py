@@ -11,7 +11,7 @@ from rotcal_ros.compensation.earlier_export import effect_in_force
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.escapes import printable_lines
-from rotcal_ros.foundation.in_force import in_words, known_hash
+from rotcal_ros.foundation.in_force import describe, known_hash
 from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -66,7 +66,7 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
         acts = (
             phrase("its corrections are too small to show it")
             if effect is None
-            else phrase(effect.fault or effect.in_words())
+            else phrase(effect.fault or effect.describe())
         )
     elif known_hash(result.measured_on):
         acts = phrase(
@@ -75,7 +75,7 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
         )
     else:
         return []
-    text = phrase("{0}. Does that table act? {1}.", in_words(result.measured_on), acts)
+    text = phrase("{0}. Does that table act? {1}.", describe(result.measured_on), acts)
     spoken = printable_lines(SPOKEN.get().say(text))
     return [(phrase("The table in force"), f"<p>{escape(spoken)}</p>")]
 
@@ -90,7 +90,7 @@ def _in_words(verification: Verification) -> str:
         f"{verification.stated / ARCSEC:.3f}",
     )
     if verification.effect is not None:
-        acts = phrase(verification.fault or verification.effect.in_words())
+        acts = phrase(verification.fault or verification.effect.describe())
         text = phrase("{0} Does the table act? {1}.", text, acts)
     if verification.again is None:
         return text

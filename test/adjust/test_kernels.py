@@ -55,6 +55,9 @@ def agrees(kernel, expected, random):
     assert alike(kernel.variances_of(outputs), (carried**2).sum(axis=1))
     assert alike(kernel.covariance_of(outputs), carried @ carried.T)
     assert alike(kernel.variances_from(outputs, share), carried**2 @ share.T)
+    pairs = random.integers(n, size=(2, n))
+    products = carried[:, pairs[0]] * carried[:, pairs[1]] @ share.T
+    assert alike(kernel.products_of(outputs, *pairs, share), products)
     assert alike(kernel.squares_between(share), share @ expected.hat**2 @ share.T)
     assert alike(kernel.response(outputs, some), carried[:, some])
     assert alike(kernel.sensitivity(outputs, some).dense(), carried[:, some])
@@ -162,3 +165,51 @@ def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, w
     kernel = Updated.of(base, rest, share, (design.rows(out), -np.ones(left_out)), extra)
     assume(kernel is not None)
     agrees(kernel, expected, random)
+
+
+def test_rows_of_as_many_groups_are_a_diagonal_and_a_low_rank():
+    random = np.random.default_rng(7)
+    group = np.repeat(np.arange(60), 5)
+    matrix = np.hstack([np.eye(60)[group], random.standard_normal((300, 3))])
+    matrix[:, :60] *= random.uniform(0.5, 2.0, 300)[:, None]
+    design = FewEach(csr_array(matrix), random.standard_normal((2, 63)))
+    rows = np.arange(60) * 5 + 2
+    share, extra = np.ones(302), random.standard_normal((302, 1))
+    share[0], extra[0] = 0.0, 0.0
+    base = design.kernel()
+    rest = design.weighted(share)
+    changed = (design.rows(np.array([0])), -np.ones(1))
+    for kernel in (base, Updated.of(base, rest, share, changed, extra)):
+        found = kernel.low_rank(rows)
+        assert found.columns is not None
+        assert alike(found.dense(), kernel.among(rows))
+        cofactor, white = found.scaled(-1.0).lifted(1.0), random.standard_normal(60)
+        expected = white @ np.linalg.solve(np.eye(60) - kernel.among(rows), white)
+        assert cofactor.squares(white, 1e-6) == pytest.approx((expected, 60), rel=1e-9)
+    assert base.low_rank(np.arange(60)) is None  # of a few groups: much in common
+
+
+@given(st.integers(5, 12), st.integers(0, 2), st.integers(0, 2**32))
+def test_sums_over_places_of_circles_by_their_orders(size, left_out, seed):
+    """Rows of two settings, where the table stands alike; outputs are counted from one place."""
+    random = np.random.default_rng(seed)
+    weight = np.ones(3 * size)
+    weight[random.choice(3 * size, left_out, replace=False)] = 0.0
+    white = circular(random, size, (0, 1, 3)).weighted(weight)
+    expected, kernel = Reference(white.dense()), white.kernel()
+    assume(expected.firm and kernel is not None)
+    place, turn = np.arange(size), random.uniform(0.0, 6.0, size)
+    few, common = np.zeros((size + 1, expected.design.shape[1])), np.zeros((2, 2 * size + 3))
+    few[place, place], few[place, size + (place + 1) % size] = np.cos(turn), np.sin(turn)
+    common[[0, 1], [2, size]] = -1.0
+    few[-1, -2:] = 1.0, -1.0  # zeros of settings are no places
+    share = np.vstack([np.column_stack([np.cos(turn), np.sin(turn)]), np.zeros((1, 2))])
+    outputs = Outputs(csr_array(few), common, share)
+    assert outputs[:] @ expected.directions == pytest.approx(0.0, abs=1e-9)
+    carried = outputs[:] @ expected.gain
+    first = np.arange(2 * size)
+    second = np.where(first < size, first + size, first)
+    share = random.random((2, 2 * size))
+    products = carried[:, first] * carried[:, second] @ share.T
+    assert alike(kernel.products_of(outputs, first, second, share), products)
+    assert alike(kernel.covariance_of(outputs), carried @ carried.T)

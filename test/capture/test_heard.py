@@ -64,14 +64,14 @@ def test_an_intruder_is_named_with_its_topic_and_what_to_do():
         heard.hears(POINTS, Origin(publisher, 1))
     first, second = heard.intruders
     assert (first.publisher, second) == (THIRD, Intruder(POINTS, STRAY))
-    text = second.in_words("second_probe")
+    text = second.describe("second_probe")
     assert "/cell/probe_point: node second_probe publishes there too" in text
     assert "are ignored" in text
-    assert "a node that is gone" in second.in_words(None)
+    assert "a node that is gone" in second.describe(None)
 
 
 def test_an_instrument_that_was_started_anew_is_not_told_to_go_away():
-    text = Intruder(POINTS, STRAY).in_words("probe", anew=True)
+    text = Intruder(POINTS, STRAY).describe("probe", anew=True)
     assert "/cell/probe_point: node probe was restarted" in text
     assert "ignored until another run begins" in text
     assert "end that node" not in text

@@ -40,7 +40,7 @@ def test_a_kind_is_a_reason_without_its_numbers(one, other):
 def test_the_commonest_reason_with_its_latest_example():
     found = Commonest.of(["table 3 off", "beam broken", "table 4 off"])
     assert found == Commonest("table 4 off", 2, 3)
-    assert found.in_words() == "2 of 3 like this: table 4 off"
+    assert found.describe() == "2 of 3 like this: table 4 off"
     assert Commonest.of([]) is None
 
 
@@ -73,10 +73,10 @@ def test_three_running_are_an_alarm_and_an_accepted_one_ends_it():
         rejections.note(rejected("beam broken", attempt=number), 0.0)
         alarms.append(rejections.alarming)
     assert alarms == [False, False, True]
-    assert rejections.in_words() == "3 attempts rejected in a row, 3 of 3 like this: beam broken"
+    assert rejections.describe() == "3 attempts rejected in a row, 3 of 3 like this: beam broken"
     rejections.note(ACCEPTED, 1.0)
     assert not rejections.alarming
-    assert rejections.in_words() is None
+    assert rejections.describe() is None
 
 
 def given_up_at(limit, reasons):

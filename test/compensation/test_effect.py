@@ -44,8 +44,8 @@ def test_the_factor_tells_what_the_control_makes_of_its_table(gain, factor, word
     assert abs(found.factor - factor) < 5.0 * found.std < 0.05
     assert (words in found.fault) if words else found.fault is None
     assert not (found.fault or "").endswith("?")  # sentences follow
-    assert not found.in_words().startswith("-0.0")
-    assert " ± 0.00" in found.in_words()  # two digits of U, the factor to the same place
+    assert not found.describe().startswith("-0.0")
+    assert " ± 0.00" in found.describe()  # two digits of U, the factor to the same place
 
 
 def test_the_uncertainty_of_the_factor_is_that_of_the_measurement():

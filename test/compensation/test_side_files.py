@@ -91,7 +91,7 @@ def test_the_side_file_holds_what_the_page_promises(name):
         *wide,
         *([UNKNOWN_LIMITS] if name == "linuxcnc" else []),
     ]
-    assert side.pop("residual") == done.residual.in_words()
+    assert side.pop("residual") == done.residual.describe()
     assert {k: v for k, v in side.items() if k not in FACTS_OF_A_TABLE} == {
         "table_sha256": table.table_hash,
         "controller": name,
@@ -159,14 +159,14 @@ def test_the_residual_in_words_and_in_sum():
                     rounding=0.2 * ARCSEC, direction=0.4 * ARCSEC, second_order=0.8 * ARCSEC,
                     std=0.05 * ARCSEC)  # fmt: skip
     assert scaled.stated / ARCSEC == pytest.approx(1.5)
-    assert scaled.in_words() == (
+    assert scaled.describe() == (
         "largest deviation 400 arcsec, after compensation at most 1.5 arcsec (interpolation 0.1, "
         "rounding 0.2, one column for both directions 0.4, second order 0.8), 3 arcsec by the "
         "control's own rule; standard uncertainty 0.05 arcsec"
     )
     assert (
         "(second order 0.8)"
-        in replace(scaled, interpolation=0.0, rounding=0.0, direction=0.0).in_words()
+        in replace(scaled, interpolation=0.0, rounding=0.0, direction=0.0).describe()
     )
 
 

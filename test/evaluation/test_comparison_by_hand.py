@@ -130,10 +130,10 @@ def comparison(**changes):
 def test_words_and_rows_by_hand():
     """An E_n of exactly 1 is not above 1."""
     line = "rms 1.5 arcsec, largest |E_n| 1.25 at 45 deg, 1 of 3 above 1, chi2/dof 2.50"
-    assert comparison().in_words() == f"agree: {line}"
-    assert comparison(agree=False).in_words() == f"DISAGREE: {line}"
+    assert comparison().describe() == f"agree: {line}"
+    assert comparison(agree=False).describe() == f"DISAGREE: {line}"
     metres = comparison(rms=0.25 * MICROMETRE)
-    assert metres.in_words(MICROMETRE, "um").startswith("agree: rms 0.25 um, largest")
+    assert metres.describe(MICROMETRE, "um").startswith("agree: rms 0.25 um, largest")
     assert comparison().rows(ARCSEC) == [
         ("0.0000", "+1.0", "1.0", "+1.00"),
         ("45.0000", "-2.5", "2.0", "-1.25"),

@@ -49,7 +49,7 @@ def test_words_name_the_tolerance_and_the_angle():
     ):
         shown = result(np.eye(2), np.array([0.0, value]))
         (conformity,) = conformities(shown, agreed)
-        assert words in conformity.in_words(shown)
+        assert words in conformity.describe(shown)
 
 
 def test_every_component_has_the_tolerance_of_its_kind_or_none():

@@ -84,7 +84,7 @@ def test_a_real_difference_is_found():
     result = compare(curve(24), curve(24, shape=lambda t: truth(t) + 2 * ARCSEC * np.cos(2 * t)))
     assert not result.agree
     assert result.rms / ARCSEC == pytest.approx(np.sqrt(2.0), rel=1e-9)
-    assert result.in_words().startswith("DISAGREE: rms 1.41 arcsec, largest |E_n| 3.")
+    assert result.describe().startswith("DISAGREE: rms 1.41 arcsec, largest |E_n| 3.")
 
 
 def test_every_second_angle_of_a_finer_reference_is_not_interpolated():

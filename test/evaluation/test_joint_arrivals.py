@@ -140,7 +140,7 @@ def test_joined_runs_and_readings_are_one_least_squares():
     true = problem.length[row] - LENGTH_STD * noise[0]  # of which the first reading is off by that
     later = true + jump + LENGTH_STD * noise[1]
     broken = replace(problem, length=problem.length + jump * run)
-    columns = ("position", "target", "length_std", "distance_std")
+    columns = ("position", "target", "length_std")
     more = {c: np.append(getattr(broken, c), getattr(broken, c)[row]) for c in columns}
     when = np.lexsort((broken.target, broken.position, run)).argsort()
     asked = replace(

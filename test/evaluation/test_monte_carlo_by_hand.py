@@ -298,7 +298,7 @@ def test_components_are_split_in_the_order_of_all_methods():
 
 def test_contradictions_are_told_in_the_units_of_people():
     assert trials_about().warnings == ()
-    assert trials_about().in_words() == (
+    assert trials_about().describe() == (
         "10000 trials confirm the solver's uncertainty; stable to 2 digits, seed 11"
     )
     found = trials_about(2.0, stable=False)
@@ -306,7 +306,7 @@ def test_contradictions_are_told_in_the_units_of_people():
         "ECC at 45 deg (arcsec): the linear standard uncertainty is 0.1, the trials say 0.2 "
         "(mean shifted by 0); trust the trials",
     )
-    assert found.in_words() == (
+    assert found.describe() == (
         "10000 trials CONTRADICT the solver's uncertainty; not yet stable to 2 digits, seed 11"
     )
 

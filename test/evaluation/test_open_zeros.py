@@ -184,7 +184,7 @@ def test_no_tolerance_is_met_with_an_offset_open():
     identity = Identity(tolerance_arcsec=1.0)
     (found,) = (c for c in conformities(SIX, identity) if c.component == "ECC")
     assert found.decision == "undecided"
-    assert "the offset between the odd and even" in found.in_words(SIX)
+    assert "the offset between the odd and even" in found.describe(SIX)
     assert {c.decision for c in conformities(TWELVE, identity) if c.component == "ECC"} == {
         "beyond"
     }

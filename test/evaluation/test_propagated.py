@@ -41,7 +41,7 @@ def test_trials_confirm_the_solver(both):
         np.testing.assert_array_equal(part.value, both.result.deviations[name])
         measured = part.linear_std > 0.0
         np.testing.assert_allclose(part.std[measured], part.linear_std[measured], rtol=0.08)
-    assert "confirm the solver's uncertainty" in both.in_words()
+    assert "confirm the solver's uncertainty" in both.describe()
 
 
 def test_an_uncertainty_that_is_too_small_is_contradicted_and_named(both):
@@ -50,7 +50,7 @@ def test_an_uncertainty_that_is_too_small_is_contradicted_and_named(both):
     assert len(told.warnings) >= len(both.result.angles) - 2
     assert any(text.startswith("ECC at 30 deg (arcsec): ") or "ECC at 45 deg" in text
                for text in told.warnings)  # fmt: skip
-    assert "CONTRADICT" in told.in_words()
+    assert "CONTRADICT" in told.describe()
 
 
 def test_plain_form_holds_everything(both):
@@ -71,5 +71,5 @@ def test_trials_do_not_hide_an_offset_that_none_of_them_tells():
         propagate(ball_plate.plate_trials(problem), seed=1, max_trials=40, block=20),
         1,
     )
-    assert "the odd and even table positions is not measured" in told.in_words()
-    assert told.to_dict()["open_zeros"] == told.result.zeros.in_words()
+    assert "the odd and even table positions is not measured" in told.describe()
+    assert told.to_dict()["open_zeros"] == told.result.zeros.describe()

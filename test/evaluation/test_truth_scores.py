@@ -76,7 +76,7 @@ def test_who_says_ok_and_is_wrong_misleads_unless_the_effect_is_named(tmp_path):
         "alarm": (0, 0, 1),
     }  # fmt: skip
     assert "U is 1.73 arcsec, 2 of 4 intervals hold the truth; it says ok" in (
-        scores["silent"].in_words()
+        scores["silent"].describe()
     )
 
 

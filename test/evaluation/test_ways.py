@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.ways import Evaluation, evaluate, in_words, largest_differences, ways
+from rotcal_ros.evaluation.ways import Evaluation, describe, evaluate, largest_differences, ways
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
@@ -93,7 +93,7 @@ def test_words_hold_expanded_uncertainties_and_distances_in_their_units():
     given = replace(given, protections=(Protection("drift", "not protected", ""),))
     doubted = replace(given, verdict="suspect")
     other = Evaluation(("solver.coarser=2",), doubted, {"ECC": 5.0 * ARCSEC, "EXC": 1.25e-6})
-    assert in_words([Evaluation((), given, {}), other]) == [
+    assert describe([Evaluation((), given, {}), other]) == [
         "all data: 70 observations, 7 degrees of freedom, verdict ok. Not tested for: drift",
         "  EXC  U (k = 2) 0.006 µm",
         "  ECC  U (k = 2) 0.001 arcsec",

@@ -22,7 +22,7 @@ def watched(*ahead_s):
 def test_a_step_is_told_once_with_its_size_and_the_time_behind_it():
     watch, seen = watched(0.0, 0.0, -45.0, -45.0, -45.0)
     assert seen == [None, ClockJump(-45 * 10**9, NOON_NS - 45 * 10**9), None, None]
-    assert seen[1].in_words() == "the system clock jumped by -45.0 s at 2023-11-14T22:12:35Z"
+    assert seen[1].describe() == "the system clock jumped by -45.0 s at 2023-11-14T22:12:35Z"
     assert seen[1].named
     assert (watch.count, watch.ahead_ns) == (1, -45 * 10**9)
 

@@ -59,12 +59,12 @@ def test_every_code_has_its_words():
     ],
 )
 def test_a_state_in_words(state, words):
-    assert state.in_words() == words
+    assert state.describe() == words
 
 
 def test_what_is_asked_of_a_person_is_told_with_and_without_that_it_is_a_pause():
     work = Reason.of(Why.WORK, "put the tracker there")
-    assert (work.instruction, work.in_words()) == (
+    assert (work.instruction, work.describe()) == (
         "put the tracker there", "paused: put the tracker there"
     )  # fmt: skip
     over = Reason.of(Why.RELEASED_AND_WORK, "the door was open", "put it there")
@@ -77,6 +77,6 @@ def test_what_is_asked_of_a_person_is_told_with_and_without_that_it_is_a_pause()
 
 def test_what_a_later_version_or_a_stranger_tells_is_read_as_far_as_it_can_be():
     assert (State(99), Why(9999)) == (State.UNKNOWN, Why.UNKNOWN)
-    assert Reason(Why(9999), ("a", "b")).in_words() == "a; b"
-    assert Reason(Why.ORDERED).in_words() == "step , attempt "
-    assert Reason(Why.NO_PLAN, ("more",)).in_words() == "waiting for a plan"
+    assert Reason(Why(9999), ("a", "b")).describe() == "a; b"
+    assert Reason(Why.ORDERED).describe() == "step , attempt "
+    assert Reason(Why.NO_PLAN, ("more",)).describe() == "waiting for a plan"

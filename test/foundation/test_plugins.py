@@ -63,7 +63,7 @@ def test_a_file_that_a_plug_in_does_not_find_is_its_own(plugin, tmp_path, capsys
     assert _explain(error) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "unexpected FileNotFoundError in the controller 'broken'" in told
-    assert plugins.in_words(error).startswith("FileNotFoundError in the controller 'broken' (bro")
+    assert plugins.describe(error).startswith("FileNotFoundError in the controller 'broken' (bro")
 
 
 TWO = """

@@ -73,9 +73,9 @@ def test_the_circumstances_say_either_way(measured):
     assert "standard uncertainty" in said.refraction
     assert said.pressure_pa.highest - said.pressure_pa.lowest > 500.0
     assert said.humidity.mean == 0.5
-    assert prepare(configured(name)).refraction.in_words(observations) == BY_INSTRUMENT
+    assert prepare(configured(name)).refraction.describe(observations) == BY_INSTRUMENT
     plate = prepare(read_configuration(DATA / "ball_plate.yaml"))
-    assert plate.refraction.in_words(()) == Circumstances().refraction == ""
+    assert plate.refraction.describe(()) == Circumstances().refraction == ""
 
 
 def test_values_that_are_given_serve_where_none_is_captured(measured):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from plate_cell import measure, simulated_cell, small
 
-from rotcal_ros.evaluation.ways import evaluate, in_words, ways
+from rotcal_ros.evaluation.ways import describe, evaluate, ways
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import (
     ConfigurationError,
@@ -118,7 +118,7 @@ def test_several_evaluations_of_the_same_data(measured):
         between = np.abs(five.result.deviations[name] - whole.result.deviations[name]).max()
         assert five.differences[name] == pytest.approx(between, rel=1e-9)
         assert between < 5 * five.result.std[name].max()
-    lines = in_words([whole, five])
+    lines = describe([whole, five])
     assert lines[0].startswith("all data: 78 observations")
     assert len(lines) == 2 * 7
     with pytest.raises(PlanError, match=r"ball steps \[2\] were not measured"):

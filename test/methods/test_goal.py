@@ -158,7 +158,7 @@ def test_the_standing_counts_and_tells_why_it_stopped(demo):
     m = len(variance)
     about = np.trace(variance) - variance.sum() / m
     assert standing.reached == pytest.approx(2.0 * sqrt(about / m))
-    assert f"{len(steps) - 1} of {len(demo.plan.steps)} lengths" in standing.in_words()
+    assert f"{len(steps) - 1} of {len(demo.plan.steps)} lengths" in standing.describe()
     stopped = goal_standing(demo, result, choices[:-1], observed)
     assert "interrupted" in stopped.reason
     assert (

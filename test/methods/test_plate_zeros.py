@@ -180,5 +180,5 @@ def test_zeros_are_stated_in_known_words_and_shapes():
         np.eye(4)[::2]
     )
     np.testing.assert_array_equal(moved.of("ECC", 2)[:, 0], [0.0, 2.0])
-    assert moved.in_words() == "the offset between halves is not measured (ECC)"
-    assert moved.in_words(["EZC"]) == ""
+    assert moved.describe() == "the offset between halves is not measured (ECC)"
+    assert moved.describe(["EZC"]) == ""

@@ -82,6 +82,14 @@ def test_the_order_of_the_rows_tells_the_direction(method, tmp_path):
     shows_the_play(result)
 
 
+def test_trials_of_a_table_of_points_are_those_of_its_mean_curve(tmp_path):
+    calibration = planned("plane_mirror", BOTH)
+    table = write(tmp_path, "plane_mirror", calibration, observed(calibration))
+    read = read_measurements(table, calibration.configuration)
+    values, std = read.trials()(np.random.default_rng(1), 400), read.solve().std["ECC"]
+    np.testing.assert_allclose(values.std(axis=0), std, rtol=0.25, atol=1e-12)
+
+
 def set_up(folder, text):
     (folder / "setup.yaml").write_text(text)
     return read_configuration(folder / "setup.yaml")

@@ -93,7 +93,7 @@ class Feeder(Node):
         state = node_state(beat)
         if state.has(Why.RECORDING_FAILED) and beat.node not in self._failed:
             self._failed.add(beat.node)
-            self._say(beat.node, failure=state.in_words())
+            self._say(beat.node, failure=state.describe())
 
     def _say(self, name, **what):
         sys.stdout.write(json.dumps({"recorder": name, **what}) + "\n")

@@ -15,7 +15,7 @@ import warm
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from rotcal_ros.foundation.machine_load import Patience, in_words, patient
+from rotcal_ros.foundation.machine_load import Patience, describe, patient
 from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.foundation.results import Result
@@ -159,7 +159,7 @@ class Client:
                 f"the client ended without {kinds}: {outcome}; ended before: "
                 f"{self._processes.ended()}"
             )
-        pytest.fail(f"no {kinds} within {DEADLINE_S} s of an idle machine; {in_words()}")
+        pytest.fail(f"no {kinds} within {DEADLINE_S} s of an idle machine; {describe()}")
 
     def wait_for_step(self, step):
         return self.wait_for("feedback", where=lambda event: event["accepted"] >= step)
@@ -190,7 +190,7 @@ def wait_until(condition, what):
     patience = Patience(DEADLINE_S)
     while not condition():
         if patience.is_over():
-            pytest.fail(f"not within {DEADLINE_S} s of an idle machine: {what}; {in_words()}")
+            pytest.fail(f"not within {DEADLINE_S} s of an idle machine: {what}; {describe()}")
         time.sleep(LOOK_S)
 
 

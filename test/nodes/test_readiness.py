@@ -25,8 +25,8 @@ class Heard:
     def state(self, name):
         return self._states[name].state
 
-    def in_words(self, name):
-        return self._states[name].in_words()
+    def describe(self, name):
+        return self._states[name].describe()
 
     def present(self):
         return self._states.keys()

@@ -89,7 +89,7 @@ class PlannerOfOthers:
     def node_state(self, _name):
         return UNHEARD
 
-    def in_words(self, _name):
+    def describe(self, _name):
         return "calibrating: step 3 of 60"
 
     def start(self, *goal):

@@ -117,7 +117,7 @@ METHOD: Final = ByModel(
     simulated_instrument=SimulatedLevels,
     plan=plan,
     gauge=gauge.without_axis_and_artefact,
-    zero=gauge.in_words,
+    zero=gauge.describe,
     table=planned_table(
         {"position": "table_position", "level": "target"}, {"reading_rad": FARTHEST_RAD}
     ),

@@ -30,7 +30,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.escapes import printable, printable_lines
 from rotcal_ros.foundation.identity import Identity, InstrumentIdentity
-from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.in_force import describe
 from rotcal_ros.foundation.language import ENGLISH, Phrase, codes, language, phrase
 from rotcal_ros.foundation.results import AxisLine, Result
 
@@ -177,7 +177,7 @@ def _methods(result: Result, title: str) -> Iterator[Any]:
             f"Method {result.method} of rotcal_ros; {result.n_observations} observations, of "
             f"these {len(result.rejected)} rejected; degrees of freedom {result.dof}, "
             f"sigma0 {result.sigma0:.4g}.",
-            phrase("Compensation table in force meanwhile: {0}.", in_words(result.measured_on)),
+            phrase("Compensation table in force meanwhile: {0}.", describe(result.measured_on)),
         ),
     )
     refraction = result.circumstances.refraction

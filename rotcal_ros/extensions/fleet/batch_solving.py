@@ -20,7 +20,7 @@ from rotcal_ros.extensions.fleet.bag_search import is_remote, local, remote_stat
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.plugins import culprit, in_words
+from rotcal_ros.foundation.plugins import culprit, describe
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.methods.configuration import Configuration, raw_groups
@@ -78,7 +78,7 @@ def _in_words(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return "the bag needs more memory than there is"
     if culprit(error):
-        return in_words(error)
+        return describe(error)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
     return f"{type(error).__name__} while solving, which is a fault of rotcal_ros: {error}"

@@ -105,7 +105,7 @@ def keep_session(folder: SessionFolder, database: str, axis: str) -> str:
     """Add the result and the report of a session to a history; return what became of it."""
     with ParkHistory(database) as history:
         found = read_source(folder.path)
-        return _add(history, {"axis": axis}, folder.path, found)[0].in_words()
+        return _add(history, {"axis": axis}, folder.path, found)[0].describe()
 
 
 def keep_measurement(history: ParkHistory, result: Result, serial: str, source: str) -> Added:
@@ -173,7 +173,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> list[tuple
         except DataError:  # not measured then, or not comparable
             continue
         unit, label = unit_of(name)
-        words = phrase("{0} against {1}: {2}", name, day, phrase(found.in_words(unit, label)))
+        words = phrase("{0} against {1}: {2}", name, day, phrase(found.describe(unit, label)))
         changes.append((words, curves_and_errors(curves, {(now, day): found}, name), name))
     return [(TITLE, render("since_last_time", changes=changes))] if changes else []
 

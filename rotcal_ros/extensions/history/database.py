@@ -201,7 +201,7 @@ class Added:
     entry: HistoryEntry
     new: bool
 
-    def in_words(self) -> str:
+    def describe(self) -> str:
         """Return it in a line."""
         entry, but = self.entry, ", but replaced" * (self.entry.state == REPLACED)
         state = "added" if self.new else f"there already{but}"

@@ -151,7 +151,7 @@ def add(
                 say(f"not added: {came}")
             else:
                 done += came
-                say("\n".join(each.in_words() for each in came))
+                say("\n".join(each.describe() for each in came))
     if as_json:
         entries = [{"new": each.new, **_facts(each.entry)} for each in done]
         print_json({"entries": entries, "refused": [str(error) for error in refused]})
@@ -175,7 +175,7 @@ def event(serial: str, what: str, axis: str, day: str, why: str, settings: Histo
     """
     with _open(settings) as history:
         item = history.item(serial, axis)
-        say(history.add_event(item, what, time_of(day), why).in_words())
+        say(history.add_event(item, what, time_of(day), why).describe())
     return 0
 
 
@@ -193,7 +193,7 @@ def correct(
     if withdraw == bool(serial or axis):
         raise click.UsageError("give --serial or --axis, or --withdraw")
     with _open(settings) as history:
-        say(history.correct(number, why, serial=serial, axis=axis).in_words())
+        say(history.correct(number, why, serial=serial, axis=axis).describe())
     return 0
 
 

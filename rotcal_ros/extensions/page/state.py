@@ -432,7 +432,7 @@ def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
 
 
 def _ready(planner: NodeState) -> Now:
-    words = phrase("The planner is {0}: no calibration runs.", planner.in_words())
+    words = phrase("The planner is {0}: no calibration runs.", planner.describe())
     return Now("ready", phrase("Ready"), words)
 
 

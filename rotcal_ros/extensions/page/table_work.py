@@ -101,11 +101,11 @@ class Asked:
         configuration = self.configuration()
         targets = self.folder / PLACES[TARGETS] if TARGETS in self.names else None
         measured = read_measurements(self.folder / PLACES[TABLE], configuration, targets, announce)
-        known = {self.in_words(name): digest for name, digest in measured.sha256.items()}
+        known = {self.describe(name): digest for name, digest in measured.sha256.items()}
         assert is_dataclass(measured)
         return replace(measured, sha256=known)
 
-    def in_words(self, text: str) -> str:
+    def describe(self, text: str) -> str:
         """Return a text with the names of files as people know them."""
         known = {PLACES[role]: name for role, name in self.names.items() if role in PLACES}
         text = text.replace(f"{self.folder}/", "")
@@ -130,9 +130,9 @@ def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> 
 
 def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
-    text, *log = map(asked.in_words, in_lines(error))
+    text, *log = map(asked.describe, in_lines(error))
     if isinstance(error, UndecidedError):
-        text = asked.in_words(error.found)
+        text = asked.describe(error.found)
     question = error.question if isinstance(error, RotcalError) else None
     return {
         "text": at_boxes(text, asked.method),
@@ -155,7 +155,7 @@ def at_boxes(text: str, method: str) -> str:
 
 
 def _in_words(question: Question, asked: Asked) -> Reply:
-    answers = [(value, asked.in_words(words)) for value, words in question.answers]
+    answers = [(value, asked.describe(words)) for value, words in question.answers]
     return {"setting": question.setting, "answers": answers}
 
 
@@ -172,13 +172,13 @@ def explained(asked: Asked) -> Reply:
 
 def _table(reading: Reading, asked: Asked) -> Reply:
     return {
-        "name": asked.in_words(reading.table.path.name),
+        "name": asked.describe(reading.table.path.name),
         "form": plain(reading.form),
         "rows": len(reading.table.lines),
         "columns": list(_columns(reading)),
         "head": reading.head,
         "aside": reading.aside,
-        "remarks": plain((*reading.remarks, *map(asked.in_words, reading.sources))),
+        "remarks": plain((*reading.remarks, *map(asked.describe, reading.sources))),
         "left_out": plain(reading.left_out),
         "header": reading.table.header,
         "first": reading.table.lines[:SHOWN_ROWS],
@@ -284,7 +284,7 @@ def for_controller(asked: Asked) -> Reply:
         accept_unverified=UNVERIFIED in accepted,
     )
     export, files = write_export(read_source(result), request)
-    words = [asked.in_words(line) for line in export.in_words()]
+    words = [asked.describe(line) for line in export.describe()]
     return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
 
 

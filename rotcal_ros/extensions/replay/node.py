@@ -229,7 +229,7 @@ class Player:
             return not not_yet() or any(state.has(Why.PLAN_REFUSED) for state in states)
 
         if not self._wait(settled, PLAN_TAKEN_S) or not_yet():
-            states = "; ".join(f"{node}: {self._health.in_words(node)}" for node in nodes)
+            states = "; ".join(f"{node}: {self._health.describe(node)}" for node in nodes)
             raise ConfigurationError(
                 f"the plan of the bag is not taken ({states}): start the nodes with the bag's "
                 "configuration"

@@ -13,7 +13,7 @@ from rotcal_ros.foundation.results import Result
 _PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 
 
-def in_words(result: Result) -> tuple[str, ...]:
+def describe(result: Result) -> tuple[str, ...]:
     """Return what the curves of such a method count from."""
     over = "the measured angles"
     if result.zeros.counts_from == "mean of each group":

@@ -74,7 +74,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
         simulated=result.simulated,
         free=merge @ result.zeros.of(component, len(result.angles)),
         free_names=tuple(d.name if [*d.columns] == [component] else "" for d in result.zeros.free),
-        open_zeros=result.zeros.in_words([component]),
+        open_zeros=result.zeros.describe([component]),
         raw_data=result.raw_data.of_curve(component).tied(merge),
         serial=result.circumstances.identity.serial,
         axis=result.circumstances.axis,

@@ -268,6 +268,6 @@ METHOD: Final = Method(
     short_setup=short_setup,
     figures=figures,
     tables=tables,
-    zero=gauge.in_words,
+    zero=gauge.describe,
     disturbances=DISTURBANCES,
 )

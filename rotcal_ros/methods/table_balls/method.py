@@ -315,7 +315,7 @@ def _check_turns(configuration: Configuration, planned: Plan) -> None:
         before, way = step, abs(step.table_angle - begin) + step.passing
         if (takes_s := way / abs(step.turn.speed)) > limit_s:
             raise PlanError(
-                f"plan.turning_deg_s: the table takes {takes_s:.3g} s to {step.in_words()}, "
+                f"plan.turning_deg_s: the table takes {takes_s:.3g} s to {step.describe()}, "
                 f"longer than capture.step_timeout_s = {limit_s:g}: turn faster, or raise that "
                 "and planner.step_timeout_s"
             )
@@ -704,7 +704,7 @@ METHOD: Final = BY_MODEL.method(
         }
     ),
     gauge=gauge.without_axis_and_artefact,
-    zero=gauge.in_words,
+    zero=gauge.describe,
     table=TableReader(
         (*(header for reader in READERS.values() for header in reader.headers), PASSING),
         read_rows,

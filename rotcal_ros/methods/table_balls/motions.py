@@ -181,10 +181,10 @@ class StatedMotions(Correlated):
         for order in range(min(ORDERS, len(self.angles) // 2) + 1):
             wave = _waves(order, self.angles)
             white = _white(_along(wave, noise))
-            felt, columns = white @ _along(wave, known), list[list[Floats]]()
+            influence, columns = white @ _along(wave, known), list[list[Floats]]()
             for both in zip(ways, self.parts, strict=True):
                 each = zip(*both, strict=True)
-                columns.append([white @ _along(wave, way) - felt @ root for way, root in each])
+                columns.append([white @ _along(wave, w) - influence @ root for w, root in each])
             size, axes = np.linalg.eigh(sum(_square(c) for each in columns for c in each))
             shown = axes[:, size > SHOWN].T
             squares = [np.array([_square(shown @ c) for c in each]) for each in columns]
@@ -279,10 +279,10 @@ def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Unseen]:
 
     for together in stated_motions_of(model):
         every = slice(row, row + len(together.rows))
-        felt, row = share(every), every.stop
+        influence, row = share(every), every.stop
         sizes = together.found_from(fit)
         for kind, roots, size in zip(MOTION_KINDS, together.parts, sizes, strict=True):
-            moved = [np.linalg.norm(felt @ root, axis=1).max(initial=0.0) for root in roots]
+            moved = [np.linalg.norm(influence @ root, axis=1).max(initial=0.0) for root in roots]
             worst[kind] = Unseen.worst(size, np.array(moved), EXCEEDED)
     needed = noncentrality(LIMITS.significance, POWER, max(fit.dof, 1))
     for name in (name for name, std in balls.known.items() if isfinite(std)):

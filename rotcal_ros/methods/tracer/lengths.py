@@ -70,7 +70,6 @@ def length_columns(
         "target": target,
         "length": read.value,
         "length_std": np.sqrt(variance + beside**2),
-        "distance_std": growing,
         "order": read.order,
         "targets": targets,
         "target_std": np.full(targets.shape, settings.target_std_m),

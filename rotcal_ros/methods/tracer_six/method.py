@@ -308,6 +308,6 @@ METHOD: Final = Method(
     table=TableReader(HEADERS, read, COLUMNS, TARGETS, runs="arrivals"),
     figures=figures,
     tables=tables,
-    zero=gauge.in_words,
+    zero=gauge.describe,
     disturbances=DISTURBANCES,
 )

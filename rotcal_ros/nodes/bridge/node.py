@@ -89,7 +89,7 @@ class BridgeNode(CellNode):
             "confirmation": offer.confirmation,
             "files": ", ".join(map(str, files)),
             "in_force": standing(offer.table),
-            "residual": offer.export.residual.in_words(),
+            "residual": offer.export.residual.describe(),
             "warnings": "; ".join(offer.export.warnings),
         }
         for warning in offer.export.warnings:
@@ -105,7 +105,7 @@ class BridgeNode(CellNode):
     ) -> GetCorrection.Response:
         try:
             if self._correction is None:
-                state = self._state.in_words()
+                state = self._state.describe()
                 raise DataError(f"there is no table to look up the correction in: {state}")
             approach = Approach(request.approach)
             response.correction = float(self._correction(request.angle, approach))
@@ -118,7 +118,7 @@ class BridgeNode(CellNode):
 
     def _note(self, state: State, code: Why, *arguments: object) -> None:
         self._state = NodeState.of(state, code, *arguments)
-        self.get_logger().info(self._state.in_words())
+        self.get_logger().info(self._state.describe())
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {**self._own, **self._facts, **self._access.facts}
@@ -332,7 +332,7 @@ class ControllerAccess:
         response.success = True
         before = f"; before this, {done.unfinished}" if done.unfinished else ""
         response.message = (
-            f"{Reason(good).in_words()}; largest change "
+            f"{Reason(good).describe()}; largest change "
             f"{done.largest_change / ARCSEC:.4g} arcsec; most controllers use it from their next "
             f"start on{before}"
         )

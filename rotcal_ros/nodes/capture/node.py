@@ -50,7 +50,7 @@ class CaptureWarnings:
         """Note an observation: three rejected in a row are an error, fewer a warning."""
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
-        alarm, text = self._rejections.alarming, self._rejections.in_words()
+        alarm, text = self._rejections.alarming, self._rejections.describe()
         beat_values.show(self._health, beat_values.REJECTED, text, alarm=alarm)
         if text:
             self._health.beat()  # at once: the goal may end with this rejection

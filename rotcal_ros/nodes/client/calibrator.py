@@ -117,7 +117,7 @@ class Calibrator:
         self._handle = self._answer = None
         handle = self._wait(self._action.send_goal_async(goal, feedback_callback=self._hear))
         if not handle.accepted:
-            raise GoalRefusedError(f"the planner is {self.health.in_words(PLANNER)}")
+            raise GoalRefusedError(f"the planner is {self.health.describe(PLANNER)}")
         self._handle, self._answer = handle, handle.get_result_async()
 
     def is_done(self, timeout_s: float = 0.1) -> bool:
@@ -152,7 +152,7 @@ class Calibrator:
         if not self._peer.work_until(self._ended, timeout_s):
             raise CalibratorError(
                 f"no result within {timeout_s:g} s: the planner is "
-                f"{self.health.in_words(PLANNER)}; wait longer, or call cancel()"
+                f"{self.health.describe(PLANNER)}; wait longer, or call cancel()"
             )
         assert self._outcome is not None
         return self._outcome
@@ -199,7 +199,7 @@ class Calibrator:
     def no_answer(self) -> str:
         """Return the error that the planner gives no answer, with its state and who is heard."""
         heard = ", ".join(sorted(self.health.present())) or "no node at all"
-        return f"no answer from the planner; it is {self.health.in_words(PLANNER)}; heard: {heard}"
+        return f"no answer from the planner; it is {self.health.describe(PLANNER)}; heard: {heard}"
 
     def _hear(self, message: Any) -> None:
         self._feedback = Feedback.of(message.feedback)

@@ -21,7 +21,7 @@ from typing import Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.capture.rejections import kind_of
-from rotcal_ros.foundation.machine_load import Patience, in_words
+from rotcal_ros.foundation.machine_load import Patience, describe
 from rotcal_ros.foundation.node_names import PAGE, VIEWERS
 from rotcal_ros.nodes.client.calibrator import (
     Calibrator,
@@ -112,7 +112,7 @@ class Client:
         """Print that this client is alive, and once the address of the page."""
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
-            say("alive", planner=self._calibrator.planner_state.in_words())
+            say("alive", planner=self._calibrator.planner_state.describe())
         page = self._calibrator.health.node_state(VIEWERS[PAGE]).page
         if page and page != self._page:
             self._page = page
@@ -124,7 +124,7 @@ class Client:
         jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
         concerns = ((kind_of(text), text) for text in warnings_told(health))
         slow = [
-            f"planner: no sign of it for {s:.1f} s: slow, not lost; {in_words()}"
+            f"planner: no sign of it for {s:.1f} s: slow, not lost; {describe()}"
             for name, s in health.slow.items()
             if name == "planner"
         ]

@@ -293,7 +293,7 @@ class CellLinks:
     ) -> list[str]:
         """Return which nodes have not taken the plan of this run, with their states."""
         return [
-            f"node {name} has not taken the plan ({self.health.in_words(name)})"
+            f"node {name} has not taken the plan ({self.health.describe(name)})"
             for name in nodes
             if self.health.values(name).get(RUN) != run
         ]

@@ -229,7 +229,7 @@ class GoalRun:
             few = not watch.progress.accepted and not self._continuation.observations
             code = Codes.TOO_FEW_OBSERVATIONS if few else Codes.SOLVER_FAILED
             commonest = Commonest.of(self.measuring.reasons)
-            more = f"; rejected: {commonest.in_words()}" if commonest else ""
+            more = f"; rejected: {commonest.describe()}" if commonest else ""
             raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
 

@@ -369,7 +369,7 @@ class GoalWatch:
             health = self.links.health
             state = health.state("recorder")
             if state is State.FAILED:
-                text = f"{health.in_words('recorder')}, {place}"
+                text = f"{health.describe('recorder')}, {place}"
                 raise GoalError(Codes.RECORDER_FAILED, text)
             self._bag_open |= state is State.RECORDING
             if self._bag_open and state is State.IDLE:
@@ -386,7 +386,7 @@ class GoalWatch:
         """Find the slow nodes, log an overload once, and show what is being waited for."""
         overload, before = self._overload, self._overload.text
         self.slow = self.required.slow() | self._silent
-        if text := overload.look(self.slow, time.monotonic(), machine_load.in_words):
+        if text := overload.look(self.slow, time.monotonic(), machine_load.describe):
             self.links.node.get_logger().warning(text)
         if bool(overload.text) == bool(before):
             return

@@ -188,7 +188,7 @@ class GoalMeasurement:
         step = self._calibration.plan.steps[index]
         links = self._watch.links
         await self._watch.have_all_answer()
-        self._watch.tell(Why.MEASURING, step.in_words(number))
+        self._watch.tell(Why.MEASURING, step.describe(number))
         self._watch.heed_stop()
         links.order(step.command(attempt, anew=step.begins_turn(self._ordered)))
         self._ordered = step
@@ -201,8 +201,8 @@ class GoalMeasurement:
         receipts = self._watch.links.receipts
         limit_s = self._watch.settings.receipt_timeout_s
         if not await self._watch.wait(lambda: key in receipts, limit_s):
-            reason = self._watch.links.health.in_words("recorder")
-            place = self._calibration.plan.steps[key[0]].in_words()
+            reason = self._watch.links.health.describe("recorder")
+            place = self._calibration.plan.steps[key[0]].describe()
             raise GoalError(
                 Codes.RECORDER_FAILED,
                 f"{place}: no receipt from the recorder within {limit_s:g} s ({reason}); look at "

@@ -14,7 +14,7 @@ from rotcal_msgs.msg import CalibrationGoal, CalibrationProgress
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.node_state import NodeState, State
-from rotcal_ros.foundation.plugins import in_words, nearest
+from rotcal_ros.foundation.plugins import describe, nearest
 from rotcal_ros.foundation.settings import to_mapping
 from rotcal_ros.methods import prepare_to_measure
 from rotcal_ros.methods.configuration import (
@@ -121,7 +121,7 @@ class Planner(CellNode):
 
     def _in_words(self) -> str:
         """Return the planner's state for a person to read."""
-        return self._beat_values()[0].in_words()
+        return self._beat_values()[0].describe()
 
     def _require_free(self) -> None:
         """Raise NotFreeError if the running goal cannot be resumed yet."""
@@ -151,7 +151,7 @@ class Planner(CellNode):
 
     def _unknown(self, error: Exception) -> Codes:
         self.health.note_error("goal", error)
-        return Codes(error_code=Codes.UNKNOWN, error_msg=in_words(error))
+        return Codes(error_code=Codes.UNKNOWN, error_msg=describe(error))
 
     async def _prepared(self, handle: ServerGoalHandle) -> GoalRun:
         """Run :meth:`_prepare` in a thread: it may take seconds, and the node goes on."""
@@ -280,7 +280,7 @@ def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Fe
     return Calibrate.Feedback(
         step=progress.step,
         total=progress.total,
-        activity=progress.doing.in_words(),
+        activity=progress.doing.describe(),
         doing=progress.doing.code,
         instruction=progress.doing.instruction or "",
         time_left=progress.time_left(),

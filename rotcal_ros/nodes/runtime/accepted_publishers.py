@@ -137,7 +137,7 @@ class AcceptedPublishers:
         others = sorted(name for gid, name in there.items() if gid not in known)
         name = there.get(intruder.publisher, "") if intruder.publisher else ", ".join(others)
         anew = bool(name) and (not heard or name in heard)
-        return intruder.in_words(name, anew=anew)
+        return intruder.describe(name, anew=anew)
 
     def _show(self, text: str | None) -> None:
         if not self._quiet:

@@ -195,7 +195,7 @@ class CellNode(ManagedNode, ABC):
 
     def not_active_error(self) -> NotActiveError:
         """Return the error of a request to this node while it is not active."""
-        return NotActiveError(f"node {self.get_name()} is {self.inactivity().in_words()}")
+        return NotActiveError(f"node {self.get_name()} is {self.inactivity().describe()}")
 
     def over(self) -> bool:
         """Return whether the node has to end: shut down, finished, or second of its name."""

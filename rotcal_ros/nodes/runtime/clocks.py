@@ -32,9 +32,9 @@ class ReportedClockJumps:
         jump = self.watch.look()
         if jump is None:
             return
-        self._logger.warning(f"{jump.in_words()}: what is being measured is measured again")
+        self._logger.warning(f"{jump.describe()}: what is being measured is measured again")
         if jump.named:
-            self.concerns = {JUMP: jump.in_words()}
+            self.concerns = {JUMP: jump.describe()}
 
     def values(self) -> Mapping[str, int]:
         """Return what goes into every beat."""

@@ -168,7 +168,7 @@ def correction_message(
     others = _columns(result, -1.0) | {
         "axis": axis,
         "plan_id": plan_id,
-        "open_zeros": result.zeros.in_words(),
+        "open_zeros": result.zeros.describe(),
         "directions": _directions(result, -1.0, covariance=len(result.angles) <= MOST_ANGLES),
         "measured_on": measured_on,
         "item": result.circumstances.identity.title,

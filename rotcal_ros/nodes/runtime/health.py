@@ -231,13 +231,13 @@ class Health:
         """Return whether the planner carries out a goal, by its last beat."""
         return self.state(PLANNER) is State.CALIBRATING
 
-    def in_words(self, name: str) -> str:
+    def describe(self, name: str) -> str:
         """Return the state of node ``name``, for a person to read."""
-        return self.node_state(name).in_words()
+        return self.node_state(name).describe()
 
     def last_words(self, name: str) -> str:
         """Return the cause of a node's loss and what it did before, for a person to read."""
-        return f"{self.lost[name]}; before that: {self.in_words(name)}"
+        return f"{self.lost[name]}; before that: {self.describe(name)}"
 
     def leave(self) -> None:
         """Tell the others that this node ends on purpose, and let the message reach them."""
@@ -325,7 +325,7 @@ class Health:
             level=bytes([beat.level]),
             name=self._node.get_fully_qualified_name(),  # cells share this topic
             hardware_id=self._node.get_namespace(),
-            message=state.in_words(),
+            message=state.describe(),
             values=beat.values,
         )
         array = DiagnosticArray(status=[status])

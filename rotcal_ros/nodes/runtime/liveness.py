@@ -214,7 +214,7 @@ def require_own_session(health: Any, environment: Mapping[str, str]) -> None:
         if beat is not None and beat.session != own:
             raise OtherSessionError(
                 f"another calibration's nodes are at work here (node {name}: "
-                f"{health.in_words(name)}); they go on, this second start ends; {_HOW}"
+                f"{health.describe(name)}); they go on, this second start ends; {_HOW}"
             )
 
 

@@ -76,7 +76,7 @@ FAILURE: Final = TransitionCallbackReturn.FAILURE
 def not_active(health: Any, names: Iterable[str]) -> list[str]:
     """Return which of these nodes are not active, and how to activate them."""
     idle = (name for name in names if health.state(name) in NOT_ACTIVE)
-    return [f"node {name} is {health.in_words(name)}" for name in idle]
+    return [f"node {name} is {health.describe(name)}" for name in idle]
 
 
 class ManagedNode(LifecycleNode):
@@ -137,7 +137,7 @@ class ManagedNode(LifecycleNode):
     def autostart(self) -> None:
         """Configure and activate, unless told not to; an error on the way is raised."""
         if not self._autostart:
-            self.get_logger().info(f"autostart is false: {self.inactivity().in_words()}")
+            self.get_logger().info(f"autostart is false: {self.inactivity().describe()}")
             return
         self._starting = True
         for trigger in (self.trigger_configure, self.trigger_activate):

@@ -20,7 +20,7 @@ from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.in_force import of_axis
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, SOLVING, NodeState, State, Why
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.plugins import in_words
+from rotcal_ros.foundation.plugins import describe
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import Calibration, last_accepted
 from rotcal_ros.methods.calibration import RunStep
@@ -175,7 +175,7 @@ class SolverNode(CellNode):
             response.message = str(error)
             if not isinstance(error, RotcalError):
                 self.health.note_error("final solution", error)
-                response.message = in_words(error)
+                response.message = describe(error)
             self._state = NodeState.of(State.FAILED, Why.NO_RESULT, response.message)
         return response
 

@@ -93,7 +93,7 @@ def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], compone
     for (first, second), c in comparisons.items():
         print_words(
             *(f"note: {note}" for note in c.notes),
-            f"{first} - {second}: {c.in_words(unit, label)}",
+            f"{first} - {second}: {c.describe(unit, label)}",
         )
 
 
@@ -131,7 +131,7 @@ def print_check(check: QuickCheck, component: str) -> None:
         Column("remarks", remarks),
     ]
     print_table(columns, f"{component}: new - earlier, aligned")
-    print_words(*(f"note: {note}" for note in check.notes), check.in_words(unit, label))
+    print_words(*(f"note: {note}" for note in check.notes), check.describe(unit, label))
 
 
 def print_iso230(figures: Iso230, n_runs: int) -> None:
@@ -203,7 +203,7 @@ def print_uncertainty(both: Propagated) -> None:
     print_words(
         *(f"warning: {warning}" for warning in both.warnings),
         *([f"U: not stated, because {reason}"] if reason else []),
-        both.in_words(),
+        both.describe(),
     )
 
 

@@ -143,7 +143,7 @@ def test_what_was_withdrawn_by_mistake_comes_back(database):
         history.add_result(some())
         withdrawn = history.correct(1, "upside down").entry
         again = history.add_result(some())
-        assert again.in_words().endswith("there already, but replaced")
+        assert again.describe().endswith("there already, but replaced")
         back = history.correct(withdrawn.id, "it was not", serial="4711").entry
         assert (back.kind, back.content) == ("result", canonical(some()))
         assert len(history.campaigns(history.item("4711"))) == 1

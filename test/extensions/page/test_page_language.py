@@ -20,8 +20,8 @@ expect = pytest.importorskip("playwright.sync_api").expect
 pytestmark = pytest.mark.slow
 
 NODES = (
-    ShownNode("capture", NodeState.of(State.WORKING, Why.CAPTURING, "7f3a").in_words(), 0),
-    ShownNode("solver", NO_PLAN.in_words(), 1),
+    ShownNode("capture", NodeState.of(State.WORKING, Why.CAPTURING, "7f3a").describe(), 0),
+    ShownNode("solver", NO_PLAN.describe(), 1),
 )
 REST = {
     "nodes": NODES,

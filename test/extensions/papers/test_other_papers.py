@@ -99,7 +99,7 @@ def test_groups_lose_what_lies_between_them(made):
     found = values(made, "two_groups")  # (1 - 2/N)/N and (1 - 1/N)/N for N = 6 over N = 12
     assert found["plane_variance"] == pytest.approx((4 / 6 / 6) / (10 / 12 / 12), rel=1e-3)
     assert found["axial_variance"] == pytest.approx((5 / 6 / 6) / (11 / 12 / 12), rel=1e-3)
-    assert "not measured" in groups.zeros.in_words()
+    assert "not measured" in groups.zeros.describe()
 
 
 def test_an_autocollimator_that_differs_by_so_much_contradicts(made):

@@ -149,7 +149,7 @@ def test_a_plan_says_beforehand_what_it_cannot_show_and_what_one_more_setting_br
     bare, more = prospects(stated(TWO))
     assert {"numbering", "single readings", "axis noise", "polygon tilt"} <= set(bare.untested)
     assert {"numbering", "single readings", "axis noise"}.isdisjoint(more.untested)
-    assert "one more setting, plan.shifts_deg [0, 30, 120]" in more.in_words(bare)
+    assert "one more setting, plan.shifts_deg [0, 30, 120]" in more.describe(bare)
     std = 0.5 * np.array([0.240, 0.097]) * ARCSEC  # of K / (K^2 - |S|^2), as the page prints it
     assert [bare.std["ECC"], more.std["ECC"]] == pytest.approx(std, rel=0.01)
     certified, shown = prospects(stated((0,), CircleWorld(1).certificate))

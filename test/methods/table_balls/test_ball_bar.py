@@ -194,7 +194,7 @@ def test_the_bar_is_brought_from_set_up_to_set_up():
 def test_lengths_must_come_before_anything_moves_and_no_light_measures_them():
     bar, centre = prepare(setup()), prepare(setup("plan.measure=centre"))
     assert set(bar.topics) - set(centre.topics) == {"tracer_length"}
-    assert bar.refraction.in_words(()) == ""
+    assert bar.refraction.describe(()) == ""
 
 
 def test_set_ups_that_tell_too_little_are_refused():

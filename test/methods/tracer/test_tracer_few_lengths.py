@@ -102,7 +102,6 @@ def test_lengths_to_one_place_do_not_place_a_station():
         target=np.append(good.target[kept], [12, 13, 14]),
         length=np.append(good.length[kept], np.full(3, near - 0.4)),
         length_std=np.full(kept.sum() + 3, 2e-7),
-        distance_std=np.zeros(kept.sum() + 3),
         segment=np.zeros(kept.sum() + 3, dtype=int),
     )
     with pytest.raises(ObservabilityError, match=r"separate turn 4 \(station 4\)"):
@@ -134,7 +133,6 @@ def test_a_pair_measured_again_is_a_length_with_the_same_target():
         target=np.tile(once.target, 2),
         length=(once.length + noise).ravel(),
         length_std=2e-7,
-        distance_std=0.0,
         again=np.repeat([0, 1], len(once.length)),
     )
     expected, result = solve(mean), solve(twice)

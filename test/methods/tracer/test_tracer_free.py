@@ -49,7 +49,7 @@ def test_a_target_that_few_lengths_reach_is_left_out_and_nothing_else(reached):
     keep = (problem.target != 4) | (problem.position < reached)
     rows = {
         name: getattr(problem, name)[keep]
-        for name in ("position", "target", "length", "length_std", "distance_std")
+        for name in ("position", "target", "length", "length_std")
     }
     result = solve(TracerProblem(**{**vars(problem), **rows}))
     assert result.verdict == "ok"

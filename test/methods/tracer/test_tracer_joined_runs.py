@@ -18,7 +18,7 @@ def with_pairs(problem, run, row, length, later, **more):
     """The problem with further rows: ``row`` measured again in the runs ``later``."""
     rows = {
         name: np.append(getattr(problem, name), getattr(problem, name)[row])
-        for name in ("position", "target", "length_std", "distance_std")
+        for name in ("position", "target", "length_std")
     }
     again = np.append(np.zeros(len(run), np.int64), later)
     order = np.lexsort((np.arange(len(again)), np.append(run, later))).argsort()

@@ -46,7 +46,7 @@ def test_neither_the_order_of_rows_nor_the_size_of_a_break_changes_the_result():
     mixed = np.random.default_rng(0).permutation(140)
     by_row = ("position", "target", "length", "order", "segment")
     rows = {name: getattr(problem, name)[mixed] for name in by_row}
-    again = TracerProblem(**{**vars(problem), **rows, "length_std": 2e-7, "distance_std": 0.0})
+    again = TracerProblem(**{**vars(problem), **rows, "length_std": 2e-7})
     first, second = solve(problem), solve(again)
     assert np.array_equal(first.deviations["ECC"], second.deviations["ECC"])
     assert np.array_equal(first.covariance["ECC"], second.covariance["ECC"])
@@ -107,7 +107,6 @@ def test_the_same_place_in_two_segments_counts_twice():
         "order": np.append(problem.order, 140 + np.arange(20)),
         "segment": np.append(problem.segment, np.ones(20, dtype=int)),
         "length_std": LENGTH_STD,
-        "distance_std": 0.0,
     }
     result = solve(TracerProblem(**{**vars(problem), **rows}))
     assert result.dof == solve(problem).dof + 19

@@ -49,7 +49,7 @@ class Cell:
         self.watch = GoalWatch(
             PlannerSettings(), links, SimpleNamespace(heed=lambda: "", latched=""),
             SimpleNamespace(waiting=False), GoalProgress(60, doing=STEP),
-            lambda progress: self.shown.append(progress.doing.in_words()), lambda: False, required,
+            lambda progress: self.shown.append(progress.doing.describe()), lambda: False, required,
             15.0, preflight=False, recording=True,
         )  # fmt: skip
 

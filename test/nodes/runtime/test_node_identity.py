@@ -80,7 +80,7 @@ class Heard:
     def __init__(self, identity):
         self.others = {"planner": beat_of(identity, 0.0)}
 
-    def in_words(self, _name):
+    def describe(self, _name):
         return "calibrating: step 3 of 60"
 
 

@@ -108,7 +108,7 @@ def plate(
     orders = _orders(layout, radius_m, Kinematics(touches_per_ball=touches))
     forecasts = {name: forecast(rows, sigma, radius_m) for name, rows in orders.items()}
     if as_json:
-        in_words = {
+        by_name = {
             n: order_dict(o) | forecast_dict(forecasts[n], material, warming_k)
             for n, o in orders.items()
         }
@@ -116,7 +116,7 @@ def plate(
         named = {name: getattr(layout, name) for name in facts}
         print_json({
             "grid": grid, "ball_steps": list(layout.steps), **named, "predicted_std": std,
-            "orders": in_words,
+            "orders": by_name,
         })  # fmt: skip
         return 0
     _print_layout(layout, std)

@@ -198,7 +198,7 @@ class OperatorPage(CellNode):
         if feedback.doing is Why.MEASURING and pointing is not None:
             return pointing.place
         reasons = self.health.node_state(PLANNER).reasons
-        words = (reason.in_words() for reason in reasons if reason.code == feedback.doing)
+        words = (reason.describe() for reason in reasons if reason.code == feedback.doing)
         return next(words, feedback.activity)
 
     def _standing(self) -> ShownUncertainty:
@@ -286,7 +286,7 @@ class FollowedGoal:
         # Until the planner's next feedback, a second click finds that nothing is asked for.
         going_on = Reason(Why.GOING_ON)
         self.feedback = continuing = replace(
-            asked, doing=going_on.code, activity=going_on.in_words(), instruction=""
+            asked, doing=going_on.code, activity=going_on.describe(), instruction=""
         )
         answer = await self._resume.call_async(Trigger.Request())
         if not answer.success and self.feedback is continuing:
@@ -430,7 +430,7 @@ class PageTopics:
         self._visited[angle_deg % 360.0] = None
         self._board.show(
             pointing=Pointing(
-                place=step.in_words(order.attempt),
+                place=step.describe(order.attempt),
                 table_angle_deg=angle_deg,
                 target=page_sections.above(order.position),
                 stand=None if place is None else page_sections.above(place),
@@ -583,7 +583,7 @@ class WaitingTable:
             refused = phrase("the bridge does not offer it")
             why_not = phrase("not offered: {0}", withheld) if withheld else refused
         if not confirmation:
-            why_not = health.in_words(BRIDGE)
+            why_not = health.describe(BRIDGE)
         elif never := values.get(NEVER):
             why_not = never
         elif self._drawn_for != confirmation:
@@ -595,7 +595,7 @@ class WaitingTable:
             verdict=phrase(values.get("verdict", "")),
             in_force=values.get("in_force", ""),
             residual=values.get("residual", ""),
-            bridge=health.in_words(BRIDGE),
+            bridge=health.describe(BRIDGE),
             why_not=why_not,
             applied=bool(confirmation) and confirmation == self._applied,
             simulated=self._table is not None

@@ -148,7 +148,7 @@ def _words(health: Health, name: str) -> str:
     values = health.values(name)
     forms = {"lost_nodes": noted("without {0}"), "unfinished": "{0}"}
     trouble = [phrase(form, values[key]) for key, form in forms.items() if key in values]
-    return listed([health.in_words(name), *trouble])
+    return listed([health.describe(name), *trouble])
 
 
 def recording(values: Mapping[str, str]) -> RecorderState | None:

@@ -373,8 +373,8 @@ def _in_machine_axes(raw_data: RawData, solution: PlateSolution) -> RawData:
         return raw_data
     back = solution.rows.frame[influence.rows]
     turned = {
-        name: np.einsum("mri,rij->mrj", felt.reshape(len(felt), -1, 3), back).reshape(felt.shape)
-        for name, felt in influence.deviations.items()
+        name: np.einsum("mri,rij->mrj", by.reshape(len(by), -1, 3), back).reshape(by.shape)
+        for name, by in influence.deviations.items()
     }
     rows = solution.fitted.rows[layout.row[influence.rows]]
     return replace(raw_data, influence=replace(influence, rows=rows, deviations=turned))

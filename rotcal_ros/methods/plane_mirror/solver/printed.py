@@ -84,7 +84,7 @@ def curve(layout: PointLayout, way: str, points: Floats) -> Floats:
     return np.asarray(readings @ joining.T)
 
 
-def felt(layout: PointLayout, way: str, rows: Ints) -> Floats:
+def influence(layout: PointLayout, way: str, rows: Ints) -> Floats:
     """Return the derivative (N, k, 3) of :func:`curve` by the points of ``rows`` (k,)."""
     points, count = layout.problem.xyz, 3 * len(rows)
     found = np.zeros((len(layout.angles), count))

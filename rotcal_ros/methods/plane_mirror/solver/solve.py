@@ -157,8 +157,8 @@ class MirrorSolution:
         order = np.argsort(self.layout.rows)
         kept = order[np.searchsorted(self.layout.rows, layout.rows, sorter=order)]
         by = np.zeros((len(value), *tracker.root.shape[:2]))
-        felt, back = printed.felt(layout, way, layout.rows), np.linalg.inv(tracker.root[kept])
-        by[:, kept] = np.einsum("omj,mjk->omk", felt, back)
+        influence = printed.influence(layout, way, layout.rows)
+        by[:, kept] = np.einsum("omj,mjk->omk", influence, np.linalg.inv(tracker.root[kept]))
         n, count = len(found.model.observed), by[0].size
         whole = np.zeros((len(value), n))
         whole[:, :count] = by.reshape(len(value), -1)
@@ -349,7 +349,7 @@ class MirrorSolution:
         for effect, seen in zip(taken, self.joint.found_effects, strict=True):
             if seen.effect.what == NEST_MOVED:
                 touched = effect.columns[part].reshape(len(self.layout.nests.row), -1) != 0.0
-                found.append((f"it looks as if {seen.in_words()}", np.any(touched, axis=1)))
+                found.append((f"it looks as if {seen.describe()}", np.any(touched, axis=1)))
         return found
 
     @property
@@ -553,10 +553,10 @@ class Drift:
         scale = np.where(solution.std > 0.0, solution.std, np.inf)  # the first position has none
         share, noise = np.zeros((2, 2, k, n))
         for which, columns, spread in ((0, slice(d), own), (1, slice(d, None), stated - swung)):
-            felt = by[:, columns].reshape(n, k, -1)
+            influence = by[:, columns].reshape(n, k, -1)
             x = fit.x[part.start : end][columns].reshape(k, -1)
-            share[which] = np.abs(np.einsum("nkp,kp->kn", felt, x)) / scale
-            square = np.einsum("nkp,kpq,nkq->kn", felt, spread, felt)
+            share[which] = np.abs(np.einsum("nkp,kp->kn", influence, x)) / scale
+            square = np.einsum("nkp,kpq,nkq->kn", influence, spread, influence)
             noise[which] = np.sqrt(np.maximum(square, 0.0)) / scale
         return cls(solution, change, own, share, noise)
 

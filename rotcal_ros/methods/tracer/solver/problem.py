@@ -39,9 +39,7 @@ class LengthProblem:
 
     ``position``, ``target`` (k,): indices into ``table_angles`` (m,) and ``targets`` (n, 3).
     ``length`` (k,): tracer readings in metres, growing with distance, from an unknown zero;
-    ``length_std`` (k,) or one number: their standard deviation. ``distance_std`` (k,) or one
-    number, below ``length_std``: the part of it that grows with the distance, m; it joins the rest
-    in squares.
+    ``length_std`` (k,) or one number: their standard deviation.
     ``targets``: positions of the reflector in the machine's frame, metres; ``target_std``: their
     standard deviation, one number, three, or (n, 3). ``datum`` "prior" weighs them by it, "free"
     uses them as start values only. ``table_angles``: commanded angles, radians, counter-clockwise
@@ -64,7 +62,6 @@ class LengthProblem:
     target_std: Floats
     table_angles: Floats
     datum: Datum = _DEFAULTS.datum
-    distance_std: Floats = 0.0  # type: ignore[assignment]
     order: Ints | None = None
     segment: Ints | None = None
     slip: float = _DEFAULTS.slip_m
@@ -82,9 +79,6 @@ class LengthProblem:
         self._store("target", indices("target", self.target, len(targets), k))
         std = broadcast("length_std", self.length_std, length.shape)
         self._store("length_std", require(std > 0.0, std, "length_std", "a positive number"))
-        std = broadcast("distance_std", self.distance_std, length.shape)
-        inside = (std >= 0.0) & (std < self.length_std)
-        self._store("distance_std", require(inside, std, "distance_std", "0 to below length_std"))
         std = np.asarray(self.target_std, dtype=np.float64)
         std = np.broadcast_to(std, targets.shape) if std.shape == (3,) else std
         std = broadcast("target_std", std, targets.shape)
@@ -121,13 +115,6 @@ class LengthProblem:
         values.setflags(write=False)
         object.__setattr__(self, name, values)
         return values
-
-
-def share_gone(order: Ints) -> Floats:
-    """Return which share (k,), 0 to 1, of the lengths had been taken when each was."""
-    share = np.empty(len(order))
-    share[np.argsort(order, kind="stable")] = np.linspace(0.0, 1.0, len(order))
-    return share
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,13 +270,10 @@ class Grid:
 
     ``position_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (p, n): row of the
     problem that fills the place, -1 for none. ``used`` (p, n): the length takes part.
-    ``length``, ``length_std`` (p, n): metres, 0 and 1 where there is none. ``distance_std``
-    (p, n): the part of ``length_std`` that grows with the distance, m.
+    ``length``, ``length_std`` (p, n): metres, 0 and 1 where there is none.
     ``targets``, ``target_std`` (n, 3): metres. ``free``: the targets carry no prior.
     ``station`` (p,): station of each strip. ``zero`` (p,): its zero, from 0 to s - 1; None: every
     strip is a station and has its own. ``segment_ids`` (s,): the problem's segment of each zero.
-    ``walk`` (s,): standard deviation of the step from each zero to the next one, m; infinite
-    between segments and at the end. None: zeros do not wander.
     ``circle_std``: by how much (m) stations leave a common circle; None: nothing is known.
 
     Strips share zeros where these belong to segments, and where pairs are measured again.
@@ -301,14 +285,12 @@ class Grid:
     used: Bools
     length: Floats
     length_std: Floats
-    distance_std: Floats
     targets: Floats
     target_std: Floats
     free: bool
     station: Ints
     zero: Ints | None = None
     segment_ids: Ints | None = None
-    walk: Floats | None = None
     circle_std: float | None = None
 
     @property
@@ -361,22 +343,6 @@ class Grid:
         zero = self.station if self.zero is None else self.zero
         return np.unique(zero, return_index=True)[1]
 
-    @cached_property
-    def segment_numbers(self) -> Ints:
-        """The different segments that the zeros belong to, ascending."""
-        return np.unique(self.position_ids if self.segment_ids is None else self.segment_ids)
-
-    @cached_property
-    def segment_of_strip(self) -> Ints:
-        """The place (p,) of each strip's segment among ``segment_numbers``."""
-        if self.zero is None or self.segment_ids is None:
-            return self.station
-        return np.searchsorted(self.segment_numbers, self.segment_ids[self.zero])
-
-    def placed(self, values: Floats) -> Floats:
-        """Return ``values`` (k,) of the problem's rows at their places (p, n), 0 at empty ones."""
-        return np.where(self.row >= 0, values[self.row], 0.0)
-
     def take(self, strips: Ints, part: Bools) -> Grid:
         """Return the grid of some ``strips`` (q,), of each only the places ``part`` (q, n)."""
         used = self.used[strips] & part
@@ -386,27 +352,9 @@ class Grid:
             used=used,
             length=np.where(part, self.length[strips], 0.0),
             length_std=np.where(part, self.length_std[strips], 1.0),
-            distance_std=np.where(part, self.distance_std[strips], 0.0),
             station=self.station[strips],
             zero=None if self.zero is None else self.zero[strips],
         )
-
-    def per_station(self, values: Floats | Bools) -> Floats:
-        """Return sums (m,) over all ``values`` (p, n) of each station."""
-        total = values.sum(axis=1)
-        if self.zero is None:
-            return np.asarray(total, dtype=np.float64)
-        summed = np.bincount(self.station, weights=total, minlength=self.n_stations)
-        return np.asarray(summed, dtype=np.float64)
-
-    def largest_of_station(self, values: Floats) -> Floats:
-        """Return (p, 1) the largest of the ``values`` (p, n) of each strip's station."""
-        largest = values.max(axis=1)
-        if self.zero is not None:
-            best = np.full(self.n_stations, -np.inf)
-            np.maximum.at(best, self.station, largest)
-            largest = best[self.station]
-        return np.asarray(largest[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -471,7 +419,6 @@ def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
         used=used,
         length=np.where(used, problem.length[row], 0.0),
         length_std=np.where(used, problem.length_std[row], 1.0),
-        distance_std=np.where(used, problem.distance_std[row], 0.0),
         targets=problem.targets[targets],
         target_std=problem.target_std[targets],
         free=problem.variant == "joint" and problem.datum == "free",

@@ -221,7 +221,7 @@ def _fullest_strips(grid: Grid) -> Grid:
     order = np.lexsort((-grid.used.sum(axis=1), grid.station))
     best = order[np.unique(grid.station[order], return_index=True)[1]]
     fullest = grid.take(best, grid.row[best] >= 0)
-    return replace(fullest, zero=None, segment_ids=None, walk=None)
+    return replace(fullest, zero=None, segment_ids=None)
 
 
 @dataclass(frozen=True, eq=False)

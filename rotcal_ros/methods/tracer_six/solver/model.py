@@ -388,7 +388,7 @@ def effects_of(lengths: SixLengths) -> tuple[Disturbing, ...]:
     return (
         Disturbing("drift", "the machine drifts", gone * machine, LARGEST_MOVE, UM),
         Disturbing("drift", "the machine drifts in each run alike", again, LARGEST_MOVE, UM),
-        Disturbing("drift", "the machine stands elsewhere in one run than in another,", elsewhere,
+        Disturbing("drift", "the machine stands elsewhere in one run than in another", elsewhere,
                    LARGEST_MOVE, UM),
         Disturbing("knock", "the tracer slipped on the table", Steps(lengths.place, when, moves),
                    LARGEST_MOVE, UM, family=True),

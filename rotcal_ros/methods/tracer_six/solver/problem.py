@@ -213,7 +213,6 @@ def _as_tracer(
         table_angles=problem.table_angles[stations[:, 1]],
         variant="joint",
         datum=problem.datum,
-        distance_std=problem.distance_std[rows],
         settings=problem.settings,
     )
 
