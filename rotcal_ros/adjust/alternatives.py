@@ -100,7 +100,7 @@ def _restricted(model: Model, used: Floats) -> float:
     stated beforehand may be far too large, too.
     """
     part = model.of_component == np.arange(len(model.components))[:, None]
-    least = np.where((part & model.may_go).any(axis=1), 1.0, LEAST)
+    least = np.where((part & model.rejectable).any(axis=1), 1.0, LEAST)
     factors, x, found = np.ones(len(part)), model.first, np.inf
     for _ in range(ROUNDS):
         computed, design = model.equations(x)

@@ -264,22 +264,22 @@ class Bordered(Kernel):
             joined = np.append(groups.shared, own[own >= 0])
             rest = Groups.of(design.few, joined) if 2 * weak.sum() < count else None
             return None if rest is None else cls.of(design, rest, open_)
-        inverse, felt = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
+        inverse, influence = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
         known = np.hstack([design.known[:, groups.shared], design.columns[n:]])
         of_own = _own_of(groups, design.known.T)  # (g, s, m)
         of_own = (np.swapaxes(inverse, 1, 2) @ of_own).reshape(count * size, -1)  # H'
         _, grown, ways = np.linalg.svd(_triangle(np.concatenate([np.eye(len(known)), of_own])))
         root, tied = grown[:, None] * ways, of_own @ (ways.T / grown)
-        left_known = known - of_own.T @ felt.reshape(count * size, known.shape[1])
+        left_known = known - of_own.T @ influence.reshape(count * size, known.shape[1])
         white = np.linalg.solve(root.T, left_known)
         flat = border.reshape(count * groups.depth, known.shape[1])
         length = np.linalg.norm(np.concatenate([flat, known]), axis=0)
         length = np.where(length > 0.0, length, 1.0)
-        beside_own = flat - (basis @ felt).reshape(flat.shape)
+        beside_own = flat - (basis @ influence).reshape(flat.shape)
         left = np.concatenate([beside_own, white])
         ways, nothing = _determined(left / length, open_)
-        by_known = (tied @ white).reshape(felt.shape)
-        moved = -(felt + by_known)
+        by_known = (tied @ white).reshape(influence.shape)
+        moved = -(influence + by_known)
         every = np.zeros((sum(design.shape[1:]), len(length)))
         at = np.append(groups.shared, np.arange(design.few.shape[1], len(every)))
         every[at, np.arange(len(at))] = 1.0
@@ -383,17 +383,17 @@ class Bordered(Kernel):
         share = np.stack(
             [np.bincount(first, each, len(self._place)).astype(np.float64) for each in weight]
         )
-        felt, found = self._felt_by(outputs), np.empty((len(outputs), len(share)))
+        influence, found = self._felt_by(outputs), np.empty((len(outputs), len(share)))
         groups, size = self.groups.own.shape
-        common = felt.common.reshape(-1, groups, size)
+        common = influence.common.reshape(-1, groups, size)
         for k, (own, mixed, low) in enumerate(zip(*self._moments(share), strict=True)):
             mixed = np.concatenate([mixed, own @ common.transpose(1, 2, 0)], axis=2)
             along = mixed.reshape(groups * size, -1)
-            beside = felt.common @ along
+            beside = influence.common @ along
             whole = np.vstack([np.hstack([low, beside[:, : len(low)].T]), beside])
             blocks = bsr_array((own, np.arange(groups), np.arange(groups + 1)))
-            squares = (felt.own * (felt.own @ blocks)).sum(axis=1)
-            both = (2.0 * (felt.own @ along) + felt.low @ whole) * felt.low
+            squares = (influence.own * (influence.own @ blocks)).sum(axis=1)
+            both = (2.0 * (influence.own @ along) + influence.low @ whole) * influence.low
             found[:, k] = squares + both.sum(axis=1)
         return found
 
@@ -401,17 +401,17 @@ class Bordered(Kernel):
         """Return the variances (o,) of ``outputs``."""
         if _dense(outputs):
             return super().variances_of(outputs)
-        felt = self._felt_by(outputs)
-        root, core = felt.spread(self._signs)
-        return np.asarray((felt.own**2).sum(axis=1) + ((root @ core) * root).sum(axis=1))
+        influence = self._felt_by(outputs)
+        root, core = influence.spread(self._signs)
+        return np.asarray((influence.own**2).sum(axis=1) + ((root @ core) * root).sum(axis=1))
 
     def covariance_of(self, outputs: Outputs) -> Floats:
         """Return the covariance (o, o) of ``outputs``."""
         if _dense(outputs):
             return super().covariance_of(outputs)
-        felt = self._felt_by(outputs)
-        root, core = felt.spread(self._signs)
-        found, own = (root @ core) @ root.T, coo_array(felt.own @ felt.own.T)
+        influence = self._felt_by(outputs)
+        root, core = influence.spread(self._signs)
+        found, own = (root @ core) @ root.T, coo_array(influence.own @ influence.own.T)
         found[own.coords] += own.data
         return np.asarray(found)
 
@@ -420,24 +420,24 @@ class Bordered(Kernel):
 
         By way of the border all feel them, else those of their own groups.
         """
-        felt, (_, size) = self._felt_by(outputs), self.groups.own.shape
+        influence, (_, size) = self._felt_by(outputs), self.groups.own.shape
         place = self._place[rows]
         mine = np.flatnonzero(place < len(self.along))
         group, at = np.divmod(place[mine], self.groups.depth)
-        basis, common = self.basis[group, at], felt.common.reshape(-1, *self.groups.own.shape)
-        along = np.zeros((felt.low.shape[1], len(rows)))
+        basis, common = self.basis[group, at], influence.common.reshape(-1, *self.groups.own.shape)
+        along = np.zeros((influence.low.shape[1], len(rows)))
         along[: len(self._signs)] = self._every_low[place].T
         along[len(self._signs) :, mine] = (common[:, group] * basis).sum(axis=2)
         column = (group[:, None] * size + np.arange(size)).ravel()
-        begin = felt.columns.indptr[column]
-        many = felt.columns.indptr[column + 1] - begin
+        begin = influence.columns.indptr[column]
+        many = influence.columns.indptr[column + 1] - begin
         entry = np.repeat(begin - np.cumsum(many) + many, many) + np.arange(many.sum())
         error = np.repeat(np.arange(len(column)), many)
-        touched, which = np.unique(felt.columns.indices[entry], return_inverse=True)
+        touched, which = np.unique(influence.columns.indices[entry], return_inverse=True)
         own = np.zeros((len(touched), len(rows)))
-        by = felt.columns.data[entry] * basis.ravel()[error]
+        by = influence.columns.data[entry] * basis.ravel()[error]
         np.add.at(own, (which, mine[error // size]), by)
-        return Sensitivity(along, felt.low, touched, own)
+        return Sensitivity(along, influence.low, touched, own)
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""
@@ -471,15 +471,17 @@ class Bordered(Kernel):
         weight = np.zeros((len(share), len(every)))
         weight[:, groups.place] = share[:, : len(groups.place)]
         weight[:, len(self.along) :] = share[:, len(groups.place) :]
-        felt = [np.flatnonzero(each) for each in weight]
-        some = [(every[rows], each[rows, None]) for rows, each in zip(felt, weight, strict=True)]
+        influence = [np.flatnonzero(each) for each in weight]
+        some = [
+            (every[rows], each[rows, None]) for rows, each in zip(influence, weight, strict=True)
+        ]
         low = np.stack([rows.T @ (rows * each) for rows, each in some])
         of_groups = weight[:, : len(self.along)].reshape(len(share), *self.basis.shape[:2])
         stacked = every[: len(self.along)].reshape(*self.basis.shape[:2], -1)
         turned = self.basis.swapaxes(1, 2) * of_groups[:, :, None]
         return turned @ self.basis, turned @ stacked, low
 
-    def _felt_by(self, outputs: Outputs) -> _FeltOfGroups:
+    def _felt_by(self, outputs: Outputs) -> _InfluenceOfGroups:
         """Return what ``outputs`` (o,) feel of the groups, the known rows and the border."""
         if self._last.get("of") is not outputs:
             few, common, share = outputs.few, outputs.common, outputs.share
@@ -493,8 +495,10 @@ class Bordered(Kernel):
             mine, common = csr_array(few[:, unknown] @ lines), common[:, unknown] @ lines
             tied = -(mine @ self.tied + share @ (common @ self.tied))
             low = np.hstack([tied, outputs.times(self.columns), share])
-            self._last.update(of=outputs, felt=_FeltOfGroups(mine, csc_array(mine), low, common))
-        found: _FeltOfGroups = self._last["felt"]
+            self._last.update(
+                of=outputs, influence=_InfluenceOfGroups(mine, csc_array(mine), low, common)
+            )
+        found: _InfluenceOfGroups = self._last["influence"]
         return found
 
     @cached_property
@@ -503,7 +507,7 @@ class Bordered(Kernel):
         return {}
 
 
-class _FeltOfGroups(NamedTuple):
+class _InfluenceOfGroups(NamedTuple):
     """What o outputs feel of u, the own unknowns of groups along Q, and of a low rank.
 
     ``own`` (o, g s), also by ``columns``: of u alone. ``low`` (o, m + r + k): of the low rank, and

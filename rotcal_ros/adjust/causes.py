@@ -127,7 +127,7 @@ def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:
 def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     """Return the ``best`` of two diagnoses, and that the ``other`` is possible where it is."""
     apart, change = _improbability(other) - _improbability(best), other.fit.value - best.fit.value
-    if apart >= 2.0 * np.log(ALIKE) or not best.fit.felt(change):
+    if apart >= 2.0 * np.log(ALIKE) or not best.fit.influenced(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
     chosen = Explanation(best.describe(), "", none, nothing, 0.0, 0.0, 0.0 * change)
@@ -144,7 +144,7 @@ def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
 def _price(model: Model, rows: Ints) -> float:
     """Return the price of ``rows`` that explain themselves, by elements among all."""
     elements = len(np.unique(model.of_element[rows]))
-    among = 2 * elements * np.log(max(model.rejectable, 1))
+    among = 2 * elements * np.log(max(model.rejectable_elements, 1))
     return float(len(rows) * np.log(len(model.observed)) + among)
 
 
@@ -168,7 +168,7 @@ def _improbability(diagnosis: Diagnosis) -> float:
     """
     fit, n = diagnosis.fit, len(diagnosis.used)
     factors = diagnosis.noise.factors[diagnosis.model.of_component[diagnosis.used]]
-    unknowns = fit.kernel.rank - sum(e.columns.shape[1] for e in diagnosis.taken)
+    unknowns = fit.kernel.rank - sum(e.columns.shape[1] for e in diagnosis.nuisance)
     spread = 2.0 * float(np.log(factors).sum())
     return float(fit.chi2 + spread + unknowns * np.log(n) + diagnosis.price)
 
@@ -262,7 +262,7 @@ def _together(diagnosis: Diagnosis) -> Diagnosis | None:
     for grouping in (g for g in model.groupings if g.gathers):
         for number in np.unique(grouping.number[alone & (grouping.number >= 0)]).tolist():
             back = np.flatnonzero(alone & (grouping.number == number))
-            whole = model.of_element[(grouping.number == number) & model.may_go]
+            whole = model.of_element[(grouping.number == number) & model.rejectable]
             gone, every = (len(np.unique(each)) for each in (model.of_element[back], whole))
             if not max(2, MANY * every) <= gone <= 0.5 * every:
                 continue

@@ -402,7 +402,12 @@ class ByOrder(Kernel):
     def covariance_of(self, outputs: Outputs) -> Floats:
         """Return the covariance (o, o) of ``outputs``."""
         every = np.arange(len(outputs))
-        return self._between(outputs, every[:, None], every)
+        found = self._between(outputs, every[:, None], every)
+        # of an output that is zero by its definition, differences leave their rounding
+        variance = found.diagonal()
+        zero = variance <= 8.0 * np.finfo(np.float64).eps * variance.max(initial=0.0)
+        found[zero], found[:, zero] = 0.0, 0.0
+        return found
 
     def _between(self, outputs: Outputs, first: Ints, second: Ints) -> Floats:
         """Return covariances (...) of ``outputs``, by how far apart the places are they read."""
@@ -503,15 +508,17 @@ class ByOrder(Kernel):
         turn, place = self.turns.turn[rows], self.turns.place[rows]
         column, value = (each[:, 0] for each in outputs.entries)
         if len(np.unique(turn)) == 1 and (run := outputs.run(circles * size, size)):
-            felt = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
-            found = sliding_window_view(felt, len(outputs))[(run[1] - place) % size]
+            influence = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
+            found = sliding_window_view(influence, len(outputs))[(run[1] - place) % size]
             return self._beside_common(found, outputs, turn, place)
         found = np.empty((len(rows), len(outputs)))
         for number, begin in enumerate(range(0, circles * size, size)):
             mine = np.flatnonzero((column >= begin) & (column < begin + size))
             for k in np.unique(turn) if len(mine) else ():
-                felt, here = places[k, number], np.flatnonzero(turn == k)
-                turned = sliding_window_view(np.append(felt, felt[:-1]), size)[-place[here] % size]
+                influence, here = places[k, number], np.flatnonzero(turn == k)
+                turned = sliding_window_view(np.append(influence, influence[:-1]), size)[
+                    -place[here] % size
+                ]
                 found[np.ix_(here, mine)] = turned[:, column[mine] - begin] * value[mine]
         beyond = np.flatnonzero(column >= circles * size)
         found[:, beyond] = others[turn[:, None], column[beyond] - circles * size] * value[beyond]
@@ -532,8 +539,8 @@ class ByOrder(Kernel):
                 found[here] += own[k][step] * np.where(inside, value, 0.0)
             beyond = np.flatnonzero(~inside)
             if len(beyond):
-                felt = others[turn[:, None], column[beyond] - circles * size]
-                found[:, beyond] += felt * value[beyond]
+                influence = others[turn[:, None], column[beyond] - circles * size]
+                found[:, beyond] += influence * value[beyond]
         return self._beside_common(found, outputs, turn, place)
 
     def _beside_common(self, found: Floats, outputs: Outputs, turn: Ints, place: Ints) -> Floats:
@@ -696,9 +703,9 @@ class Iterated:
             led = self.orders.times(left)
             now = float(left @ led)
             way = led + now / before * way
-            felt = self._normal(way)
-            length = now / float(way @ felt)
-            found, left, before = found + length * way, left - length * felt, now
+            influence = self._normal(way)
+            length = now / float(way @ influence)
+            found, left, before = found + length * way, left - length * influence, now
         return None
 
     @cached_property
@@ -716,13 +723,13 @@ class Iterated:
         now, carried, found = float(left @ way), 0.0, np.array([np.inf, 0.0])
         nothing, diagonal, beside = OPEN**2 * now, list[float](), list[float]()
         for step in range(1, STEPS // 4):
-            felt = self._normal(way)
-            along = float(way @ felt)
+            influence = self._normal(way)
+            along = float(way @ influence)
             if along <= OPEN * now:
                 return 0.0, float(found[1])  # nothing is determined along this way
             length = now / along
             diagonal.append(1.0 / length + carried)
-            left = left - length * felt
+            left = left - length * influence
             gain = self._led(left)
             after = float(left @ gain)
             if step % LOOKED == 0 or after < nothing:

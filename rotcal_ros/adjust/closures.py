@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf, normal_isf
-from rotcal_ros.adjust.effects import Seen, SeenFamily
+from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, KnownRelation, Steps
@@ -135,20 +135,22 @@ class Closed:
             return chi2_sf(squares, rank)
         return f_sf(squares / rank, rank, self.dof)
 
-    def beside(self, effect: Disturbing, seen: Seen | SeenFamily) -> Seen | SeenFamily:
+    def beside(
+        self, effect: Disturbing, seen: Observable | ObservableFamily
+    ) -> Observable | ObservableFamily:
         """Return what is ``seen`` of an ``effect`` with what this tells of it."""
         columns = effect.at(self.fit.computed)
         by = np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
-        felt, white = self._root @ (self.response * by), self._root @ self.error
+        influence, white = self._root @ (self.response * by), self._root @ self.error
         if isinstance(columns, Steps):
             parts = [np.zeros((0, columns.width, len(white)))]
             for rows, first in columns.runs:
-                mine = columns.felt[rows][:, :, None] * felt.T[rows][:, None]
+                mine = columns.influence[rows][:, :, None] * influence.T[rows][:, None]
                 parts.append(np.cumsum(mine[::-1], axis=0)[::-1][first])
             moved = np.concatenate(parts)
         else:
-            moved = (columns.T @ felt.T).reshape(-1, effect.width, len(white))
-        if isinstance(seen, Seen):
+            moved = (columns.T @ influence.T).reshape(-1, effect.width, len(white))
+        if isinstance(seen, Observable):
             flat = moved.reshape(-1, len(white))
             information, score = seen.information + flat @ flat.T, seen.score + flat @ white
             return replace(seen, information=information, score=score)

@@ -39,7 +39,7 @@ class Limits:
 
     def of_each_observation(self, model: Model) -> float:
         """Return the significance of the test of each single observation."""
-        return sidak(self.rejection, model.rejectable)
+        return sidak(self.rejection, model.rejectable_elements)
 
     def of_squares(self, model: Model, rank: ArrayLike) -> Floats:
         """Return the same of squared test values (m,) of elements with so many rows each."""
@@ -101,7 +101,7 @@ class Diagnosis:
     start: Floats
     gathering: Gathering = field(default_factory=Gathering)
     why: dict[int, str] = field(default_factory=dict)
-    taken: tuple[Explanation, ...] = ()
+    nuisance: tuple[Explanation, ...] = ()
     contests: tuple[Contest, ...] = ()
     price: float = 0.0
 
@@ -117,7 +117,9 @@ class Diagnosis:
 
     def fitted(self, factors: Floats, start: Floats) -> Fit:
         """Return the solution with ``factors`` (c,) on the stated noise."""
-        extra = np.column_stack([np.zeros((len(self.used), 0)), *(e.columns for e in self.taken)])
+        extra = np.column_stack(
+            [np.zeros((len(self.used), 0)), *(e.columns for e in self.nuisance)]
+        )
         std = self.model.std * factors[self.model.of_component]
         return fitted(self.model, self.used, std, start, extra)
 
@@ -140,14 +142,14 @@ class Diagnosis:
         if len(every) > 8:
             gone = f"{gone} and {len(every) - 8} others"
         parts = [f"{gone} are wrong"] if gone else []
-        return " and ".join([*parts, *(e.what for e in self.taken)]) or "nothing is wrong"
+        return " and ".join([*parts, *(e.what for e in self.nuisance)]) or "nothing is wrong"
 
     def holding(self, found: Explanation, rivals: Sequence[Explanation] = ()) -> Diagnosis:
         """Return the diagnosis that ``found`` is true, and that its ``rivals`` are possible."""
         contests = (*self.contests, Contest(found, tuple(rivals))) if rivals else self.contests
         here = replace(self, contests=contests, price=self.price + found.price)
         if found.effect is not None:
-            return replace(here, taken=(*here.taken, found))
+            return replace(here, nuisance=(*here.nuisance, found))
         name, gathering = self.model.names, self.gathering
         if found.blamed is not None:
             gathering = gathering.without(found.blamed)
@@ -157,7 +159,7 @@ class Diagnosis:
     @property
     def open_contests(self) -> tuple[Contest, ...]:
         """The contests without rivals that were taken for true as well, later on."""
-        taken = [e.what for e in self.taken]
+        taken = [e.what for e in self.nuisance]
         remaining = (
             Contest(c.best, tuple(e for e in c.rivals if not self._holds(e, taken)))
             for c in self.contests

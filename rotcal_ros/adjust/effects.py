@@ -55,7 +55,7 @@ class Movements(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Observable:
     """What the solution makes of k columns of errors, each of unit size.
 
     ``moved`` (k, o): what they do to the outputs. ``information`` (k, k): S, what of them is left
@@ -70,7 +70,7 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenFamily:
+class ObservableFamily:
     """The same of k members of w columns each, of which at most one is there, in time.
 
     ``moved`` (k w, o), member by member; ``information`` (k, w, w) of each and ``beside``
@@ -83,18 +83,18 @@ class SeenFamily:
     score: Floats
     whole: Floats
 
-    def member(self, k: int) -> Seen:
+    def member(self, k: int) -> Observable:
         """Return what is seen of one member."""
         w = self.score.shape[1]
         moved = self.moved[k * w : (k + 1) * w]
-        return Seen(moved, self.information[k], self.score[k], self.whole[k])
+        return Observable(moved, self.information[k], self.score[k], self.whole[k])
 
-    def column(self, j: int) -> Seen:
+    def column(self, j: int) -> Observable:
         """Return what is seen of one column of a member alone."""
         k, way = divmod(j, self.score.shape[1])
         at = slice(way, way + 1)
         information, score = self.information[k, at, at], self.score[k, at]
-        return Seen(self.moved[j : j + 1], information, score, self.whole[k, at])
+        return Observable(self.moved[j : j + 1], information, score, self.whole[k, at])
 
     @cached_property
     def roots(self) -> tuple[Floats, Floats]:
@@ -170,21 +170,23 @@ class EffectTest(NamedTuple):
     variance: float = 1.0
 
 
-def expected_weights(seen: SeenFamily, size: float, probability: float) -> Floats:
+def expected_weights(seen: ObservableFamily, size: float, probability: float) -> Floats:
     """Return what each column (k w,) adds to the covariance, times the square of its unit.
 
     One of them may be off by ``size``, plus or minus, with ``probability`` beforehand: that times
     its likelihood ratio is how probable it is afterwards, and its expected square what it adds.
     """
     information = seen.information.diagonal(axis1=1, axis2=2).ravel()
-    felt = np.abs(seen.score.ravel()) * size
-    logs = felt + np.log1p(np.exp(-2.0 * felt)) - np.log(2.0) - 0.5 * information * size**2
+    influence = np.abs(seen.score.ravel()) * size
+    logs = (
+        influence + np.log1p(np.exp(-2.0 * influence)) - np.log(2.0) - 0.5 * information * size**2
+    )
     ratio = np.exp(np.minimum(logs, 600.0)) * probability / max(len(logs), 1)
     return np.asarray(size**2 * ratio / (1.0 - probability + ratio.sum()))
 
 
 def effect_test(
-    seen: Seen,
+    seen: Observable,
     rest: tuple[float, float] | None = None,
     least: float = 1e-300,
     nothing: float = UNSEEN,
@@ -209,7 +211,7 @@ def effect_test(
     return EffectTest(size, inverse, squares, rank, chance, axes, variance=variance)
 
 
-def family_test(seen: SeenFamily, rest: tuple[float, float] | None = None) -> EffectTest:
+def family_test(seen: ObservableFamily, rest: tuple[float, float] | None = None) -> EffectTest:
     """Test members of which at most one is there, and return the best; neighbours are alike."""
     usual = chi2_isf(RATHER_RARE, np.maximum(seen.rank, 1))
     k = int(np.argmax(seen.squares - usual))
@@ -219,7 +221,7 @@ def family_test(seen: SeenFamily, rest: tuple[float, float] | None = None) -> Ef
     return alone._replace(probability=min(chance, 1.0), member=k)
 
 
-def _axes(seen: Seen, nothing: float = UNSEEN) -> tuple[Floats, Floats, Floats]:
+def _axes(seen: Observable, nothing: float = UNSEEN) -> tuple[Floats, Floats, Floats]:
     """Return combinations (k, rank) of the columns that leave residuals, and their information.
 
     And the combinations (k, k - rank) that leave none. All columns count as of length one: S is
@@ -259,7 +261,7 @@ def above_of_family(u: float, alike: Floats, rank: Ints | None = None) -> float:
     return 2.0 * (above + min(crossings, len(alike) * above))
 
 
-class Unseen(NamedTuple):
+class Undetected(NamedTuple):
     """The largest error that may stay unseen, in standard uncertainties of the outputs.
 
     ``found``: a larger effect is found with the stated power; else none larger was considered.
@@ -271,7 +273,7 @@ class Unseen(NamedTuple):
     hidden: bool = False
 
     @classmethod
-    def worst(cls, found_from: Floats, share: Floats, largest: float) -> Unseen:
+    def worst(cls, found_from: Floats, share: Floats, largest: float) -> Undetected:
         """Return the worst of k effects of one column, none of which is larger than ``largest``.
 
         ``found_from`` (k,): size from which on a test finds each, infinite: none does;
@@ -290,15 +292,15 @@ class Unseen(NamedTuple):
         return "tested" if self.found else "not protected"
 
 
-def unseen(
-    seen: Seen,
+def undetected(
+    seen: Observable,
     std: Floats,
     largest: float,
     *,
     significance: float,
     power: float,
     dof: float = np.inf,
-) -> Unseen:
+) -> Undetected:
     """Return the worst that columns together do before their test finds them.
 
     ``std`` (o,) of the outputs, zero: one that does not count; ``largest``: a size that nobody
@@ -316,14 +318,14 @@ def unseen(
     bound = largest * np.linalg.norm(share, axis=0)
     error = np.minimum(shown + hidden, bound)
     if not error.size:
-        return Unseen(0.0, found=True)
+        return Undetected(0.0, found=True)
     worst = int(np.argmax(error))
     found = hidden[worst] <= UNSEEN and shown[worst] <= bound[worst]
-    return Unseen(float(error[worst]), bool(found), bool(hidden[worst] > UNSEEN))
+    return Undetected(float(error[worst]), bool(found), bool(hidden[worst] > UNSEEN))
 
 
-def unseen_family(
-    seen: SeenFamily,
+def undetected_family(
+    seen: ObservableFamily,
     std: Floats,
     largest: float,
     *,
@@ -331,17 +333,17 @@ def unseen_family(
     power: float,
     dof: float = np.inf,
     usual: float = 1.0,
-) -> Unseen:
+) -> Undetected:
     """Return the worst that one member of a family does before the test of all finds it.
 
     Arguments as of :func:`unseen`. ``usual``: the worst of this share of the members alone.
     """
     k, w = seen.score.shape
     if not k:
-        return Unseen(0.0, found=True)
+        return Undetected(0.0, found=True)
     whole = np.broadcast_to(largest * np.eye(w), (k, w, w))
     if dof - w < 1.0:
-        return Unseen(float(worst_of(seen.moved, std, whole)[0].max()), found=False)
+        return Undetected(float(worst_of(seen.moved, std, whole)[0].max()), found=False)
     chance = 2.0 * normal_sf(limit_of_family(significance, seen.alike, seen.rank))
     needed = {r: noncentrality(chance, power, r, dof - r) for r in set(seen.rank.tolist()) if r}
     root, silent = seen.roots
@@ -352,15 +354,15 @@ def unseen_family(
     error = np.minimum(shown + more, bound)
     worst = int(np.argsort(-error, kind="stable")[k - max(int(np.ceil(usual * k)), 1)])
     known = seen.rank[worst] == w and shown[worst] <= bound[worst]
-    return Unseen(float(error[worst]), bool(known), bool(seen.rank[worst] < w))
+    return Undetected(float(error[worst]), bool(known), bool(seen.rank[worst] < w))
 
 
-def _everything(share: Floats, largest: float) -> Unseen:
+def _everything(share: Floats, largest: float) -> Undetected:
     """Return that an effect stays unseen up to its ``largest`` size: no residual is left.
 
     ``share`` (k, o): what k columns that are there together do to the outputs.
     """
-    return Unseen(largest * float(np.linalg.norm(share, axis=0).max(initial=0.0)), found=False)
+    return Undetected(largest * float(np.linalg.norm(share, axis=0).max(initial=0.0)), found=False)
 
 
 def limit_of_family(significance: float, alike: Floats, rank: Ints | None = None) -> float:

@@ -29,14 +29,14 @@ from rotcal_ros.adjust.closures import Closed
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality, normal_sf, t_isf
 from rotcal_ros.adjust.effects import (
-    Seen,
-    SeenFamily,
-    Unseen,
+    Observable,
+    ObservableFamily,
+    Undetected,
     effect_test,
     expected_weights,
     family_test,
-    unseen,
-    unseen_family,
+    undetected,
+    undetected_family,
 )
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
@@ -44,8 +44,8 @@ from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model, Steps
 from rotcal_ros.adjust.noise import PRIOR
+from rotcal_ros.adjust.observable import columns_of, family_observable_by, observable_by
 from rotcal_ros.adjust.reliability import hidden
-from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
@@ -146,7 +146,7 @@ class Adjusted:
         found = [np.sqrt(weight) * change[:, None] for weight, change in contested]
         for effect, size, probability in self.model.expected:
             columns = effect.at(self.fit.computed)
-            seen = family_seen_by(self.fit, columns, effect.width)
+            seen = family_observable_by(self.fit, columns, effect.width)
             weight = expected_weights(seen, size, probability)
             stride = -(-len(weight) * len(self.fit.value) // MOST_AT_ONCE)
             root = np.sqrt(stride * weight[::stride])
@@ -154,13 +154,13 @@ class Adjusted:
         return found
 
     @cached_property
-    def also(self) -> Mapping[str, tuple[Floats, Floats]]:
+    def further(self) -> Mapping[str, tuple[Floats, Floats]]:
         """What else the model determines, by name: values (a,) and standard uncertainties (a,)."""
-        sizes = [len(rows) for rows in self.model.also.values()]
+        sizes = [len(rows) for rows in self.model.further.values()]
         ends = np.cumsum([len(self.model.outputs), *sizes]).tolist()
         return {
             name: (self.fit.value[a:b], self._every_std[a:b])
-            for name, a, b in zip(self.model.also, ends[:-1], ends[1:], strict=True)
+            for name, a, b in zip(self.model.further, ends[:-1], ends[1:], strict=True)
         }
 
     @cached_property
@@ -190,7 +190,7 @@ class Adjusted:
     def found_effects(self) -> tuple[FoundEffect, ...]:
         """The effects that became unknowns, with their sizes in the solution."""
         first, found = self.model.size[1], []
-        for e in self.diagnosis.taken:
+        for e in self.diagnosis.nuisance:
             assert e.effect is not None
             assert e.mixing is not None
             own = slice(first, first + e.columns.shape[1])
@@ -240,7 +240,7 @@ class Adjusted:
         return float(np.sqrt(stated @ stated / fit.dof)) if fit.dof else 1.0
 
     @cached_property
-    def seen(self) -> list[tuple[Disturbing, Seen | SeenFamily]]:
+    def seen(self) -> list[tuple[Disturbing, Observable | ObservableFamily]]:
         """What the solution makes of each declared effect, and closures beside it."""
         found = []
         for effect in self.model.effects:
@@ -264,7 +264,7 @@ class Adjusted:
     @property
     def verdict(self) -> Verdict:
         """Whether the model describes the observations."""
-        share = self.diagnosis.lost / max(self.model.rejectable, 1)
+        share = self.diagnosis.lost / max(self.model.rejectable_elements, 1)
         larger = self.scale * self.diagnosis.noise.factors.max(initial=1.0)
         if share > FAILED_SHARE or (larger > FAILED_FACTOR and not self.model.unstated):
             return "failed"
@@ -308,7 +308,7 @@ class Adjusted:
         protections: Sequence[Protection] = (),
         details: Mapping[str, Any] | None = None,
         joint: bool = False,
-        also: bool = True,
+        further: bool = True,
     ) -> Result:
         """Return the result that all methods share, the table at ``angles`` (m,), rad.
 
@@ -318,7 +318,7 @@ class Adjusted:
         one after the other: it was rejected if one of them was. What the method itself doubts,
         protects against and says joins what was found here; its word on an effect takes the place
         of ours. Covariances of more than COVARIANCE_LIMIT deviations are left out, unless
-        what is done next takes them (``joint``). ``also`` as of :meth:`details`.
+        what is done next takes them (``joint``). ``further`` as of :meth:`details`.
         """
         kept = joint or max(len(self.value[p]) for p in components.values()) <= COVARIANCE_LIMIT
         every = {p.effect: p for p in (*self.protections(), *protections)}
@@ -340,7 +340,7 @@ class Adjusted:
             protections=ordered(every.values()),
             residuals=self._residuals(places, coordinates),
             raw_data=RawData(influence=self.influence(components, len(places[0]), coordinates)),
-            details={**self.details(also=also), **(details or {})},
+            details={**self.details(further=further), **(details or {})},
         ).counted_from(counts_from)
 
     def _rejected_of(self, coordinates: int) -> tuple[Rejection, ...]:
@@ -382,15 +382,15 @@ class Adjusted:
         used = self.fit.used[:count].reshape(measured, coordinates)
         seen, known = np.flatnonzero(used.any(axis=1)), np.arange(count, len(self.fit.used))
         rows = (seen[:, None] * coordinates + np.arange(coordinates)).ravel()
-        felt = self.scale * self.fit.response_of(np.append(rows, known))
+        influence = self.scale * self.fit.response_of(np.append(rows, known))
         causes = tuple(self.model.names[row] for row in known.tolist())
-        parts = {n: felt[part] for n, part in components.items()}
+        parts = {n: influence[part] for n, part in components.items()}
         return Influence(seen, coordinates, parts, causes)
 
-    def details(self, *, also: bool = True) -> dict[str, Any]:
+    def details(self, *, further: bool = True) -> dict[str, Any]:
         """Return what was found for the details of a result, SI.
 
-        ``also``: with the further outputs, which a method may have of which it makes its own.
+        ``further``: with the further outputs, which a method may have of which it makes its own.
         """
         scattering = {
             each.what: {
@@ -400,7 +400,7 @@ class Adjusted:
             }
             for each, sizes in self.fit.sizes.items()
         }
-        further = {name: {"value": x, "std": u} for name, (x, u) in self.also.items()}
+        others = {name: {"value": x, "std": u} for name, (x, u) in self.further.items()}
         closed = [
             {"what": c.relation.what, "error": c.error, "std": c.std, "p_value": c.probability}
             for c in self.closed
@@ -421,7 +421,7 @@ class Adjusted:
                 for e in self.found_effects
             ],
             "gathering": gathering.details(self.diagnosis.gathering, "observations"),
-            **({"also": further} if also else {}),
+            **({"also": others} if further else {}),
         }
 
 
@@ -464,7 +464,7 @@ class PlanPrediction:
 
     std: Floats
     redundancy: Floats
-    unseen: dict[Effect, Unseen]
+    undetected: dict[Effect, Undetected]
 
 
 def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
@@ -483,7 +483,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _unseen(e, _seen(fit, e), counting, each)
+        e.effect: _undetected(e, _seen(fit, e), counting, each)
         for e in model.effects
         if isinstance(e.columns, Steps) or e.whole(computed).any()
     }
@@ -540,7 +540,7 @@ def _doubts(found: Adjusted) -> Iterator[str]:
     yield from _open(found)
     if not found.fit.dof:
         yield f"no {model.words.elements} are left to check the others: nothing could contradict"
-    lost, all_of_them = found.diagnosis.lost, model.rejectable
+    lost, all_of_them = found.diagnosis.lost, model.rejectable_elements
     if lost > limits.rejected_share * all_of_them:
         yield (
             f"{lost} of {all_of_them} {model.words.elements} were left out, "
@@ -563,7 +563,11 @@ def _open(found: Adjusted) -> Iterator[str]:
     rest = (found.fit.chi2, float(found.fit.dof)) if np.isfinite(found.freedom) else None
     named = {e.effect.effect for e in found.found_effects}
     for effect, seen in found.seen if found.closed else ():
-        test = family_test(seen, rest) if isinstance(seen, SeenFamily) else effect_test(seen, rest)
+        test = (
+            family_test(seen, rest)
+            if isinstance(seen, ObservableFamily)
+            else effect_test(seen, rest)
+        )
         if test.probability < limits.of_each_effect(found.model) and effect.effect not in named:
             yield (
                 f"it looks as if {effect.what} (p = {test.probability:.2g}), by residuals and "
@@ -582,12 +586,12 @@ def _larger(found: Adjusted) -> Bools:
 
 def _protections(found: Adjusted) -> Iterator[Protection]:
     each = found.diagnosis.limits.of_each_effect(found.model)
-    taken = [e.effect for e in found.diagnosis.taken if e.effect is not None]
-    worst: dict[Effect, tuple[Unseen, Disturbing]] = {}
+    taken = [e.effect for e in found.diagnosis.nuisance if e.effect is not None]
+    worst: dict[Effect, tuple[Undetected, Disturbing]] = {}
     for effect, seen in found.seen:
         if effect in taken and effect.family:
             continue
-        hides = _unseen(effect, seen, found.counting_std, each, found.freedom)
+        hides = _undetected(effect, seen, found.counting_std, each, found.freedom)
         if effect in taken and hides.treatment != "not protected":
             continue  # all of it was taken off
         if effect.effect not in worst or hides.error > worst[effect.effect][0].error:
@@ -612,24 +616,24 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     yield from _against_gathering(found)
 
 
-def _seen(fit: Fit, effect: Disturbing) -> Seen | SeenFamily:
+def _seen(fit: Fit, effect: Disturbing) -> Observable | ObservableFamily:
     columns = effect.at(fit.computed)
     if effect.family:
-        return family_seen_by(fit, columns, effect.width)
-    return seen_by(fit, columns_of(columns, slice(None)))
+        return family_observable_by(fit, columns, effect.width)
+    return observable_by(fit, columns_of(columns, slice(None)))
 
 
-def _unseen(
+def _undetected(
     effect: Disturbing,
-    seen: Seen | SeenFamily,
+    seen: Observable | ObservableFamily,
     std: Floats,
     significance: float,
     dof: float = np.inf,
-) -> Unseen:
+) -> Undetected:
     size, limits = effect.largest, {"significance": significance, "power": POWER, "dof": dof}
-    if isinstance(seen, SeenFamily):
-        return unseen_family(seen, std, size, usual=effect.usual, **limits)
-    return unseen(seen, std, size, **limits)
+    if isinstance(seen, ObservableFamily):
+        return undetected_family(seen, std, size, usual=effect.usual, **limits)
+    return undetected(seen, std, size, **limits)
 
 
 def _against_noise(found: Adjusted) -> Protection:
@@ -649,7 +653,7 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     model, fit, limits = found.model, found.fit, found.diagnosis.limits
     std, words = found.counting_std[: len(found.value)], model.words
     first = model.elements[:, 0]
-    each = np.flatnonzero((fit.used & model.may_go)[first])
+    each = np.flatnonzero((fit.used & model.rejectable)[first])
     if not len(each) or len(std) * len(each) > MOST_AT_ONCE:
         return
     sizes, counts = (model.elements[each] >= 0).sum(axis=1), std > 0.0
@@ -679,7 +683,7 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
 
 def _unchecked(fit: Fit) -> int:
     """Return how many of the elements that may be left out hold a row that no other checks."""
-    open_ = fit.used & fit.model.may_go & (fit.redundancy <= CHECKED)
+    open_ = fit.used & fit.model.rejectable & (fit.redundancy <= CHECKED)
     return len(np.unique(fit.model.of_element[open_]))
 
 

@@ -126,31 +126,31 @@ class Correlated:
         """Return the same where no data say which ways are likely."""
         return self.below(0)
 
-    def spread_of(self, fit: Any, felt: Floats) -> Floats:
+    def spread_of(self, fit: Any, influence: Floats) -> Floats:
         """Return :meth:`spread` of the ways that a ``fit`` leaves possible."""
-        return self.spread(felt, self.possible(fit))
+        return self.spread(influence, self.possible(fit))
 
     def possible(self, _fit: Any) -> Bools:
         """Return which ways (w, v, ...) a fit of the model leaves possible together: all."""
         return np.ones([len(ways) for ways in self.parts], np.bool_)
 
-    def spread(self, felt: Floats, possible: Bools) -> Floats:
+    def spread(self, influence: Floats, possible: Bools) -> Floats:
         """Return what independent errors would have to do (o, k) in the place of these.
 
-        ``felt`` (o, k): what errors of the rows do to outputs. The variance of each output is that
-        of the worst of the ``possible`` ways (w, v, ...), its correlations are those of the mean
-        of all that are in one of them.
+        ``influence`` (o, k): what errors of the rows do to outputs. The variance of each output is
+        that of the worst of the ``possible`` ways (w, v, ...), its correlations are those of the
+        mean of all that are in one of them.
         """
         chosen, every = np.nonzero(possible), range(possible.ndim)
-        variance, mean = np.zeros((len(chosen[0]), len(felt))), np.zeros(2 * [len(self.rows)])
+        variance, mean = np.zeros((len(chosen[0]), len(influence))), np.zeros(2 * [len(self.rows)])
         for part, (ways, mine) in enumerate(zip(self.parts, chosen, strict=True)):
-            variance += np.array([((felt @ root) ** 2).sum(axis=1) for root in ways])[mine]
+            variance += np.array([((influence @ root) ** 2).sum(axis=1) for root in ways])[mine]
             others = tuple(k for k in every if k != part)
             kept = np.flatnonzero(possible.any(axis=others)).tolist()
             for k in kept:
                 mean += ways[k] @ ways[k].T / len(kept)
         size, axes = np.linalg.eigh(mean)
-        spread = felt @ (axes * np.sqrt(np.maximum(size, 0.0))) @ axes.T
+        spread = influence @ (axes * np.sqrt(np.maximum(size, 0.0))) @ axes.T
         square, worst = (spread**2).sum(axis=1), variance.max(axis=0)
         factor = np.sqrt(np.where(square > 0.0, worst, 0.0) / np.where(square > 0.0, square, 1.0))
         return np.asarray(spread * factor[:, None])

@@ -78,12 +78,14 @@ class Hypotheses:
         if self.times is not None:
             rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
             for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
-                felt = self.times(rows[some] / std[some, None])
-                np.maximum(most, np.abs(felt, out=felt).max(axis=0, initial=0.0), out=most)
+                influence = self.times(rows[some] / std[some, None])
+                np.maximum(
+                    most, np.abs(influence, out=influence).max(axis=0, initial=0.0), out=most
+                )
             return most
         mix, rows = self.mixing(), self.group.sensitivity.dense()[counts] / std[counts, None]
-        felt = rows @ mix.reshape(len(mix), -1)
-        most = np.maximum(felt.max(axis=0, initial=0.0), -felt.min(axis=0, initial=0.0))
+        influence = rows @ mix.reshape(len(mix), -1)
+        most = np.maximum(influence.max(axis=0, initial=0.0), -influence.min(axis=0, initial=0.0))
         return np.asarray(most.reshape(mix.shape[1:]))
 
     def take(self, which: slice) -> Hypotheses:
@@ -455,6 +457,6 @@ def studentised(group: Group, variance: float) -> Group:
     return replace(
         group,
         residual=group.residual / root,
-        felt=lambda: group.sensitivity.weighted(root),
+        influence=lambda: group.sensitivity.weighted(root),
         unit=group.unit / root,
     )

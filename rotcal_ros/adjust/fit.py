@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import lapack
 
-from rotcal_ros.adjust.effects import SeenFamily
+from rotcal_ros.adjust.effects import ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Model, Steps
@@ -110,7 +110,7 @@ class Fit:
         return np.where(self.used, self.residual / self.std, 0.0)
 
     @cached_property
-    def families(self) -> dict[Steps, SeenFamily]:
+    def families(self) -> dict[Steps, ObservableFamily]:
         """What was worked out of moves that may have begun at any moment."""
         return {}
 
@@ -245,10 +245,10 @@ class Fit:
         outputs = self.model.output_rows.some(at)
         rows = np.zeros((len(asked), len(self.x)))
         rows[:, : outputs.shape[1]] = asked[:, at] @ outputs
-        felt = self.kernel.adjusted(rows.T).T
+        influence = self.kernel.adjusted(rows.T).T
         for mine, spread in self.in_common():
-            felt[:, mine] = asked @ spread[: asked.shape[1]]
-        return np.asarray(felt)
+            influence[:, mine] = asked @ spread[: asked.shape[1]]
+        return np.asarray(influence)
 
     def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o + a, k).
@@ -364,7 +364,7 @@ class Fit:
         left = white - design.times(found.solve(white))
         return float(left @ left), found.rank
 
-    def felt(self, change: Floats) -> bool:
+    def influenced(self, change: Floats) -> bool:
         """Whether a ``change`` (o + a,) of the outputs is no trifle for those that count."""
         return bool((np.abs(change) > SAME * self.output_std).any())
 
@@ -375,7 +375,7 @@ class Fit:
     def left_of(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) leave in the residuals, R times them."""
         mine = white * self.used[:, None]
-        return np.asarray(mine - self.kernel.taken(mine))
+        return np.asarray(mine - self.kernel.projected(mine))
 
 
 def require_determined(model: Model) -> None:
@@ -575,10 +575,10 @@ class _Steps:
         step = self.by_form.solve(white) if self.by_form else self.design.roughly(white)
         if step is None:
             return self._by_normal_equations(white, x)
-        felt = self.design.times(step)
+        influence = self.design.times(step)
         if self.defines:
             step = self.defined(x + step) - x
-        return step, float(felt @ felt)
+        return step, float(influence @ influence)
 
     @property
     def defines(self) -> bool:
@@ -605,10 +605,10 @@ class _Steps:
     def _by_normal_equations(self, white: Floats, x: Floats) -> tuple[Floats, float]:
         if self._factor is None:
             step = self._whole.solve(white)
-            felt = self.design.times(step)
+            influence = self.design.times(step)
             if isinstance(self._whole, Defined):
                 step = self._whole.defined(x + step) - x
-            return step, float(felt @ felt)
+            return step, float(influence @ influence)
         (root, scale, open_), moving = self._factor, _moving(self.model, len(x))
         along = lapack.dtrtrs(root, (self.design.adjoint(white) / scale)[moving], trans=1)[0]
         step = np.zeros(len(scale))
@@ -646,10 +646,12 @@ def _require_told(model: Model, design: Design) -> None:
     """
     if design.divided:
         return
-    felt = model.output_rows.felt
-    unseen = np.flatnonzero(felt & (design.lengths[: len(felt)] == 0.0))
+    influence = model.output_rows.influenced
+    unseen = np.flatnonzero(influence & (design.lengths[: len(influence)] == 0.0))
     if unseen.size:
-        raise _untold(_in_words(model, unseen, np.zeros((model.size[0], len(felt)), np.bool_)))
+        raise _untold(
+            _in_words(model, unseen, np.zeros((model.size[0], len(influence)), np.bool_))
+        )
     if design.large:
         raise ObservabilityError(
             "the observations cannot separate the places of the circles: measure what joins them"
@@ -664,9 +666,9 @@ def _untold(names: str) -> ObservabilityError:
 
 def _moving(model: Model, unknowns: int) -> Ints | slice:
     """Return the unknowns that do not stand still, of so many with effects that were taken up."""
-    if not len(model.held):
+    if not len(model.fixed):
         return slice(None)
-    return np.delete(np.arange(unknowns), model.held)
+    return np.delete(np.arange(unknowns), model.fixed)
 
 
 def _open(model: Model, design: Design, root: Floats, scale: Floats) -> Floats | None:
@@ -676,7 +678,7 @@ def _open(model: Model, design: Design, root: Floats, scale: Floats) -> Floats |
     Cholesky factor of the normal matrix of these, times ``scale`` (p + q,). What it leaves is
     taken once more, since it squares what is badly conditioned.
     """
-    held = model.held
+    held = model.fixed
     open_ = np.zeros((len(scale), len(held)))
     if not len(held):
         return open_
@@ -696,7 +698,7 @@ def _whole(model: Model, design: Design) -> Kernel:
     Raises ObservabilityError where outputs feel what is open.
     """
     try:
-        found = _defined(model, Whole.of(design, model.held))
+        found = _defined(model, Whole.of(design, model.fixed))
     except np.linalg.LinAlgError as error:  # the unknowns have run away
         raise _unsettled() from error
     _require_unfelt(model, found)
@@ -712,8 +714,11 @@ def _scale(design: Design) -> Floats:
 def _feels(model: Model, kernel: Kernel) -> bool:
     """Whether an output feels a direction that nothing determines, by more than rounding."""
     outputs, open_, scale = model.output_rows, kernel.directions, _scale(kernel.design)
-    felt, lengths = np.abs(outputs.times(open_)), np.linalg.norm(open_ * scale[:, None], axis=0)
-    return bool((felt > FREE * outputs.lengths(scale)[:, None] * lengths).any())
+    influence, lengths = (
+        np.abs(outputs.times(open_)),
+        np.linalg.norm(open_ * scale[:, None], axis=0),
+    )
+    return bool((influence > FREE * outputs.lengths(scale)[:, None] * lengths).any())
 
 
 def _require_unfelt(model: Model, kernel: Kernel) -> None:
@@ -727,8 +732,8 @@ def _require_unfelt(model: Model, kernel: Kernel) -> None:
     open_ = np.linalg.qr(kernel.directions * scale[:, None])[0].T
     every = model.every_output
     outputs = np.pad(every, ((0, 0), (0, len(scale) - every.shape[1]))) / scale
-    felt = outputs @ open_.T
-    size, ways = np.linalg.svd(felt, full_matrices=False)[1:]
+    influence = outputs @ open_.T
+    size, ways = np.linalg.svd(influence, full_matrices=False)[1:]
     lost = ways[size > FREE * size[0]] @ open_  # what outputs feel of it
     share = np.linalg.norm(lost, axis=0)[: model.size[1]]
     unseen = (telling[:, : len(share)].sum(axis=0) == 0) & (share > FREE)

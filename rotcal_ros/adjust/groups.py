@@ -30,7 +30,7 @@ class Group:
 
     ``kind``, ``name``: for people, as "station" and "station 3". ``members`` (e,): the caller's
     numbers of the elements. ``residual`` (e, c): r, observed - computed, whitened. ``cofactor``
-    (e, c, e, c): R. ``felt``: returns :attr:`sensitivity`, which of few groups is asked for.
+    (e, c, e, c): R. ``influence``: returns :attr:`sensitivity`, which of few groups is asked for.
     ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard deviation;
     zero where an element lacks the axis, whose other entries are zero too. ``gathered`` (q, e):
     subsets that lie together, see :mod:`.subsets`. ``lost``: how many elements of the group were
@@ -43,7 +43,7 @@ class Group:
     members: Ints
     residual: Floats
     cofactor: Floats
-    felt: Callable[[], Sensitivity]
+    influence: Callable[[], Sensitivity]
     unit: Floats
     gathered: Bools
     lost: int = 0
@@ -58,7 +58,7 @@ class Group:
         residual: Floats,
         unit: Floats,
         leverage: Floats,
-        felt: Callable[[], Sensitivity],
+        influence: Callable[[], Sensitivity],
         gathered: Bools | None = None,
         lost: int = 0,
     ) -> Group:
@@ -73,7 +73,7 @@ class Group:
         if gathered is None:
             gathered = np.zeros((0, len(members)), dtype=np.bool_)
         return cls(
-            kind, name, members, residual, cofactor.reshape(*shape, *shape), felt, unit,
+            kind, name, members, residual, cofactor.reshape(*shape, *shape), influence, unit,
             gathered, lost,
         )  # fmt: skip
 
@@ -85,7 +85,7 @@ class Group:
     @cached_property
     def sensitivity(self) -> Sensitivity:
         """B (o, e c): by how much an output is off per whitened unit error."""
-        return self.felt()
+        return self.influence()
 
     @property
     def response(self) -> Floats:
@@ -265,10 +265,12 @@ class SolutionView:
         rows = design.reshape(residual.size, -1)
         spread = rows @ self.covariance
 
-        def felt() -> Sensitivity:
+        def influence() -> Sensitivity:
             return Sensitivity.whole(np.asarray(self.outputs @ spread.T))
 
-        return Group.of(kind, name, members, residual, unit, spread @ rows.T, felt, gathered, lost)
+        return Group.of(
+            kind, name, members, residual, unit, spread @ rows.T, influence, gathered, lost
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -212,11 +212,11 @@ class Kernel(ABC):
         """Return J N^-1 times ``columns`` (p, k), (n, k)."""
         return self.design.times(self.times(columns))
 
-    def taken(self, white: Floats) -> Floats:
+    def projected(self, white: Floats) -> Floats:
         """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
         return self.design.times(self.solve(white))
 
-    def taken_in(self, white: Floats, rows: Ints) -> Floats:
+    def projected_in(self, white: Floats, rows: Ints) -> Floats:
         """Return the same of some ``rows`` (r,) alone, (r, k)."""
         return self.design.some_times(rows, self.solve(white))
 
@@ -249,8 +249,8 @@ class Kernel(ABC):
         found = np.zeros((len(outputs), len(weight)))
         for some in np.array_split(np.arange(len(first)), len(first) // AT_ONCE + 1):
             rows, at = np.unique([first[some], second[some]], return_inverse=True)
-            felt = self.response(outputs, rows)
-            found += (felt[:, at[0]] * felt[:, at[1]]) @ weight[:, some].T
+            influence = self.response(outputs, rows)
+            found += (influence[:, at[0]] * influence[:, at[1]]) @ weight[:, some].T
         return found
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
@@ -354,11 +354,11 @@ class Whole(Kernel):
 
     def squares_between(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
-        felt = [np.flatnonzero(each) for each in share]
-        each = [self.basis[rows] for rows in felt]
+        influence = [np.flatnonzero(each) for each in share]
+        each = [self.basis[rows] for rows in influence]
         spread = np.stack([
             (basis.T * part[rows]) @ basis
-            for basis, part, rows in zip(each, share, felt, strict=True)
+            for basis, part, rows in zip(each, share, influence, strict=True)
         ]).reshape(len(share), -1)  # fmt: skip
         return np.asarray(spread @ spread.T)
 
@@ -374,7 +374,7 @@ class Whole(Kernel):
         """Return J N^-1 times ``columns`` (p, k), (n, k)."""
         return np.asarray(self.basis @ (self.root.T @ columns))
 
-    def taken(self, white: Floats) -> Floats:
+    def projected(self, white: Floats) -> Floats:
         """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
         return np.asarray(self.basis @ (self.basis.T @ white))
 
@@ -413,8 +413,11 @@ class Updated(Kernel):
         the ``base``, -1 for what is left out.
         """
         rows, more = changed
-        felt, lengths = np.abs(rows @ base.directions), np.linalg.norm(base.directions, axis=0)
-        if (felt > OPEN * lengths * np.abs(dense(rows)).max(initial=0.0)).any():
+        influence, lengths = (
+            np.abs(rows @ base.directions),
+            np.linalg.norm(base.directions, axis=0),
+        )
+        if (influence > OPEN * lengths * np.abs(dense(rows)).max(initial=0.0)).any():
             return None  # they determine what the base leaves open
         columns = base.times(dense(rows).T)
         size = np.sqrt(np.abs(more))
@@ -426,9 +429,9 @@ class Updated(Kernel):
 
     def _with_extra(self, extra: Floats) -> Updated | None:
         """Return the same with ``extra`` columns (n, q); None where they are not firm."""
-        felt = self.design.adjoint(extra)
-        gain = self.times(felt)
-        squares, whole = extra.T @ extra - felt.T @ gain, (extra**2).sum(axis=0)
+        influence = self.design.adjoint(extra)
+        gain = self.times(influence)
+        squares, whole = extra.T @ extra - influence.T @ gain, (extra**2).sum(axis=0)
         length = np.sqrt(np.where(whole > 0.0, whole, 1.0))
         inverse = _inverse(squares / length / length[:, None])
         if inverse is None:
@@ -528,8 +531,8 @@ class Updated(Kernel):
         taken = np.zeros((len(share), *self.columns.shape))
         taken[:, :p] = [self.base.times(self.design.adjoint(own)[:p]) for own in each]
         squares = np.stack([low.T @ own for own in each])
-        felt = [self.design.times(own) for own in taken]
-        mixed = np.stack([[other.T @ own for other in each] for own in felt])
+        influence = [self.design.times(own) for own in taken]
+        mixed = np.stack([[other.T @ own for other in each] for own in influence])
         found = found + 2.0 * (mixed * self.core).sum(axis=(2, 3))
         spread = self.core @ squares @ self.core
         return np.asarray(found + (spread[:, None] * squares).sum(axis=(2, 3)))
@@ -612,13 +615,13 @@ class Defined(Kernel):
         """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
         return self.defined(self.base.gains(rows))
 
-    def taken(self, white: Floats) -> Floats:
+    def projected(self, white: Floats) -> Floats:
         """Return what the unknowns take up of whitened errors (n, k): J N^-1 J' times them."""
-        return self.base.taken(white)
+        return self.base.projected(white)
 
-    def taken_in(self, white: Floats, rows: Ints) -> Floats:
+    def projected_in(self, white: Floats, rows: Ints) -> Floats:
         """Return the same of some ``rows`` (r,) alone, (r, k)."""
-        return self.base.taken_in(white, rows)
+        return self.base.projected_in(white, rows)
 
     def variances(self, rows: Floats) -> Floats:
         """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""

@@ -17,14 +17,20 @@ from scipy.special import gammaln
 
 from rotcal_ros.adjust.diagnosis import Diagnosis, Explanation
 from rotcal_ros.adjust.distributions import f_isf
-from rotcal_ros.adjust.effects import EffectTest, Seen, SeenFamily, effect_test, family_test
+from rotcal_ros.adjust.effects import (
+    EffectTest,
+    Observable,
+    ObservableFamily,
+    effect_test,
+    family_test,
+)
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import judged
 from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole, Undivided
 from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
-from rotcal_ros.adjust.seen import columns_of, family_seen_by, seen_by
+from rotcal_ros.adjust.observable import columns_of, family_observable_by, observable_by
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
@@ -105,7 +111,7 @@ class Look:
             for e in tried
             if e.what != best.what
             and best.support - e.support < np.log(ALIKE)
-            and self.fit.felt(e.change - best.change)
+            and self.fit.influenced(e.change - best.change)
         ]
         return sorted(near, key=lambda e: -e.support)[:MOST_RIVALS]
 
@@ -152,7 +158,7 @@ class Look:
         """The elements that stand out most, the first ones most."""
         fit, model = self.fit, self.before.model
         first, (squares, rank) = model.elements[:, 0], fit.element_test
-        test = np.where((fit.used & model.may_go)[first], squares, 0.0)
+        test = np.where((fit.used & model.rejectable)[first], squares, 0.0)
         merit = test - (rank - 1) * np.log(max(int(fit.used.sum()), 2))
         order = np.argsort(-merit, kind="stable")[: MOST_RIVALS + 1]
         return order[test[order] > 0.0]
@@ -172,7 +178,7 @@ class Look:
             f"its test value {sign * value:+.1f} is beyond {limit:.2f} (residual "
             f"{model.unit.shown(sign * left)})"
         )
-        support, price = self._support(squares, int(rank), model.rejectable)
+        support, price = self._support(squares, int(rank), model.rejectable_elements)
         return Explanation(
             f"{model.names[rows[0]]} is off by {model.unit.shown(sign * off)}", reason,
             columns, rows, support, price, -fit.response_of(rows) @ missed,
@@ -206,7 +212,7 @@ class Look:
             column[by_axis, np.arange(case.size.size)] = 1.0
         else:
             column[by_axis] = np.swapaxes(frame[by_axis[:, 0]], 1, 2)
-        test = effect_test(seen_by(self.fit, column))
+        test = effect_test(observable_by(self.fit, column))
         e, k, listed = case.group.size, len(members), max(len(case.group.gathered), 1)
         any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
         subsets = float(np.exp(min(np.log(listed), any_of_them)))
@@ -234,33 +240,33 @@ class Look:
         return [test.squares for _, _, test in self._tested]
 
     @cached_property
-    def _tested(self) -> list[tuple[Disturbing, Seen | SeenFamily, EffectTest]]:
+    def _tested(self) -> list[tuple[Disturbing, Observable | ObservableFamily, EffectTest]]:
         """The declared effects that residuals can show, with their tests.
 
         Of a family another member may be there, too; the one before leaves no residual any more.
         """
-        taken, found = [e.effect for e in self.before.taken], []
+        taken, found = [e.effect for e in self.before.nuisance], []
         for effect in self.before.model.effects:
             if not effect.family and effect in taken:
                 continue
             columns = effect.at(self.fit.computed)
-            seen: Seen | SeenFamily
+            seen: Observable | ObservableFamily
             if effect.family:
-                seen = family_seen_by(self.fit, columns, effect.width)
+                seen = family_observable_by(self.fit, columns, effect.width)
                 test = family_test(seen, self.rest)
             else:
-                seen = seen_by(self.fit, columns_of(columns, slice(None)))
+                seen = observable_by(self.fit, columns_of(columns, slice(None)))
                 test = effect_test(seen, self.rest, largest=effect.largest)
             if test.rank:
                 found.append((effect, seen, test))
         return found
 
     def _members(
-        self, effect: Disturbing, seen: Seen | SeenFamily, test: EffectTest
+        self, effect: Disturbing, seen: Observable | ObservableFamily, test: EffectTest
     ) -> Iterator[Explanation]:
         """Yield what an effect explains; of a family its best members, the best first."""
         columns, width = effect.at(self.fit.computed), effect.width
-        if isinstance(seen, Seen):
+        if isinstance(seen, Observable):
             yield self._explanation(effect, columns_of(columns, slice(None)), seen, test, 1)
             return
         tried = [(seen.member(k), k * width, width) for k in _largest(seen.squares)]
@@ -277,7 +283,7 @@ class Look:
         yield from sorted(found, key=lambda e: -e.support)
 
     def _explanation(
-        self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest, among: int
+        self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: int
     ) -> Explanation:
         """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show.
 
@@ -306,12 +312,12 @@ class Look:
         fit, model = self.fit, self.before.model
         found = list[Group | JudgedWhole | Undivided | _Members]()
         first, each = model.elements[:, 0], model.elements.shape[1]
-        used, may_go = fit.used[first], model.may_go[first]
+        used, rejectable = fit.used[first], model.rejectable[first]
         for grouping in (g.at(first) for g in model.groupings):
             if not grouping.gathers:
                 found += self._together_each(grouping)
                 continue
-            for number, members in members_of(grouping, may_go).items():
+            for number, members in members_of(grouping, rejectable).items():
                 kept = members[used[members]]
                 if not 1 < len(kept) < len(used):
                     continue
@@ -353,7 +359,7 @@ class Look:
         """Return groups of which it is not asked what gathers, those of one size at once."""
         fit, model = self.fit, self.before.model
         first = model.elements[:, 0]
-        every, used = members_of(grouping, model.may_go[first]), fit.used[first]
+        every, used = members_of(grouping, model.rejectable[first]), fit.used[first]
         kept = {number: each[used[each]] for number, each in every.items()}
         kept = {number: each for number, each in kept.items() if 1 < len(each) < len(used)}
         of = {number: model.rows_of(each) for number, each in kept.items()}
@@ -393,13 +399,13 @@ class Look:
                 return values
             return np.asarray((frame @ values.reshape(*rows.shape, -1)).reshape(rows.size, -1))
 
-        def felt() -> Sensitivity:
+        def influence() -> Sensitivity:
             found = fit.sensitivity(rows.ravel())
             return replace(found, along=turned(found.along.T).T, own=turned(found.own.T).T)
 
         return Group.of(
             grouping.kind, name, members, turned(white).reshape(rows.shape), 1.0 / fit.std[rows],
-            turned(turned(leverage).T), felt, gathered, lost,
+            turned(turned(leverage).T), influence, gathered, lost,
         )  # fmt: skip
 
 

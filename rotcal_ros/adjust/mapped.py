@@ -104,13 +104,13 @@ def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
     of what is not used do not matter.
     """
     fit, model = found.fit, found.model
-    white = np.where(fit.used & model.may_go, by * fit.std, 0.0)
+    white = np.where(fit.used & model.rejectable, by * fit.std, 0.0)
     design = fit.design[:, : model.size[1]] / fit.std[:, None]
     beyond = white @ design - model.outputs
-    known = design[~model.may_go]
+    known = design[~model.rejectable]
     if len(known):
-        white[:, ~model.may_go] = -beyond @ np.linalg.pinv(known)
-        beyond = beyond + white[:, ~model.may_go] @ known
+        white[:, ~model.rejectable] = -beyond @ np.linalg.pinv(known)
+        beyond = beyond + white[:, ~model.rejectable] @ known
     return replaced(found, value, white, beyond @ fit.x[: model.size[1]])
 
 

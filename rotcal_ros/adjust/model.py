@@ -118,7 +118,7 @@ class Steps:
     ways: Floats | None = None
 
     @property
-    def felt(self) -> Floats:
+    def influence(self) -> Floats:
         """What each observation feels of each way to move, (n, w)."""
         return np.ones((len(self.run), 1)) if self.ways is None else self.ways
 
@@ -158,7 +158,7 @@ class Steps:
 
     def few(self, which: slice | Ints = slice(None)) -> csr_array:
         """Return some columns (n, m) by those entries that are not zero."""
-        ways, every = self.felt, self._touched
+        ways, every = self.influence, self._touched
         touched = every[which] if isinstance(which, slice) else [every[k] for k in which.tolist()]
         begin = np.append(0, np.cumsum([len(rows) for _, rows in touched], dtype=np.int64))
         rows = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in touched)])
@@ -230,7 +230,7 @@ class Disturbing:
         what they were before. ``apart``: each element was changed by itself.
         """
         if isinstance(self.columns, Steps) and apart:
-            return replace(self, columns=replace(self.columns, ways=to(self.columns.felt)))
+            return replace(self, columns=replace(self.columns, ways=to(self.columns.influence)))
         if callable(self.columns):
             return replace(self, columns=lambda computed: to(self.whole(back(computed))))
         stays = self.stays or isinstance(self.columns, Steps)
@@ -424,7 +424,7 @@ class Model:
     words: Words
     unit: Unit = SECONDS
     start: Floats | None = None
-    also: Mapping[str, Floats | Outputs] = field(default_factory=dict)
+    further: Mapping[str, Floats | Outputs] = field(default_factory=dict)
     components: Sequence[str] = ("the observations",)
     component: Ints | None = None
     judged: Bools | None = None
@@ -453,9 +453,9 @@ class Model:
             ("std", self.std, (n,)),
             ("start", self.first, (p,)),
             ("outputs", self.outputs, (len(self.outputs), p)),
-            *((name, rows, (len(rows), p)) for name, rows in self.also.items()),
+            *((name, rows, (len(rows), p)) for name, rows in self.further.items()),
             ("component", self.of_component, (n,)),
-            ("judged", self.may_go, (n,)),
+            ("judged", self.rejectable, (n,)),
             *((("element", self.element, (n,)),) if self.element is not None else ()),
             *(
                 (("definitions", self.definitions, (np.size(self.definitions) // p, p)),)
@@ -493,11 +493,14 @@ class Model:
             return
         first = self.elements[self.of_element, 0]
         sizes = (self.elements >= 0).sum(axis=1)[self.of_element]
-        for what, each in (("judged", self.may_go), *((g.kind, g.number) for g in self.groupings)):
+        for what, each in (
+            ("judged", self.rejectable),
+            *((g.kind, g.number) for g in self.groupings),
+        ):
             if (each != each[first]).any():
                 raise DataError(f"{what} of the model: expected the same for all of an element")
         for g in self.groupings:
-            every = members_of(g, self.may_go).items()
+            every = members_of(g, self.rejectable).items()
             mixed = [number for number, rows in every if len(np.unique(sizes[rows])) > 1]
             if mixed:
                 raise DataError(f"elements of {g.kind} {mixed[0]}: expected as many rows in each")
@@ -523,9 +526,9 @@ class Model:
         return found
 
     @cached_property
-    def rejectable(self) -> int:
+    def rejectable_elements(self) -> int:
         """How many elements may be left out."""
-        return int(self.may_go[self.elements[:, 0]].sum())
+        return int(self.rejectable[self.elements[:, 0]].sum())
 
     def rows_of(self, elements: Ints) -> Ints:
         """Return the rows of some ``elements`` (k,)."""
@@ -553,7 +556,7 @@ class Model:
         return np.asarray(np.minimum(floor / np.array(guess), 1.0))
 
     @cached_property
-    def may_go(self) -> Bools:
+    def rejectable(self) -> Bools:
         """Whether each observation (n,) may be left out."""
         return np.ones(len(self.observed), dtype=np.bool_) if self.judged is None else self.judged
 
@@ -565,7 +568,7 @@ class Model:
     @cached_property
     def every_output(self) -> Floats:
         """``outputs`` and, below them, all of ``also`` (o + a, p)."""
-        return np.concatenate([self.outputs, *self.also.values()])
+        return np.concatenate([self.outputs, *self.further.values()])
 
     @cached_property
     def counting_outputs(self) -> Outputs:
@@ -575,10 +578,10 @@ class Model:
     @cached_property
     def output_rows(self) -> Outputs:
         """The same by what they have in common."""
-        return Outputs.of([self.outputs, *self.also.values()])
+        return Outputs.of([self.outputs, *self.further.values()])
 
     @cached_property
-    def held(self) -> Ints:
+    def fixed(self) -> Ints:
         """Unknowns (k,) that may stand still: the others do what they do, as a zero of all does.
 
         Those that pivoted Cholesky finds last at the start values. Who leaves them out must check
@@ -625,7 +628,7 @@ class Model:
         """Return the model of exact observations, were these the ``unknowns`` (p,)."""
         return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
 
-    def knowing(
+    def with_prior(
         self, what: str, rows: Floats | csr_array, values: Floats, std: Floats | float
     ) -> Model:
         """Return the model with what is known beforehand, as from a certificate.
@@ -651,7 +654,7 @@ class Model:
             equations=equations,
             components=every,
             component=np.append(self.of_component, np.full(k, every.index(what))),
-            judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
+            judged=np.append(self.rejectable, np.zeros(k, dtype=np.bool_)),
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
             expected=[e._replace(effect=e.effect.beside(k)) for e in self.expected],
@@ -669,25 +672,25 @@ class Model:
         size: float | None,
         largest: float,
         ways: Sequence[tuple[float, Floats]] = (),
-        felt: float = 1.0,
+        influence: float = 1.0,
     ) -> Model:
         """Return the model with what scatters by a ``size``; None: that is estimated.
 
         ``rows`` (k, p) times the unknowns are zero but for the scatter. ``ways``: probabilities
         and roots (k, r) of its covariance per unit of size; none: of each row by itself. Sizes
-        are told as what a row scatters by the first of them, in the mean of squares.
-        ``largest``: one that nobody would overlook. ``felt``: how many times as much outputs feel
-        it, in their noise, as a mean contrast does.
+        are given as what a row scatters by the first of them, in the mean of squares.
+        ``largest``: one that nobody would overlook. ``influence``: how many times as much outputs
+        feel it, in their noise, as a mean contrast does.
         """
         n, likely = len(self.observed), np.array([share for share, _ in ways] or [1.0])
         k, unit = rows.shape[0], 1.0
         if ways:
             unit = float(np.sqrt((ways[0][1] ** 2).sum() / k))
         stated = None if size is None else size * unit
-        known = self.knowing(what, rows, np.zeros(k), stated or largest)
+        known = self.with_prior(what, rows, np.zeros(k), stated or largest)
         parts = (tuple(root / unit for _, root in ways),)
         each = np.arange(n, n + k)
-        scatter = Scattering(each, parts, what, likely / likely.sum(), stated, felt=felt)
+        scatter = Scattering(each, parts, what, likely / likely.sum(), stated, influence=influence)
         return replace(known, correlated=(*self.correlated, scatter))
 
     @property
@@ -728,12 +731,12 @@ class Model:
             blocks={**self.blocks, name: more},
             equations=equations,
             outputs=wider(self.outputs),
-            also={key: wider(rows) for key, rows in self.also.items()},
+            further={key: wider(rows) for key, rows in self.further.items()},
             start=np.append(self.first, np.zeros(more)),
             definitions=None if self.definitions is None else wider(self.definitions),
         )
 
-    def sharing(self, errors: Floats) -> Model:
+    def with_common_errors(self, errors: Floats) -> Model:
         """Return the model of observations that have errors in common, made independent.
 
         ``errors`` (n, r): what r independent ones do, each of its standard deviation, beside the

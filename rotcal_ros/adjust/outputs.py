@@ -118,8 +118,8 @@ class Outputs:
     def part(self, which: slice | Ints) -> Outputs:
         """Return some of them."""
         share = self.share[which]
-        felt = share.any(axis=0)
-        return Outputs(self.few[which], self.common[felt], share[:, felt])
+        influence = share.any(axis=0)
+        return Outputs(self.few[which], self.common[influence], share[:, influence])
 
     def times(self, x: Floats) -> Floats:
         """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""
@@ -147,7 +147,7 @@ class Outputs:
         return np.asarray(self.lengths(np.ones(self.shape[1])) == 0.0)
 
     @cached_property
-    def felt(self) -> Bools:
+    def influenced(self) -> Bools:
         """Which unknowns (p,) one of them feels."""
         return np.asarray((self.common != 0.0).any(axis=0) | (abs(self.few).sum(axis=0) > 0.0))
 

@@ -66,7 +66,7 @@ def hidden(
     if gathered is None:
         gathered = [shifts(group, group.gathered) for group in groups]
     unseen = [
-        _Unseen.of(group, found, detected(limit, power, dof), largest)
+        _Undetected.of(group, found, detected(limit, power, dof), largest)
         for group, found, dof in zip(groups, gathered, freedom, strict=True)
         if len(group.gathered)
     ]
@@ -83,7 +83,7 @@ def hidden(
 
 
 @dataclass(frozen=True, eq=False)
-class _Unseen:
+class _Undetected:
     """The gathered subsets of a ``group``, and the sizes (q, c) up to which no test sees them.
 
     ``seen`` (q, c): a larger one is found; else nobody would overlook it.
@@ -95,7 +95,7 @@ class _Unseen:
     seen: Bools
 
     @classmethod
-    def of(cls, group: Group, found: Hypotheses, needed: float, largest: float) -> _Unseen:
+    def of(cls, group: Group, found: Hypotheses, needed: float, largest: float) -> _Undetected:
         alone = group.gathered.astype(np.float64) @ (group.relative**2).sum(axis=1)
         checked = found.values > UNSEEN * alone[:, None]
         size = np.where(checked, needed / np.sqrt(np.where(checked, found.values, 1.0)), np.inf)
@@ -136,7 +136,7 @@ class _Reach:
         longest = np.sqrt((rows**2).sum(axis=1)).max(initial=0.0)
         return cls(std, np.asarray(root), SAFELY * float(longest))
 
-    def most(self, unseen: _Unseen) -> float:
+    def most(self, unseen: _Undetected) -> float:
         """Return what the error of no subset exceeds."""
         sensitivity = unseen.found.group.sensitivity
         if self.root is None or sensitivity.common is None:
@@ -152,6 +152,6 @@ class _Reach:
         counted = self.std[sensitivity.at] > 0.0
         at = sensitivity.at[counted]
         if len(at):
-            felt = np.abs(sensitivity.common[at] @ along + own[counted]) / self.std[at, None]
-            share = np.maximum(share, SAFELY * felt.max(axis=0))
+            influence = np.abs(sensitivity.common[at] @ along + own[counted]) / self.std[at, None]
+            share = np.maximum(share, SAFELY * influence.max(axis=0))
         return float((share * unseen.size.ravel()).max())

@@ -104,7 +104,7 @@ def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     fit = _concentrated(model, fit)
     miss = np.abs(fit.residual) / model.std
     scatter = max(float(np.median(miss)) / NORMAL_QUARTILE, 1.0)
-    gross = (miss > GROSS * limits.outlier(model) * scatter) & model.may_go
+    gross = (miss > GROSS * limits.outlier(model) * scatter) & model.rejectable
     gross = np.isin(model.of_element, model.of_element[gross])
     try:
         fitted(model, ~gross, model.std, fit.x, settled=ROUGHLY)
@@ -139,10 +139,10 @@ def _better(model: Model, fit: Fit) -> Bools:
     whole, first = model.of_element, model.elements[:, 0]
     count = np.bincount(whole)
     miss = np.sqrt(np.bincount(whole, (fit.residual / model.std) ** 2) / count)
-    kept = ~model.may_go[first]
+    kept = ~model.rejectable[first]
     number = model.groupings[0].number[first] if model.groupings else np.zeros_like(first)
     for group in np.unique(number):
-        each = np.flatnonzero((number == group) & model.may_go[first])
+        each = np.flatnonzero((number == group) & model.rejectable[first])
         better = np.argsort(miss[each], kind="stable")[: int(np.ceil(KEPT * len(each)))]
         kept[each[better]] = True
     return np.asarray(kept[whole])

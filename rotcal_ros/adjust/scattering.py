@@ -97,8 +97,8 @@ class Scattering(Correlated):
     ``parts`` holds one tuple: the ways, roots (k, r) of the covariance per unit of size; none:
     each row by itself. ``likely`` (w,): their probabilities beforehand. ``stated``: the size, in
     the unit of the rows; None: it is estimated. ``asked``: whether readings are there to say.
-    ``felt``: how many times as much outputs feel it as a mean contrast does: the prior is that of
-    sizes which matter to these.
+    ``influence``: how many times as much outputs feel it as a mean contrast does: the prior is
+    that of sizes which matter to these.
     """
 
     what: str
@@ -106,7 +106,7 @@ class Scattering(Correlated):
     stated: float | None
     significance: float = 0.01
     asked: bool = True
-    felt: float = 1.0
+    influence: float = 1.0
 
     def below(self, count: int) -> Scattering:
         """Return the same below ``count`` further rows."""
@@ -126,9 +126,9 @@ class Scattering(Correlated):
         """The number of ways."""
         return max(len(self.parts[0]), 1)
 
-    def root(self, way: int, felt: Floats) -> Floats:
-        """Return ``felt`` (o, k), what errors of the rows do, times the root of a way (o, r)."""
-        return np.asarray(felt @ self.parts[0][way]) if self.parts[0] else felt
+    def root(self, way: int, influence: Floats) -> Floats:
+        """Return ``influence`` (o, k), what errors of the rows do, times the root of a way."""
+        return np.asarray(influence @ self.parts[0][way]) if self.parts[0] else influence
 
     def sizes(self, fit: Fit) -> Sizes:
         """Return what a ``fit`` says of the size."""
@@ -206,9 +206,9 @@ class Scattering(Correlated):
         size, way, logs = (
             [np.zeros(1)],
             [np.zeros(1, dtype=np.int64)],
-            [np.log([ABSENT / self.felt])],
+            [np.log([ABSENT / self.influence])],
         )
-        x = LEVELS * self.felt / NOTICED
+        x = LEVELS * self.influence / NOTICED
         prior = np.log(x**STEEPNESS / (1.0 + x**STEEPNESS) * np.gradient(np.log(LEVELS)))
         for k, ((d, u), unit) in enumerate(zip(each, noticed, strict=True)):
             if unit <= min(noticed) / np.sqrt(SEEN):
@@ -222,13 +222,13 @@ class Scattering(Correlated):
         every, which = np.concatenate(size)[kept], np.concatenate(way)[kept]
         return Sizes(every, which, weight, len(value), float(min(noticed)))
 
-    def spread_of(self, fit: Fit, felt: Floats) -> Floats:
+    def spread_of(self, fit: Fit, influence: Floats) -> Floats:
         """Return what independent errors of the rows would have to do (o, k) in their place.
 
-        ``felt`` (o, k): what errors of each row's standard deviation do. By the mean of what is
-        believed, but for sizes beyond CLIPPED: :func:`enlargement` makes up for these.
+        ``influence`` (o, k): what errors of each row's standard deviation do. By the mean of what
+        is believed, but for sizes beyond CLIPPED: :func:`enlargement` makes up for these.
         """
-        sizes, unit = fit.sizes[self], felt / fit.std[self.rows[0]]
+        sizes, unit = fit.sizes[self], influence / fit.std[self.rows[0]]
         if not self.parts[0]:
             return np.asarray(unit * np.sqrt(sizes.squares.sum()))
         mean = np.zeros(2 * [len(self.rows)])
@@ -237,10 +237,10 @@ class Scattering(Correlated):
         values, axes = np.linalg.eigh(mean)
         return np.asarray(unit @ (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T)
 
-    def variances(self, sizes: Sizes, felt: Floats, std: float) -> Floats:
-        """Return the variances (o, k) of outputs by each of the sizes; ``felt`` as above."""
+    def variances(self, sizes: Sizes, influence: Floats, std: float) -> Floats:
+        """Return the variances (o, k) of outputs by each of the sizes; ``influence`` as above."""
         each = np.stack(
-            [(self.root(way, felt / std) ** 2).sum(axis=1) for way in range(self.ways)]
+            [(self.root(way, influence / std) ** 2).sum(axis=1) for way in range(self.ways)]
         )
         return np.asarray(each[sizes.way].T * sizes.size**2)
 

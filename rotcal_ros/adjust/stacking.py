@@ -36,7 +36,7 @@ def reparametrised(model: Model, to: Floats, blocks: Mapping[str, int]) -> Model
         blocks=blocks,
         equations=equations,
         outputs=model.outputs @ to,
-        also={name: rows @ to for name, rows in model.also.items()},
+        further={name: rows @ to for name, rows in model.further.items()},
         definitions=None if model.definitions is None else model.definitions @ to,
         start=np.asarray(np.linalg.lstsq(to, model.first)[0], dtype=np.float64),
     )
@@ -87,14 +87,14 @@ def stacked(
         words=words,
         unit=IN_NOISE,
         start=np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)]),
-        also={
+        further={
             f"{what} of {name}": _spread(np.asarray(further), mine, p)
             for (name, model), _, mine in every
-            for what, further in model.also.items()
+            for what, further in model.further.items()
         },
         components=[f"{c} of {name}" for name, m in models.items() for c in m.components],
         component=np.concatenate([m.of_component + k for m, k in zip(parts, begins, strict=True)]),
-        judged=np.concatenate([m.may_go for m in parts]),
+        judged=np.concatenate([m.rejectable for m in parts]),
         groupings=[
             grouping._replace(kind=f"{name}, {grouping.kind}").with_others(n - at.stop, at.start)
             for (name, model), at, _ in every

@@ -32,7 +32,7 @@ from rotcal_ros.adjust.engine import Adjusted, adjust, predicted
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Model, Unit, linear
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
 from rotcal_ros.evaluation.combination import (
     Combination,
@@ -429,7 +429,7 @@ class _Views:
             observed=fit.residual[rows] + design @ fit.x[:unknowns],
             equations=linear(design),
             outputs=np.pad(outputs, ((0, 0), (0, unknowns - width))),
-            also={},
+            further={},
             start=None,
         )
 
@@ -503,7 +503,7 @@ class _Views:
         """Test whether some instruments see curves of their own of the unknowns at ``place``."""
         curves = np.eye(len(self.shared.basis))[:, place]
         columns = [self.own_curve(fit.design, name, curves) for name in names]
-        return effect_test(seen_by(fit, np.hstack(columns)))
+        return effect_test(observable_by(fit, np.hstack(columns)))
 
     def group(
         self,
@@ -550,7 +550,7 @@ class _Views:
             squares = {name: self.closed(fit, [name], place).squares for name in names}
             farthest = max(names, key=squares.__getitem__)
         tests = [
-            (effect_test(seen_by(fit, effect.whole(fit.computed))), effect.what)
+            (effect_test(observable_by(fit, effect.whole(fit.computed))), effect.what)
             for effect in self.differences(fit.design, group.joined)
         ]
         differs = ""

@@ -103,7 +103,7 @@ class Refraction:
         if moved is None or moved.model.names != found.model.names:
             return None
         error = moved.model.observed - found.model.observed
-        return replace(found, model=found.model.sharing(error[:, None]))
+        return replace(found, model=found.model.with_common_errors(error[:, None]))
 
     def describe(self, observations: Observations) -> str:
         """Say who corrects, by what, and how uncertain it is; empty without lengths."""

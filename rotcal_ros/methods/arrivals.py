@@ -157,7 +157,7 @@ def mean_of_arrivals(
     for c, std in known.items():
         mean = block_rows(model.blocks, f"mean of {c}")
         left = every[c] - mean[side]
-        model = model.knowing(f"the arrivals of {c}", left, np.zeros(len(side)), std)
+        model = model.with_prior(f"the arrivals of {c}", left, np.zeros(len(side)), std)
         curves[c] = arrivals.averaging() @ mean[side]
     return CurveModel(model, arrivals.targets[arrivals.measured], curves, found.mixed)
 

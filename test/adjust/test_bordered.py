@@ -117,7 +117,7 @@ def stations(sparse):
         words=WORDS,
         groupings=[Grouping("station", np.arange(48) // 6)],
     )
-    return model.knowing("a sum", np.ones((1, 20)), np.array([true.sum()]), 1e-6)
+    return model.with_prior("a sum", np.ones((1, 20)), np.array([true.sum()]), 1e-6)
 
 
 def test_the_engine_says_the_same_of_both_forms():

@@ -79,7 +79,7 @@ def model_of(size, shifts, seed=1, *, tables=1, closed=True, keep=slice(None), n
         std=np.full(len(observed), SIGMA),
         equations=linear(Circular.of(design, tables + 1, size)),
         outputs=from_first(blocks, "table"),
-        also={"reference": from_mean(blocks, "mark")},
+        further={"reference": from_mean(blocks, "mark")},
         words=WORDS,
         groupings=(
             Grouping("setting", rows[0], along=when),
@@ -127,7 +127,7 @@ def certified(noise=1.0):
     known = block_rows(model.blocks, "mark")
     known[:, -1] = 1.0
     values = SIGMA * np.random.default_rng(8).standard_normal(12)
-    return model.knowing("the certificate", known, values, 30.0 * SIGMA)
+    return model.with_prior("the certificate", known, values, 30.0 * SIGMA)
 
 
 CASES = {
@@ -163,9 +163,9 @@ def test_order_by_order_says_what_the_whole_matrix_says(name):
     std = np.where(expected.std > 0.0, expected.std, SIGMA)
     assert np.abs((found.value - expected.value) / std).max() < 1e-9
     assert found.covariance == pytest.approx(expected.covariance, abs=1e-9 * std.max() ** 2)
-    for told, (value, std) in expected.also.items():
-        assert np.abs((found.also[told][0] - value) / std).max() < 1e-9
-        assert found.also[told][1] == pytest.approx(std, rel=1e-9)
+    for told, (value, std) in expected.further.items():
+        assert np.abs((found.further[told][0] - value) / std).max() < 1e-9
+        assert found.further[told][1] == pytest.approx(std, rel=1e-9)
     assert (found.verdict, found.doubts) == (expected.verdict, expected.doubts)
     assert found.why == expected.why
     assert [e.what for e in found.found_effects] == [e.what for e in expected.found_effects]
@@ -206,7 +206,7 @@ def test_a_wrong_reading_changes_what_dense_least_squares_without_it_says():
     std = SIGMA * np.sqrt(inverse.diagonal())
     assert np.abs((found.value - x[:size])[1:] / std[1:size]).max() < 1e-9
     assert found.std[1:] == pytest.approx(std[1:size], rel=1e-9)
-    told, told_std = found.also["reference"]
+    told, told_std = found.further["reference"]
     assert np.abs((told - x[size : 2 * size]) / told_std).max() < 1e-9
     assert told_std == pytest.approx(std[size : 2 * size], rel=1e-9)
 
@@ -332,7 +332,7 @@ def test_eliminated_circles_are_not_taken_where_two_are_read_at_once():
     found = design.kernel()
     errors = random.standard_normal((len(place), 2))
     plain = rows.toarray() @ (np.linalg.pinv(rows.toarray()) @ errors)
-    assert found.taken(errors) == pytest.approx(plain, abs=1e-12)
+    assert found.projected(errors) == pytest.approx(plain, abs=1e-12)
     assert found.rank == np.linalg.matrix_rank(rows.toarray())
 
 
@@ -495,7 +495,7 @@ def test_outputs_are_kept_by_what_they_have_in_common():
     assert found.times(x) == pytest.approx(whole @ x, abs=1e-14)
     scale = np.arange(1.0, whole.shape[1] + 1.0)
     assert found.lengths(scale) == pytest.approx(np.linalg.norm(whole / scale, axis=1))
-    assert found.felt.tolist() == (whole != 0.0).any(axis=0).tolist()
+    assert found.influenced.tolist() == (whole != 0.0).any(axis=0).tolist()
     assert np.concatenate([rows for _, rows in found.part(slice(7)).parts(55)])[
         :, :53
     ] == pytest.approx(whole[:7], abs=1e-16)

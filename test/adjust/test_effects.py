@@ -7,14 +7,14 @@ from scipy.optimize import brentq
 
 from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.effects import (
-    Seen,
-    SeenFamily,
+    Observable,
+    ObservableFamily,
     above_of_family,
     effect_test,
     family_test,
     limit_of_family,
-    unseen,
-    unseen_family,
+    undetected,
+    undetected_family,
 )
 
 
@@ -23,7 +23,7 @@ def seen(design, columns, outputs, residual):
     projector = np.eye(len(design)) - design @ np.linalg.pinv(design)
     moved = (outputs @ np.linalg.pinv(design) @ columns).T
     left = projector @ columns
-    return Seen(moved, left.T @ left, left.T @ residual, (columns**2).sum(axis=0))
+    return Observable(moved, left.T @ left, left.T @ residual, (columns**2).sum(axis=0))
 
 
 def family(design, columns, outputs, residual, width=1):
@@ -32,7 +32,7 @@ def family(design, columns, outputs, residual, width=1):
     k = columns.shape[1] // width
     each = here.information.reshape(k, width, k, width)
     at = np.arange(k)
-    return SeenFamily(
+    return ObservableFamily(
         here.moved, each[at, :, at], each[at[:-1], :, at[1:]],
         here.score.reshape(k, width), here.whole.reshape(k, width),
     )  # fmt: skip
@@ -69,7 +69,7 @@ def test_what_the_unknowns_take_up_is_not_seen_and_not_judged():
     residual -= design @ np.linalg.lstsq(design, residual, rcond=None)[0]
     here = seen(design, columns, outputs, residual)
     assert effect_test(here).rank == 1
-    hides = unseen(here, np.ones(4), 5.0, significance=0.01, power=0.95)
+    hides = undetected(here, np.ones(4), 5.0, significance=0.01, power=0.95)
     assert not hides.found
     assert hides.error >= 10.0  # five units of what moves the second output by two
 
@@ -80,11 +80,11 @@ def test_the_detectable_size_of_one_column_is_baardas():
     size = np.sqrt(noncentrality(0.01, 0.95) / here.information[0, 0])
     std = np.array([0.5, 1.0, 2.0, 0.0])
     wanted = (size * np.abs(here.moved[0, :3]) / std[:3]).max()
-    assert unseen(here, std, 1e9, significance=0.01, power=0.95)[:2] == (
+    assert undetected(here, std, 1e9, significance=0.01, power=0.95)[:2] == (
         pytest.approx(wanted), True,
     )  # fmt: skip
     largest = 0.5 * size
-    bounded = unseen(here, std, largest, significance=0.01, power=0.95)
+    bounded = undetected(here, std, largest, significance=0.01, power=0.95)
     assert bounded == (pytest.approx(0.5 * wanted), False, False)
 
 
@@ -94,12 +94,12 @@ def test_over_estimated_noise_the_detectable_size_is_that_of_f(k):
     design, columns, outputs, _ = world(k=k)
     here, std = seen(design, columns, outputs, np.zeros(40)), np.ones(4)
     sizes = {"significance": 0.01, "power": 0.95}
-    known, few = (unseen(here, std, 1e9, dof=dof, **sizes).error for dof in (np.inf, 9.0))
+    known, few = (undetected(here, std, 1e9, dof=dof, **sizes).error for dof in (np.inf, 9.0))
     below = 9.0 - k
     limit = stats.f.isf(0.01, k, below)
     needed = brentq(lambda shift: stats.ncf.sf(limit, k, below, shift) - 0.95, 1.0, 999.0)
     assert few / known == pytest.approx(np.sqrt(needed / noncentrality(0.01, 0.95, k)), rel=1e-4)
-    assert not unseen(here, std, 1.0, dof=float(k), **sizes).found
+    assert not undetected(here, std, 1.0, dof=float(k), **sizes).found
 
 
 def test_an_effect_of_the_detectable_size_is_found_as_often_as_stated():
@@ -107,7 +107,7 @@ def test_an_effect_of_the_detectable_size_is_found_as_often_as_stated():
     design, columns, outputs, rng = world(k=2, seed=3)
     here = seen(design, columns, outputs, np.zeros(40))
     std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
-    hides = unseen(here, std, 1e9, significance=0.01, power=0.95)
+    hides = undetected(here, std, 1e9, significance=0.01, power=0.95)
     inverse = np.linalg.inv(here.information)
     size_of = [inverse @ here.moved[:, o] for o in range(4)]
     sizes = [
@@ -162,7 +162,7 @@ def test_a_move_in_three_ways_of_the_size_that_is_found_is_found_as_often():
     wide = (columns[:, :, None] * ways[:, None]).reshape(60, -1)
     std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
     here = family(design, wide, np.eye(2), np.zeros(60), 3)
-    hides = unseen_family(here, std, 1e9, significance=0.01, power=0.95)
+    hides = undetected_family(here, std, 1e9, significance=0.01, power=0.95)
     assert hides.found
     chance = 2.0 * stats.norm.sf(limit_of_family(0.01, here.alike, here.rank))
     needed, moved = noncentrality(chance, 0.95, 3), here.moved.reshape(-1, 3, 2) / std
@@ -178,7 +178,7 @@ def test_a_move_in_three_ways_of_the_size_that_is_found_is_found_as_often():
         hits += family_test(family(design, wide, np.eye(2), left, 3)).probability < 0.01
     assert hits / 300 > 0.92
     wide[:, 3 * k + 1] = design @ [1.0, 2.0]
-    silent = unseen_family(
+    silent = undetected_family(
         family(design, wide, np.eye(2), np.zeros(60), 3), std, 1e3, significance=0.01, power=0.95
     )
     assert silent.hidden
@@ -189,7 +189,7 @@ def test_the_member_of_a_family_is_named_and_its_hidden_size_found():
     design, columns = steps()
     here = family(design, columns, np.eye(2), np.zeros(60))
     std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
-    hides = unseen_family(here, std, 1e9, significance=0.01, power=0.95)
+    hides = undetected_family(here, std, 1e9, significance=0.01, power=0.95)
     assert hides.found
     rng = np.random.default_rng(6)
     limit = limit_of_family(0.01, here.alike)
@@ -215,7 +215,7 @@ def test_which_way_an_output_is_moved_is_no_matter_to_what_stays_unseen():
     truth = (size * np.abs(here.moved / std).max(axis=1)).max()
     for outputs in (np.eye(2), -np.eye(2)):
         turned = family(design, columns, outputs, np.zeros(60))
-        hides = unseen_family(turned, std, 1e9, significance=0.01, power=0.95)
+        hides = undetected_family(turned, std, 1e9, significance=0.01, power=0.95)
         assert hides.error == pytest.approx(truth, rel=1e-3)
-        bare = unseen_family(turned, std, 2.0, significance=0.01, power=0.95, dof=1.0)
+        bare = undetected_family(turned, std, 2.0, significance=0.01, power=0.95, dof=1.0)
         assert bare.error == pytest.approx(2.0 * np.abs(here.moved / std).max())

@@ -147,9 +147,9 @@ def test_stacked_models_keep_their_elements():
     assert (both.elements[0] == [0, 1, 2]).all()
     assert (both.elements[-1] == [6 * N - 1, -1, -1]).all()
     assert both.groupings[0].near.shape == (6 * N, 2)
-    known = model.knowing("c", np.eye(1, 42), np.zeros(1), SIGMA)
+    known = model.with_prior("c", np.eye(1, 42), np.zeros(1), SIGMA)
     assert (known.elements[-1] == [3 * N, -1, -1]).all()
-    assert known.rejectable == N
+    assert known.rejectable_elements == N
 
 
 @pytest.mark.parametrize(

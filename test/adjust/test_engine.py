@@ -25,7 +25,7 @@ from rotcal_ros.adjust.model import (
     knocks,
     linear,
 )
-from rotcal_ros.adjust.seen import family_seen_by, seen_by
+from rotcal_ros.adjust.observable import family_observable_by, observable_by
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 
 SIGMA = 1e-6
@@ -220,7 +220,7 @@ def test_a_drift_is_found_told_in_words_and_taken_off():
     truth, model = comparison(np.random.default_rng(7))
     drifting = model.effects[0].columns[:, 0] * 40e-6
     found = adjust(replace(model, observed=model.observed + drifting))
-    assert [e.effect.effect for e in found.diagnosis.taken] == ["drift"]
+    assert [e.effect.effect for e in found.diagnosis.nuisance] == ["drift"]
     assert found.found_effects[0].sizes == pytest.approx([40e-6], rel=0.2)
     assert found.doubts[0].startswith("it looks as if the instrument drifts, by ")
     assert found.verdict == "suspect"
@@ -332,7 +332,7 @@ def test_a_prediction_is_what_data_then_give():
     assert told.std == pytest.approx(found.std, rel=1e-9)
     assert told.redundancy == pytest.approx(found.fit.redundancy, rel=1e-9)
     said = {p.effect: p.error for p in found.protections() if p.treatment == "tested"}
-    assert told.unseen["knock"].error == pytest.approx(said["knock"], rel=1e-9)
+    assert told.undetected["knock"].error == pytest.approx(said["knock"], rel=1e-9)
 
 
 @pytest.mark.slow
@@ -347,10 +347,12 @@ def test_an_effect_of_the_size_that_is_promised_is_found():
     counts = std > 0.0
     lost, hidden = 0, 0.0
     design = model.equations(model.first)[1]
-    felt = np.abs((model.outputs @ np.linalg.pinv(design) @ knock)[counts] / std[counts, None])
-    per_size = felt.max(axis=0)
+    influence = np.abs(
+        (model.outputs @ np.linalg.pinv(design) @ knock)[counts] / std[counts, None]
+    )
+    per_size = influence.max(axis=0)
     worst = int(np.argmax(per_size))
-    size = told.unseen["knock"].error / per_size[worst]
+    size = told.undetected["knock"].error / per_size[worst]
     for seed in range(100):
         _, here = comparison(np.random.default_rng(2000 + seed))
         found = adjust(replace(here, observed=here.observed + size * knock[:, worst]))
@@ -462,7 +464,7 @@ def test_exact_numbers_of_one_kind_do_not_keep_the_noise_of_another_from_being_e
     ("change", "words"),
     [
         ({"outputs": np.eye(PLACES, PLACES + RUNS)}, "cannot separate place 0, place 1"),
-        ({"also": {"places": np.eye(3)}}, "places of the model: shape"),
+        ({"further": {"places": np.eye(3)}}, "places of the model: shape"),
         ({"std": np.full(60, np.inf)}, "std of the model: expected finite numbers"),
         ({"start": np.zeros(3)}, "start of the model: shape"),
         (
@@ -496,11 +498,11 @@ def test_what_is_known_beforehand_is_weighed_and_never_left_out():
         Disturbing("drift", "it drifts", np.array([[0.0], [1.0]]), 1e-3),
     )
     model = replace(model, groupings=(Grouping("place", np.arange(2)),), effects=effects)
-    known = model.knowing("the certificate", np.eye(1, 2), np.array([6e-6]), 2.0 * SIGMA)
+    known = model.with_prior("the certificate", np.eye(1, 2), np.array([6e-6]), 2.0 * SIGMA)
     found = adjust(known)
     assert found.value == pytest.approx([(3e-6 + 6e-6 / 4) / (1 + 1 / 4), 5e-6])
     assert found.std == pytest.approx([SIGMA / np.sqrt(1.25), SIGMA])
-    assert known.may_go.tolist() == [True, True, False]
+    assert known.rejectable.tolist() == [True, True, False]
     assert known.of_component.tolist() == [0, 0, 1]
     assert list(known.names) == ["place 0", "place 1", "value 0 of the certificate"]
     assert known.groupings[0].number.tolist() == [0, 1, -1]
@@ -521,12 +523,12 @@ def test_outputs_that_are_only_told_change_no_judgement_and_no_bit_of_the_others
     observed = model.observed + 60e-6 * model.effects[1].columns[:, 20]
     model = replace(model, observed=observed)
     also = {"zero of run": from_mean(model.blocks, "zero of run")}
-    plain, more = adjust(model), adjust(replace(model, also=also))
+    plain, more = adjust(model), adjust(replace(model, further=also))
     assert more.value == pytest.approx(plain.value, rel=1e-12)
     assert more.covariance == pytest.approx(plain.covariance, rel=1e-12, abs=1e-24)
     assert (more.doubts, more.why) == (plain.doubts, plain.why)
     assert [p.why for p in more.protections()] == [p.why for p in plain.protections()]
-    zeros, std = more.also["zero of run"]
+    zeros, std = more.further["zero of run"]
     truth = np.random.default_rng(1).standard_normal(PLACES + RUNS)[PLACES:] * 1e-3
     assert (np.abs(zeros - (truth - truth.mean())) <= 4.0 * std).all()
 
@@ -543,7 +545,7 @@ def test_where_the_noise_was_estimated_larger_effects_stay_unseen():
 def test_exact_observations_beside_a_certificate_that_nothing_checks_keep_their_noise():
     truth, model = comparison()
     zero = np.eye(1, PLACES + RUNS)  # of the first place: all readings leave it open
-    found = adjust(model.knowing("the certificate", zero, np.zeros(1), SIGMA))
+    found = adjust(model.with_prior("the certificate", zero, np.zeros(1), SIGMA))
     assert found.value == pytest.approx(truth, abs=1e-12)
     assert (found.verdict, found.diagnosis.noise.estimated) == ("ok", None)
 
@@ -645,7 +647,7 @@ def test_which_unknown_stands_still_where_nothing_tells_one_is_no_matter(zeros):
     outputs -= outputs @ open_ @ open_.T
     model = ready(design, outputs, rng.standard_normal(60))
     found, plain = adjust(model), np.linalg.pinv(design, rcond=1e-9)
-    assert len(model.held) == zeros
+    assert len(model.fixed) == zeros
     assert found.value == pytest.approx(outputs @ plain @ model.observed, abs=1e-12)
     assert found.covariance == pytest.approx(outputs @ plain @ plain.T @ outputs.T, abs=1e-12)
     assert found.fit.dof == 60 - 12 + zeros
@@ -662,7 +664,7 @@ def test_what_is_hardly_told_stands_still_for_nobody():
     split = np.column_stack([design[:, :5], apart])  # in other unknowns it is well conditioned
     back = np.eye(6)
     back[5, 5], back[2, 5] = 1e7, -1e7
-    assert model.held.size == 1
+    assert model.fixed.size == 1
     found = fitted(model, np.ones(50, dtype=bool), model.std, model.first)
     expected = back @ np.linalg.lstsq(split, noise, rcond=None)[0]
     spread = back @ np.linalg.inv(split.T @ split) @ back.T
@@ -694,7 +696,10 @@ def test_a_family_is_seen_as_its_columns_one_by_one_are(width, written):
     ways = np.random.default_rng(7).standard_normal((n, 3)) if width > 1 else None
     moves = Steps(np.arange(n) // 20, np.arange(float(n)), ways)
     columns = moves.whole()
-    found, plain = family_seen_by(fit, columns if written else moves, width), seen_by(fit, columns)
+    found, plain = (
+        family_observable_by(fit, columns if written else moves, width),
+        observable_by(fit, columns),
+    )
     each, at = plain.information.reshape(57, width, 57, width), np.arange(57)
     assert found.information == pytest.approx(each[at, :, at], rel=1e-9, abs=1.0)
     assert found.beside == pytest.approx(each[at[:-1], :, at[1:]], rel=1e-9, abs=1.0)
@@ -737,10 +742,10 @@ def test_where_nothing_at_all_is_told_outputs_that_ask_nothing_are_told():
 def test_a_move_in_two_ways_is_looked_for_from_every_moment_on():
     """Of two runs, the second backwards in time: moment by moment the columns of both ways."""
     run, when = np.array([0, 0, 0, 1, 1]), np.array([1.0, 2.0, 3.0, 9.0, 8.0])
-    felt = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0], [5.0, 50.0]])
+    influence = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0], [5.0, 50.0]])
     one = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 3.0, 0.0], [0.0, 0.0, 4.0], [0.0] * 3])
     both = np.stack([one, 10.0 * one], axis=2).reshape(5, 6)
-    np.testing.assert_array_equal(Steps(run, when, felt).whole(), both)
+    np.testing.assert_array_equal(Steps(run, when, influence).whole(), both)
     assert Steps(np.zeros(1, dtype=np.int64), np.zeros(1), np.ones((1, 2))).whole().shape == (1, 0)
     many = np.arange(2100)
     moves = Steps(0 * many, many.astype(np.float64), np.ones((2100, 2)))

@@ -43,7 +43,7 @@ def agrees(kernel, expected, random):
     assert np.linalg.matrix_rank(kernel.directions, tol=1e-9) == p - expected.rank
     assert alike(kernel.leverage, np.diagonal(expected.hat))
     assert alike(kernel.among(some), expected.hat[np.ix_(some, some)])
-    assert alike(kernel.taken(white), expected.hat @ white)
+    assert alike(kernel.projected(white), expected.hat @ white)
     assert alike(told @ kernel.solve(white), carried @ white)
     assert alike(told @ kernel.solve(white[:, 0]), carried @ white[:, 0])
     assert alike(told @ kernel.times(told.T), carried @ carried.T)

@@ -22,7 +22,7 @@ from rotcal_ros.adjust.model import (
     indicators,
     linear,
 )
-from rotcal_ros.adjust.seen import family_seen_by
+from rotcal_ros.adjust.observable import family_observable_by
 
 SIGMA, M, READ = 1e-6, 12, 4
 MICRON = Unit("um", 1e-6)
@@ -93,8 +93,8 @@ def test_moves_are_seen_by_both(ways):
     fit = adjust(model).fit
     closed = Closed(fit, KnownRelation("", np.ones((1, M)), 2e-7), 1.0, np.inf)
     written = replace(knock, columns=move.whole(), of_each=move.width)
-    one = closed.beside(knock, family_seen_by(fit, move))
-    two = closed.beside(written, family_seen_by(fit, move.whole(), move.width))
+    one = closed.beside(knock, family_observable_by(fit, move))
+    two = closed.beside(written, family_observable_by(fit, move.whole(), move.width))
     white = move.whole() / SIGMA
     sums = np.ones(M) @ np.linalg.pinv(indicators((np.repeat(np.arange(M), READ), M))) * SIGMA
     root = np.sqrt(sums @ sums + 2e-7**2)
@@ -148,7 +148,7 @@ def test_trials_hold_expected_slips():
     assert drawn.std(axis=0) == pytest.approx(found.std, rel=0.03)
     assert np.sqrt(found.covariance.diagonal()) == pytest.approx(found.std)
     bare = adjust(replace(model, expected=()))
-    seen = family_seen_by(found.fit, model.effects[0].columns)
+    seen = family_observable_by(found.fit, model.effects[0].columns)
     more = np.zeros(8)
     ratio = np.exp(-0.5 * seen.information[:, 0, 0] * (4 * SIGMA) ** 2)
     ratio *= np.cosh(seen.score[:, 0] * 4 * SIGMA) / 21

@@ -69,10 +69,12 @@ def test_a_free_network_lies_where_it_is_defined_to(sparse, monkeypatch):
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-6, atol=1e-20)
     assert found.std == pytest.approx(np.sqrt(expected.diagonal()))
     assert np.abs(found.value - truth).max() < 5.0 * found.std.max()
-    felt = project @ np.linalg.pinv(design)
-    assert found.fit.response == pytest.approx(felt, rel=1e-6, abs=1e-9)
+    influence = project @ np.linalg.pinv(design)
+    assert found.fit.response == pytest.approx(influence, rel=1e-6, abs=1e-9)
     rows = np.array([3, 0, 7])
-    assert found.fit.sensitivity(rows).dense() == pytest.approx(felt[:, rows], rel=1e-6, abs=1e-9)
+    assert found.fit.sensitivity(rows).dense() == pytest.approx(
+        influence[:, rows], rel=1e-6, abs=1e-9
+    )
     drawn = found.trials(np.random.default_rng(5), 20_000)
     np.testing.assert_allclose(np.cov(drawn.T), expected, atol=0.05 * expected.max())
 

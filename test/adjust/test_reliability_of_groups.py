@@ -52,7 +52,9 @@ def test_what_no_residual_shows_is_not_seen():
 def test_of_groups_that_hide_the_same_the_first_is_named():
     """Rounding does not choose: the second is worse by less than that."""
     view, group = view_of(12)
-    twin = replace(group, name="station 2", felt=lambda: group.sensitivity.weighted(1.0 + 1e-12))
+    twin = replace(
+        group, name="station 2", influence=lambda: group.sensitivity.weighted(1.0 + 1e-12)
+    )
     assert hidden([group, twin], view.std, 0.01, 0.95, 1e3).name == "station 1"
-    worse = replace(twin, felt=lambda: group.sensitivity.weighted(1.001))
+    worse = replace(twin, influence=lambda: group.sensitivity.weighted(1.001))
     assert hidden([group, worse], view.std, 0.01, 0.95, 1e3).name == "station 2"

@@ -52,7 +52,7 @@ def test_it_is_the_least_squares_of_all_readings_in_their_noise():
 
 
 def test_what_is_of_one_instrument_bears_its_name():
-    _, _, together = both(also={"zero": np.eye(1, PLACES + 1, PLACES)})
+    _, _, together = both(further={"zero": np.eye(1, PLACES + 1, PLACES)})
     assert dict(together.blocks) == {"place": PLACES, "zero of gauge": 1}
     assert list(together.components) == ["the observations of level", "the observations of gauge"]
     assert [g.kind for g in together.groupings] == ["level, pass", "gauge, pass"]
@@ -62,7 +62,7 @@ def test_what_is_of_one_instrument_bears_its_name():
     columns = together.effects[0].at(together.observed)
     np.testing.assert_allclose(columns[:15, 0], np.linspace(0.0, 1.0, 15) / 2e-7)
     assert not columns[15:].any()
-    assert adjust(together).also["zero of gauge"][0] == pytest.approx(3e-6, abs=1e-6)
+    assert adjust(together).further["zero of gauge"][0] == pytest.approx(3e-6, abs=1e-6)
 
 
 def test_an_effect_of_what_is_read_stays_one():

@@ -15,7 +15,7 @@ from two_groups import ALTERNATING, ANGLES, GRID, plate_problem
 from rotcal_ros.adjust.effects import effect_test
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.model import Disturbing, Model, linear
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.evaluation.joint import JointInput, combine, solve_together
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
@@ -330,14 +330,14 @@ def test_errors_in_common_are_those_of_the_whole_covariance():
         outputs=np.eye(2),
         words=WORDS,
     )
-    shared = model.sharing(common)
+    shared = model.with_common_errors(common)
     rows = shared.equations(np.zeros(2))[1] / 0.5
     inverse = np.linalg.inv(0.25 * np.eye(9) + common @ common.T)
     np.testing.assert_allclose(rows.T @ rows, design.T @ inverse @ design, rtol=1e-9)
     np.testing.assert_allclose(
         rows.T @ shared.observed / 0.5, design.T @ inverse @ read, rtol=1e-9
     )
-    np.testing.assert_allclose(model.sharing(np.zeros((9, 0))).observed, read)
+    np.testing.assert_allclose(model.with_common_errors(np.zeros((9, 0))).observed, read)
     # an effect is tested as by the whole covariance, whether its columns are known or computed
     column = rng.normal(size=(9, 1))
     left = inverse - inverse @ design @ np.linalg.solve(
@@ -346,12 +346,12 @@ def test_errors_in_common_are_those_of_the_whole_covariance():
     of_all = left @ column @ np.linalg.solve(column.T @ left @ column, column.T @ left)
     for columns in (column, lambda computed: column + 0.0 * computed[:, None]):
         drift = Disturbing("drift", "it drifts", columns, 1.0)
-        spoiled = replace(model, effects=(drift,)).sharing(common)
+        spoiled = replace(model, effects=(drift,)).with_common_errors(common)
         fit = fitted(spoiled, np.full(9, True), spoiled.std, spoiled.first)
-        test = effect_test(seen_by(fit, spoiled.effects[0].at(fit.computed)))
+        test = effect_test(observable_by(fit, spoiled.effects[0].at(fit.computed)))
         assert test.squares == pytest.approx(read @ of_all @ read, rel=1e-9)
     reads = Disturbing("scale", "its scale is wrong", lambda computed: computed[:, None], 1.0)
-    scaled = replace(model, effects=(reads,)).sharing(common)
+    scaled = replace(model, effects=(reads,)).with_common_errors(common)
     np.testing.assert_allclose(
         scaled.effects[0].at(scaled.observed)[:, 0], scaled.observed, rtol=1e-9
     )

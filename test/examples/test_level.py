@@ -114,7 +114,7 @@ def test_exact_readings_give_the_truth(settings):
     found = engine.adjust(world.model())
     assert found.value.reshape(2, -1) == pytest.approx(world.true, abs=1e-5 * ARCSEC)
     lean = world.lean + world.visible(world.tilts)[1]
-    assert found.also["lean of the axis"][0] == pytest.approx(lean, abs=1e-5 * ARCSEC)
+    assert found.further["lean of the axis"][0] == pytest.approx(lean, abs=1e-5 * ARCSEC)
     found = engine.adjust(world.model(world.noisy(np.random.default_rng(1))))
     k, n = len(settings.azimuths_deg), len(world.angles)
     assert found.fit.dof == len(world.value) - (2 * n + k - 2)
@@ -152,8 +152,8 @@ def test_the_same_as_dense_least_squares():
     found = engine.adjust(world.model(value))
     tilts, lean = world.visible(dense.x[: 2 * n].reshape(2, n) * ARCSEC)
     assert found.value.reshape(2, n) == pytest.approx(tilts, abs=1e-4 * ARCSEC)
-    assert found.also["lean of the axis"][0] == pytest.approx(lean, abs=1e-4 * ARCSEC)
-    off, std = found.also["azimuth error"]
+    assert found.further["lean of the axis"][0] == pytest.approx(lean, abs=1e-4 * ARCSEC)
+    off, std = found.further["azimuth error"]
     assert off == pytest.approx(dense.x[-k:] * DEGREE, abs=1e-3 * DEGREE)
     units = np.eye(2 * n).reshape(-1, 2, n)
     project = np.array([world.visible(unit)[0].ravel() for unit in units])
@@ -201,7 +201,7 @@ def test_a_level_beside_its_azimuth_is_found_where_the_axis_leans_and_doubted_be
         world.off[2] = off_deg * DEGREE
         world.value = world.readings(world.tilts, world.off, world.zeros, world.lean)
         found = engine.adjust(world.model(world.noisy(np.random.default_rng(8))))
-        off, std = found.also["azimuth error"]
+        off, std = found.further["azimuth error"]
         assert (np.abs(off - world.off) < 3.0 * std).all()
         assert (np.abs(found.value - world.true.ravel()) < 4.5 * found.std).all()
         assert found.verdict == verdict

@@ -63,7 +63,7 @@ def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
     kernel, outputs = layout.circular.kernel(), Outputs.alone(layout.curves())
     defined = Defined.of(kernel, layout.definitions)
     noise = 5e-8 * np.random.default_rng(1).standard_normal((problem.centres.size, 1000))
-    error, left = outputs.times(defined.solve(noise)), noise - kernel.taken(noise)
+    error, left = outputs.times(defined.solve(noise)), noise - kernel.projected(noise)
     variance = (left**2).sum(axis=0) / (len(noise) - kernel.rank)
     std = np.sqrt(variance) * np.sqrt(defined.variances_of(outputs))[:, None]
     inside = (np.abs(error) < 1.96 * std).reshape(6, -1).mean(axis=1)

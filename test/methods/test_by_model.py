@@ -58,7 +58,7 @@ def model(_configuration, read):
         std=np.full(len(read.value), SIGMA),
         equations=linear(indicators((read.position, PLACES), (read.station, RUNS))),
         outputs=from_first(blocks, "place"),
-        also={"zero of run": from_first(blocks, "zero of run")},
+        further={"zero of run": from_first(blocks, "zero of run")},
         words=Words("readings", "a draught", "at it", "at it"),
         groupings=(
             Grouping("run", read.station, along=read.when),

@@ -57,7 +57,7 @@ def model_of(plan: LevelPlanSettings, solver: LevelSolverSettings, read: Reading
         std=np.full(len(when), solver.sigma_arcsec * ARCSEC),
         equations=equations,
         outputs=np.eye(2 * n, sum(sizes)) - np.pad(unseen @ share, ((0, 0), (0, 2 * k))),
-        also={
+        further={
             "lean of the axis": np.pad(share[:2], ((0, 0), (0, 2 * k))),
             "azimuth error": np.eye(k, sum(sizes), 2 * n + k),
         },
@@ -70,4 +70,4 @@ def model_of(plan: LevelPlanSettings, solver: LevelSolverSettings, read: Reading
         ),
     )
     known = np.eye(k, sum(sizes), 2 * n + k)
-    return model.knowing("the azimuths", known, np.zeros(k), solver.azimuth_std_deg * DEGREE)
+    return model.with_prior("the azimuths", known, np.zeros(k), solver.azimuth_std_deg * DEGREE)

@@ -114,7 +114,7 @@ def states(
 ) -> Statement:
     """Return what is doubted, and what is done about effects that no reading can show."""
     rival, doubts = rivalry(configuration.plan, configuration.solver, read, found), []
-    if REFERENCE not in found.also:
+    if REFERENCE not in found.further:
         doubts.append(
             "the errors of the reference are in the result: there is one shift and no "
             "certificate; add shifts, or solver.reference_errors_arcsec"
@@ -131,7 +131,7 @@ def states(
 
 
 def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
-    if REFERENCE not in found.also:
+    if REFERENCE not in found.further:
         return Protection("gauge", "not protected", "the reference's errors are in the result")
     if not configuration.solver.reference_errors_arcsec:
         return Protection("gauge", "estimated", "the shifts separate the two circles")

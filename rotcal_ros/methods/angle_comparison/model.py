@@ -165,7 +165,7 @@ def model_of(
         std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
         equations=linear(design),
         outputs=Outputs.picked(circles.table, first),
-        also={REFERENCE: marks} if mark else {},
+        further={REFERENCE: marks} if mark else {},
         words=WORDS,
         components=("the readings",),
         groupings=(
@@ -183,7 +183,7 @@ def model_of(
     errors = np.array(solver.reference_errors_arcsec) * ARCSEC
     known = np.eye(mark, sum(blocks.values()), table)
     known[:, -1] = 1.0
-    return model.knowing("the certificate", known, errors, solver.reference_std_arcsec * ARCSEC)
+    return model.with_prior("the certificate", known, errors, solver.reference_std_arcsec * ARCSEC)
 
 
 def _leaning(circles: Circles, read: Readings, settings: int) -> Floats:

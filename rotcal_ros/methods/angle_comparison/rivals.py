@@ -160,7 +160,7 @@ def rivalry(
 
 def _solved(model: Model, found: Adjusted) -> Fit | None:
     """Return the solution of a rival ``model`` with what was believed; None where it has none."""
-    extra = (e.columns for e in found.diagnosis.taken)
+    extra = (e.columns for e in found.diagnosis.nuisance)
     columns = np.column_stack([np.zeros((model.size[0], 0)), *extra])
     try:
         fit = fitted(model, found.fit.used, found.fit.std, model.first, columns)

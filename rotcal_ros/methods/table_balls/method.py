@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import alternatives
-from rotcal_ros.adjust.effects import Unseen
+from rotcal_ros.adjust.effects import Undetected
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
@@ -430,7 +430,7 @@ def _protections(
             yield Protection(effect, "estimated", "the balls determine it at every angle")
     yield Protection("refraction", "harmless", "no light measures")
     for name, effect in OF_AXES.items():
-        size, left = LINEAR[name](configuration), found.also[name][1].max()
+        size, left = LINEAR[name](configuration), found.further[name][1].max()
         why = (
             f"the uncertainty holds the {name} of the linear axes: stated are "
             f"{size / MICROMETRE:.3g} um/m, the balls leave {left / MICROMETRE:.3g} um/m of the "
@@ -464,7 +464,7 @@ def _protections(
     yield Protection("repeatability", "tested", "every run comes to every angle", error)
 
 
-def _stated_only(effect: Effect, why: str, every: Sequence[Unseen]) -> Protection:
+def _stated_only(effect: Effect, why: str, every: Sequence[Undetected]) -> Protection:
     """Return what is done about an effect that is stated: not enough where that may be exceeded.
 
     ``every``: what may stay unseen of all that is stated of it.
@@ -480,7 +480,7 @@ def _stated_only(effect: Effect, why: str, every: Sequence[Unseen]) -> Protectio
 
 
 def _lag(configuration: Configuration, found: Adjusted) -> Protection:
-    left = found.also["lag"][1][0]
+    left = found.further["lag"][1][0]
     if np.isclose(left, configuration.solver.lag_std_s, rtol=0.01):
         return Protection(
             "lag", "harmless", "at one speed a lag only moves the balls: nothing shows it"

@@ -616,7 +616,7 @@ def model_of(
         words=WORDS[count],
         unit=UM,
         start=np.append(start, np.zeros(balls.sums)),
-        also=_also(balls, places),
+        further=_also(balls, places),
         # arrivals of the table scatter in tangential lengths, and not in others
         components=[f"lengths of set-up {k}" for k in range(len(balls.bars))] or ["the centres"],
         component=read.target % len(balls.bars) if len(balls.bars) else None,
@@ -634,7 +634,7 @@ def model_of(
     )
     for rows in (each, known):
         zeros = np.zeros(rows.shape[0])
-        model = model.knowing("what is stated", rows * balls.sigma, zeros, balls.sigma)
+        model = model.with_prior("what is stated", rows * balls.sigma, zeros, balls.sigma)
     if not each.shape[0]:
         return model
     together = StatedMotions.of(

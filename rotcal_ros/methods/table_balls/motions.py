@@ -24,7 +24,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality
-from rotcal_ros.adjust.effects import UNSEEN, Unseen
+from rotcal_ros.adjust.effects import UNSEEN, Undetected
 from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.error_motion import HIGHEST, WHITE, Correlated, Spectrum
 from rotcal_ros.adjust.fit import Fit
@@ -260,7 +260,7 @@ def stated_motions_of(model: Model) -> Iterator[StatedMotions]:
     yield from (each for each in model.correlated if isinstance(each, StatedMotions))
 
 
-def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Unseen]:
+def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Undetected]:
     """Return what may stay unseen of each kind of motion that is stated, and of each other block.
 
     A motion is found by what the balls show of it, see
@@ -270,7 +270,7 @@ def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Unseen]:
     fit, model, outputs = found.fit, found.model, len(found.value)
     std = found.counting_std[:outputs]
     counts, last = std > 0.0, len(model.components) - 1
-    row, worst = int(np.argmax(model.of_component == last)), dict[str, Unseen]()
+    row, worst = int(np.argmax(model.of_component == last)), dict[str, Undetected]()
 
     def share(rows: slice) -> Floats:
         return np.asarray(
@@ -283,7 +283,7 @@ def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Unseen]:
         sizes = together.found_from(fit)
         for kind, roots, size in zip(MOTION_KINDS, together.parts, sizes, strict=True):
             moved = [np.linalg.norm(influence @ root, axis=1).max(initial=0.0) for root in roots]
-            worst[kind] = Unseen.worst(size, np.array(moved), EXCEEDED)
+            worst[kind] = Undetected.worst(size, np.array(moved), EXCEEDED)
     needed = noncentrality(LIMITS.significance, POWER, max(fit.dof, 1))
     for name in (name for name, std in balls.known.items() if isfinite(std)):
         block = slice(row, row + balls.blocks[name])
@@ -293,7 +293,7 @@ def exceeded(balls: BallsOnTable, found: Adjusted) -> dict[str, Unseen]:
         does = share(block)
         error = np.linalg.norm(np.minimum(size, EXCEEDED) * does, axis=1).max(initial=0.0)
         feels = np.abs(does).max(axis=0, initial=0.0) > UNSEEN
-        worst[name] = Unseen(float(error), bool((size <= EXCEEDED)[feels].all()))
+        worst[name] = Undetected(float(error), bool((size <= EXCEEDED)[feels].all()))
     return worst
 
 

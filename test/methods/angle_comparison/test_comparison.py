@@ -98,7 +98,7 @@ def test_exact_readings_give_the_truth(name):
     assert found.value == pytest.approx(world.true, rel=0, abs=1e-17)
     marks = np.round(world.circles.marks / DEGREE * 1e6).astype(int)
     errors = np.array([world.reference[int(m) % 360000000] for m in marks])
-    assert found.also[REFERENCE][0] == pytest.approx(errors - errors.mean(), rel=0, abs=1e-17)
+    assert found.further[REFERENCE][0] == pytest.approx(errors - errors.mean(), rel=0, abs=1e-17)
     assert found.verdict == "ok"
 
 
@@ -132,7 +132,7 @@ def test_a_table_that_turns_too_far_reads_more_and_a_reference_that_does_reads_l
     assert found.value[5] == pytest.approx(4.0 * ARCSEC)
     turned = -4.0 * ARCSEC * (world.circles.shown.ravel() == 7)
     found = engine.adjust(world.model(world.value + turned))
-    assert found.also[REFERENCE][0][7] == pytest.approx(11 / 12 * 4.0 * ARCSEC)
+    assert found.further[REFERENCE][0][7] == pytest.approx(11 / 12 * 4.0 * ARCSEC)
 
 
 def test_a_polygon_is_such_a_reference():
@@ -152,7 +152,7 @@ def test_a_polygon_is_such_a_reference():
         value.append(np.arctan2(y, x)[np.argmax(x)])
     found = engine.adjust(world.model(np.array(value)))
     assert found.value == pytest.approx(world.true, abs=1e-9 * ARCSEC)
-    assert found.also[REFERENCE][0] == pytest.approx(face.mean() - face, abs=1e-9 * ARCSEC)
+    assert found.further[REFERENCE][0] == pytest.approx(face.mean() - face, abs=1e-9 * ARCSEC)
 
 
 def test_readings_that_count_against_the_table_are_turned_round():
@@ -213,7 +213,7 @@ def test_a_complete_grid_is_solved_as_by_its_fourier_transform(steps):
     found = engine.adjust(world.model(value))
     assert not found.why
     assert found.value == pytest.approx(curve - curve[0], abs=1e-16)
-    assert found.also[REFERENCE][0] == pytest.approx(errors, abs=1e-16)
+    assert found.further[REFERENCE][0] == pytest.approx(errors, abs=1e-16)
 
 
 def test_the_same_as_dense_least_squares_with_constraints():
@@ -231,7 +231,7 @@ def test_the_same_as_dense_least_squares_with_constraints():
     x = inverse @ design.T @ value
     found = engine.adjust(world.model(value))
     assert found.value == pytest.approx(x[:n][circles.table], abs=1e-16)
-    error, std = found.also[REFERENCE]
+    error, std = found.further[REFERENCE]
     assert error == pytest.approx(x[n:], abs=1e-16)
     assert (std / SIGMA) ** 2 == pytest.approx(inverse.diagonal()[n:], abs=1e-9)
     assert found.covariance[:n, :n] / SIGMA**2 == pytest.approx(inverse[:n, :n], abs=1e-9)
@@ -261,8 +261,8 @@ def test_which_angle_is_called_zero_changes_nothing():
     two = engine.adjust(turned.model(value))
     assert two.value == pytest.approx(one.value, abs=1e-17)
     mark = np.argmin(np.abs(turned.circles.marks - (-47.0 % 360.0) * DEGREE))
-    same = np.roll(two.also[REFERENCE][0], -mark)
-    assert same == pytest.approx(one.also[REFERENCE][0], abs=1e-17)
+    same = np.roll(two.further[REFERENCE][0], -mark)
+    assert same == pytest.approx(one.further[REFERENCE][0], abs=1e-17)
     back = engine.adjust(world.model(value, keep=slice(None, None, -1)))
     assert back.value == pytest.approx(one.value, abs=1e-17)
 
@@ -310,7 +310,7 @@ def test_a_contested_cause_widens_the_reference_and_what_trials_draw():
     found = engine.adjust(world.model(world.noisy(20) + knocked))
     assert found.diagnosis.open_contests
     certain = np.linalg.norm(found.fit.response, axis=1)
-    assert (found.also[REFERENCE][1] > 1.001 * certain[13:]).any()
+    assert (found.further[REFERENCE][1] > 1.001 * certain[13:]).any()
     drawn = pickle.loads(pickle.dumps(found.trials))(np.random.default_rng(1), 20000)
     assert np.cov(drawn.T)[1:12, 1:12] == pytest.approx(
         found.covariance[1:12, 1:12], abs=0.06 * found.covariance.max()

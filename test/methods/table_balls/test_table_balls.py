@@ -172,7 +172,7 @@ def test_one_ball_moves_as_it_does_out_along_and_up():
     world = perfect_machine("ONE", closing=False, runs=1)
     own, line = world.truth()
     world = replace(world, motions=own, axis=(*line[:2], 0.0, 0.0))
-    found = adjust(modelled(world)).also
+    found = adjust(modelled(world)).further
     places = world.readings().points - world.plan.axis_m - [*world.axis[:2], 0.0]
     radius, height = np.hypot(*places.T[:2]), places[:, 2]
     turn = np.unwrap(np.arctan2(places[:, 1], places[:, 0])) - world.angles
@@ -282,7 +282,7 @@ def test_squareness_that_is_not_told_is_in_the_uncertainty_and_that_which_is_les
     def found(name, square):
         solver = BallsSolverSettings(squareness_std_um_per_m=square)
         fit = adjust(modelled(World(planned(name), solver)))
-        return fit, fit.also["squareness"][1][0] * 1e6
+        return fit, fit.further["squareness"][1][0] * 1e6
 
     one, left = found("ONE", 30.0)
     assert left == pytest.approx(30.0, rel=0.05)  # a second harmonic of the motions
@@ -678,7 +678,7 @@ def test_what_is_enumerated_of_many_angles_stays_bounded():
         knock = next(effect for effect in model.effects if effect.effect == "knock")
         assert knock.at(model.observed).shape[1] < 2000
         for grouping in model.groupings:
-            for members in members_of(grouping, model.may_go).values():
+            for members in members_of(grouping, model.rejectable).values():
                 parts = parts_of(grouping, members)
                 assert max(len(part) for part in parts) <= LARGEST_GROUP
                 np.testing.assert_array_equal(np.sort(np.concatenate(parts)), members)

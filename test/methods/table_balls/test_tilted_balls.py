@@ -59,7 +59,7 @@ def test_motions_of_both_axes_and_the_table_s_axis_at_each_tilt(chain):
     world = World.drawn(planned(chain), np.random.default_rng(4))
     world.linear = np.zeros((3, 3))
     fit, first, model = solved(world)
-    told = dict(zip(model.also, np.split(fit.value[first + 8 :], _ends(model)), strict=True))
+    told = dict(zip(model.further, np.split(fit.value[first + 8 :], _ends(model)), strict=True))
     letter, turns = chain.strip("-")[0], -1 if chain.endswith("-C") else 1
     for number, part in enumerate("XYZABC"):
         found = told[f"E{part}{letter}"]
@@ -94,7 +94,7 @@ def test_a_table_that_turns_clockwise_has_its_own_sense():
 
 
 def _ends(model):
-    return np.cumsum([len(rows) for rows in model.also.values()])[:-1]
+    return np.cumsum([len(rows) for rows in model.further.values()])[:-1]
 
 
 def _about(point, turn):

@@ -9,11 +9,11 @@ import numpy as np
 
 from rotcal_ros.adjust.closures import Closed
 from rotcal_ros.adjust.distributions import noncentrality
-from rotcal_ros.adjust.effects import Seen, SeenFamily, unseen
+from rotcal_ros.adjust.effects import Observable, ObservableFamily, undetected
 from rotcal_ros.adjust.engine import LIMITS
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Disturbing
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import POWER
@@ -82,12 +82,12 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     std, significance = fit.counting(fit.noise_std), LIMITS.of_each_effect(model)
     closed = [Closed(fit, relation, 1.0, np.inf) for relation in model.closures]
 
-    def seen_of(displacements: Floats) -> Seen:
+    def seen_of(displacements: Floats) -> Observable:
         columns = rows.of(displacements)
-        seen: Seen | SeenFamily = seen_by(fit, columns)
+        seen: Observable | ObservableFamily = observable_by(fit, columns)
         for each in closed:
             seen = each.beside(Disturbing("drift", "", columns, LARGEST), seen)
-        assert isinstance(seen, Seen)
+        assert isinstance(seen, Observable)
         return seen
 
     drift = seen_of(drift_columns(rows.time, 1))
@@ -106,13 +106,13 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
         for axis in range(3)
     ]
     errors = [
-        unseen(each, std, LARGEST, significance=significance / len(moments), power=POWER).error
+        undetected(each, std, LARGEST, significance=significance / len(moments), power=POWER).error
         for each in knocks
     ]
     return OrderForecast(
         effects=(*drifts, *moves),
         growth=_effect(fit, "growth", None, 0, [growth], 1.0, significance),
-        drift_unseen=unseen(drift, std, LARGEST, significance=significance, power=POWER).error,
+        drift_unseen=undetected(drift, std, LARGEST, significance=significance, power=POWER).error,
         knock_unseen=errors[_bad_moment(np.array(errors))],
     )
 
@@ -127,7 +127,7 @@ def _effect(
     kind: str,
     axis: int | None,
     column: int,
-    each: list[Seen],
+    each: list[Observable],
     length: float,
     significance: float,
 ) -> UnitEffect:

@@ -201,7 +201,7 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         std=std,
         equations=equations,
         outputs=found,
-        also={AGAIN: closing} if again else {},
+        further={AGAIN: closing} if again else {},
         closures=[relation] if again else [],
         words=WORDS,
         unit=UM,
@@ -275,7 +275,7 @@ def curve_model(layout: PlateLayout, angles: Floats) -> CurveModel:
     curves = np.pad(layout.curves().toarray(), ((0, 0), (0, more)))
     each = {name: curves[k * count : (k + 1) * count] for k, name in enumerate(COMPONENTS)}
     alone = replace(
-        model, outputs=np.zeros((0, model.size[1])), also={}, closures=[], definitions=None,
+        model, outputs=np.zeros((0, model.size[1])), further={}, closures=[], definitions=None,
         unstated=False, least=0.0,
     )  # fmt: skip
     return CurveModel(alone, angles[np.sort(layout.table_positions)], each)

@@ -620,13 +620,15 @@ class TrackerModel:
             tilts = np.concatenate(
                 [block_rows(blocks, f"tilt {way}") for way in ("across", "along")]
             )
-            model = model.knowing(
+            model = model.with_prior(
                 "the tilts of the table", tilts, np.zeros(len(tilts)), problem.tilt_std
             )
         if blocks["swing"]:
             stds = np.repeat([span.std for span in self.spans if span.std > 0.0], SWINGS)
             swings = block_rows(blocks, "swing") / stds[:, None]
-            model = model.knowing("the swings of the tracker", swings, np.zeros(len(swings)), 1.0)
+            model = model.with_prior(
+                "the swings of the tracker", swings, np.zeros(len(swings)), 1.0
+            )
         return model
 
     def _groupings(self, kinds: Ints) -> Iterator[Grouping]:

@@ -219,7 +219,7 @@ class MirrorSolution:
             protections=tuple(self._protections()),
             details=self._details(),
             joint=True,
-            also=False,
+            further=False,
         )
         direct = layout.pairs.direct.tolist() if layout.pairs else []
         partner = dict(zip(rows.tolist(), direct, strict=False))
@@ -343,7 +343,7 @@ class MirrorSolution:
     @cached_property
     def moved_nests(self) -> list[tuple[str, Bools]]:
         """In words, which nests moved for good, each with the readings (Q,) that show it."""
-        taken = [e for e in self.joint.diagnosis.taken if e.effect is not None]
+        taken = [e for e in self.joint.diagnosis.nuisance if e.effect is not None]
         part = slice(3 * self.tracker.pairs, 3 * len(self.layout.rows))
         found = list[tuple[str, Bools]]()
         for effect, seen in zip(taken, self.joint.found_effects, strict=True):

@@ -205,7 +205,7 @@ class Posed:
         """Return the model with what is known of how the table's axis moves."""
         turning, motion, along = about_axis(lengths, self.motion, self.problem.circle_std)
         for known in along:
-            model = model.knowing(known.what, known.rows, np.zeros(len(known.std)), known.std)
+            model = model.with_prior(known.what, known.rows, np.zeros(len(known.std)), known.std)
         size = None if self.motion is None else float(motion.std[0])
         model = with_motion(model, motion.what, motion.rows, size, lengths.angles, turning)
         significance = self.problem.settings.test_significance
@@ -260,7 +260,7 @@ def with_motion(
     at each of the ``angles`` (m,) of the table to the rows.
     """
     if len(angles) > MOST_WITNESSES:
-        return model.knowing(name, rows, np.zeros(rows.shape[0]), size or USUAL)
+        return model.with_prior(name, rows, np.zeros(rows.shape[0]), size or USUAL)
     ways = []
     if size is None:
         for spectrum, share in SPECTRA.items():

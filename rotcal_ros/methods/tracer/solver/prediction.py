@@ -7,9 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotcal_ros.adjust.closures import Closed
-from rotcal_ros.adjust.effects import Seen, SeenFamily, Unseen, unseen, unseen_family
+from rotcal_ros.adjust.effects import (
+    Observable,
+    ObservableFamily,
+    Undetected,
+    undetected,
+    undetected_family,
+)
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
-from rotcal_ros.adjust.seen import family_seen_by, seen_by
+from rotcal_ros.adjust.observable import family_observable_by, observable_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Effect
 from rotcal_ros.methods.tracer.solver.observability import check_counts
@@ -37,7 +43,7 @@ class Prediction:
         found[row] = self.fit.redundancy[: len(row)]
         return found
 
-    def hides(self, order: Ints) -> dict[Effect, Unseen]:
+    def hides(self, order: Ints) -> dict[Effect, Undetected]:
         """Return what of drift and knock stays unseen where rows (k,) are measured in ``order``.
 
         ``order``: when each row of the problem is measured.
@@ -47,23 +53,23 @@ class Prediction:
         limits = limits_of(self.posed.problem.settings)
         each, std = limits.of_each_effect(self.fit.model), np.sqrt(self.covariance.diagonal())
         closed = [Closed(self.fit, known, 1.0, np.inf) for known in self.fit.model.closures]
-        found = dict[Effect, Unseen]()
+        found = dict[Effect, Undetected]()
         for effect in timed.effects:
             if effect.effect not in ("drift", "knock"):
                 continue
             known = effect.beside(self.fit.model.size[0] - len(lengths.row))
             columns = known.at(np.zeros(0))
-            seen: Seen | SeenFamily
+            seen: Observable | ObservableFamily
             if known.family:
-                seen = family_seen_by(self.fit, columns, known.width)
+                seen = family_observable_by(self.fit, columns, known.width)
             else:
-                seen = seen_by(self.fit, np.asarray(columns))
+                seen = observable_by(self.fit, np.asarray(columns))
             for relation in closed:
                 seen = relation.beside(known, seen)
-            if isinstance(seen, SeenFamily):
-                worst = unseen_family(seen, std, known.largest, significance=each, power=POWER)
+            if isinstance(seen, ObservableFamily):
+                worst = undetected_family(seen, std, known.largest, significance=each, power=POWER)
             else:
-                worst = unseen(seen, std, known.largest, significance=each, power=POWER)
+                worst = undetected(seen, std, known.largest, significance=each, power=POWER)
             if effect.effect not in found or worst.error > found[effect.effect].error:
                 found[effect.effect] = worst
         return found

@@ -22,8 +22,8 @@ from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.look import Look
 from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.model import CurveModel
+from rotcal_ros.adjust.observable import family_observable_by, observable_by
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.adjust.seen import family_seen_by, seen_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
@@ -414,7 +414,7 @@ def _noticed(posed: Posed) -> bool:
 def _slope(posed: Posed, fit: Fit) -> tuple[float, float]:
     """Return how much more of the reported moves the lengths follow, and its information."""
     column = np.pad(posed.moved, (0, fit.model.size[0] - len(posed.moved)))[:, None]
-    seen = seen_by(fit, column)
+    seen = observable_by(fit, column)
     information = float(seen.information[0, 0])
     if information <= 1e-9 * float(seen.whole[0]):
         return 0.0, 0.0
@@ -458,7 +458,7 @@ def unseen_slips(
     steps = steps[:, :: max(1, -(-steps.shape[1] // CANDIDATES))]
     if not steps.shape[1]:
         return None
-    seen = family_seen_by(fit, steps)
+    seen = family_observable_by(fit, steps)
     limit = limit_of_family(problem.settings.rejection_significance, seen.alike)
     apart = problem.slip * np.sqrt(np.maximum(seen.information[:, 0, 0], 0.0)) / scale
     missed = 1.0 - ndtr(apart - limit)
@@ -480,7 +480,7 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
     lengths, fit, grid = posed.lengths, found.fit, posed.grid
     k = len(lengths.row)
     effects = fit.x[found.model.size[1] :]
-    taken = [e.columns for e in found.diagnosis.taken]
+    taken = [e.columns for e in found.diagnosis.nuisance]
     read = found.model.observed[:k]
     if taken:
         read = read - np.hstack(taken)[:k] @ effects
@@ -583,6 +583,8 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
         step = problem.slip * sqrt(SLIPPED / len(lengths.row) * (1.0 - found))
         slips = slips_of(lengths.zero, lengths.order, step, float(lengths.std.min()))
         if slips.shape[1]:
-            model = model.sharing(np.pad(slips, ((0, model.size[0] - len(slips)), (0, 0))))
+            model = model.with_common_errors(
+                np.pad(slips, ((0, model.size[0] - len(slips)), (0, 0)))
+            )
     curve = np.eye(m, model.size[1], begin)
     return CurveModel(model, lengths.angles, {"ECC": curve})

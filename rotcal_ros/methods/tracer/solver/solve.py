@@ -333,7 +333,7 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         "coverage_factor": HALF_OF_95_PERCENT,
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squares / np.maximum(redundancy, 1e-9)),
-        **found.details(also=False),
+        **found.details(further=False),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in closing],
         "returned": [asdict(each) for each in returned(solution)],

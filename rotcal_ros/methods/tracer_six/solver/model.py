@@ -281,13 +281,13 @@ def model_of(problem: SixProblem, lengths: SixLengths) -> Model:
     for axis in range(0 if grid.free else 3):
         rows = lengths.picked("target", axis, 3)
         std = np.maximum(grid.target_std[:, axis], KNOWN)
-        model = model.knowing(f"the targets along {'xyz'[axis]}", rows, np.zeros(len(std)), std)
+        model = model.with_prior(f"the targets along {'xyz'[axis]}", rows, np.zeros(len(std)), std)
     if problem.tilt_std is not None:
         lean = gauge_design(layout.angles)[0] @ lengths.lean_ways
         rows = vstack([lengths.picked("turn", axis, 3) for axis in range(2)], format="csr")
         rows = rows - np.concatenate([lean[::2], lean[1::2]]) @ lengths.picked("lean")
         none = np.zeros(rows.shape[0])
-        model = model.knowing("the tilts", csr_array(rows), none, problem.tilt_std)
+        model = model.with_prior("the tilts", csr_array(rows), none, problem.tilt_std)
     if SCATTER not in lengths.blocks:
         return model
     arms = np.zeros((len(stations), 3))
@@ -311,12 +311,12 @@ def _scattering(problem: SixProblem, lengths: SixLengths, model: Model, arms: Fl
         felt = (lengths.at_start[0][:, None] @ root[lengths.station])[:, 0]
         model = model.with_unknowns(STATED, felt)
         rows = csr_array(block_rows(model.blocks, STATED))
-        model = model.knowing("the stated scatter", rows, np.zeros(arms.size), 1.0)
+        model = model.with_prior("the stated scatter", rows, np.zeros(arms.size), 1.0)
     if turn is None and shift is not None:
         _require_seen(lengths.places, radius)
     ways = [(share, roots_of(along, about, arms)) for share, (along, about) in possible]
     rows = csr_array(block_rows(model.blocks, SCATTER))
-    return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways, felt=FELT)
+    return model.scattering("the arrivals", rows, size, LARGEST_SCATTER, ways, influence=FELT)
 
 
 def _require_seen(places: Floats, radius: float) -> None:

@@ -20,7 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.engine import adjust as adjusted
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.model import CurveModel
-from rotcal_ros.adjust.seen import seen_by
+from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -203,7 +203,7 @@ def result_of(solution: SixSolution) -> Result:
         doubts=_doubts(solution),
         protections=(*_protections(solution), numbering.protection(), upward.protection()),
         details=_details(solution),
-        also=False,
+        further=False,
     )
     verdict, warnings = upward.judged(*numbering.judged(plain.verdict, plain.warnings))
     gone = solution.absent | {int(row[r.index]): layout.named(r.why) for r in plain.rejected}
@@ -335,7 +335,7 @@ def _returned(solution: SixSolution, radius: float) -> float | None:
         unit, arm = lengths.at_start
         along = np.cross([0.0, 0.0, 1.0], arm) / np.hypot(arm[:, 0], arm[:, 1])[:, None]
         felt = np.pad((unit * along).sum(axis=1) * side[lengths.station], (0, len(fit.std)))
-        seen = seen_by(fit, felt[: len(fit.std), None])
+        seen = observable_by(fit, felt[: len(fit.std), None])
         size = float(seen.score[0] / seen.information[0, 0])
         each.append((size, solution.found.scale / float(np.sqrt(seen.information[0, 0]))))
     return max((abs(e) + HALF_OF_95_PERCENT * u for e, u in each), default=None)

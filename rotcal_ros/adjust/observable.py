@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rotcal_ros.adjust.effects import Seen, SeenFamily
+from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Steps
 from rotcal_ros.adjust.outputs import Outputs
@@ -26,30 +26,32 @@ def columns_of(columns: Floats | Steps, which: slice) -> Floats:
     return columns.whole(which) if isinstance(columns, Steps) else columns[:, which]
 
 
-def seen_by(fit: Fit, columns: Floats) -> Seen:
+def observable_by(fit: Fit, columns: Floats) -> Observable:
     """Return what a solution makes of ``columns`` (n, k) of errors that are there together."""
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     left = fit.left_of(white)
-    return Seen(fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0))
+    return Observable(
+        fit.moved(white).T, left.T @ left, left.T @ fit.white, (white**2).sum(axis=0)
+    )
 
 
-def family_seen_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> SeenFamily:
+def family_observable_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> ObservableFamily:
     """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
     if isinstance(columns, Steps):  # which are asked for again and again
         if columns not in fit.families:
-            fit.families[columns] = _steps_seen_by(fit, columns)
+            fit.families[columns] = _steps_observable_by(fit, columns)
         return fit.families[columns]
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    gain, felt = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
+    gain, influence = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
     mine, solved, adjoint = (
-        each.reshape(len(each), -1, width).transpose(1, 2, 0) for each in (white, gain, felt)
+        each.reshape(len(each), -1, width).transpose(1, 2, 0) for each in (white, gain, influence)
     )
     whole, own = (mine**2).sum(axis=2), mine @ mine.swapaxes(1, 2)
     own = own - adjoint @ solved.swapaxes(1, 2)
     beside = mine[:-1] @ mine[1:].swapaxes(1, 2) - adjoint[:-1] @ solved[1:].swapaxes(1, 2)
     _firm_up(fit, own, whole, lambda which: white[:, which])
     moved, score = fit.moved_by(gain, white).T, (white.T @ fit.white).reshape(-1, width)
-    return SeenFamily(moved, own, beside, score, whole)
+    return ObservableFamily(moved, own, beside, score, whole)
 
 
 def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[Ints], Floats]) -> None:
@@ -64,10 +66,10 @@ def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[Ints], Float
         own[some] = left.swapaxes(1, 2) @ left
 
 
-def _steps_seen_by(fit: Fit, steps: Steps) -> SeenFamily:
+def _steps_observable_by(fit: Fit, steps: Steps) -> ObservableFamily:
     """Return what a solution makes of steps, by running sums along each run."""
     moves, w = StepMoves(fit, steps), steps.width
-    parts = [_run_seen_by(fit, moves.root, *run) for run in steps.runs]
+    parts = [_run_observable_by(fit, moves.root, *run) for run in steps.runs]
     own, beside, score, whole = (
         np.concatenate([np.zeros((0, *shape)), *(part[k] for part in parts)])
         for k, shape in enumerate(((w, w), (w, w), (w,), (w,)))
@@ -77,10 +79,10 @@ def _steps_seen_by(fit: Fit, steps: Steps) -> SeenFamily:
         left = fit.left_of(moves.white(slice((end - 1) * w, (end + 1) * w)))
         beside[end - 1] = left[:, :w].T @ left[:, w:]
     _firm_up(fit, own, whole, moves.white)
-    return SeenFamily(moves, own, beside[:-1], score, whole)
+    return ObservableFamily(moves, own, beside[:-1], score, whole)
 
 
-def _run_seen_by(
+def _run_observable_by(
     fit: Fit, root: Floats, rows: Ints, first: Ints
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return of the steps of one run: S of each, of it and the next, u, and whole; m of each.
@@ -97,8 +99,8 @@ def _run_seen_by(
             later = np.zeros((len(root), len(many), w))
             for j, until in enumerate(many):
                 later[rows[until:], j] = mine[until:]
-            felt = fit.kernel.taken_in(later.reshape(len(root), -1), rows)
-            taken = felt.reshape(len(rows), len(many), w)
+            influence = fit.kernel.projected_in(later.reshape(len(root), -1), rows)
+            taken = influence.reshape(len(rows), len(many), w)
         of = slice(k * AT_A_TIME, (k + 1) * AT_A_TIME)
         begin, here = int(first[of][0]) if len(first) else 0, first[of]
         among, part = fit.kernel.among(rows[begin:end]), mine[begin:end]
@@ -130,7 +132,7 @@ class StepMoves:
     def root(self) -> Floats:
         """What each row feels of a unit, whitened (n, w)."""
         return np.asarray(
-            self.steps.felt * np.where(self.fit.used, 1.0 / self.fit.std, 0.0)[:, None]
+            self.steps.influence * np.where(self.fit.used, 1.0 / self.fit.std, 0.0)[:, None]
         )
 
     def white(self, which: slice | Ints) -> Floats:
@@ -146,9 +148,9 @@ class StepMoves:
         found = np.empty((len(at), len(self.fit.model.output_rows)))
         place = np.full(self.steps.shape[1], -1)
         place[at] = np.arange(len(at))
-        for members, felt in self._each(None):
+        for members, influence in self._each(None):
             to = place[members[:, None] * w + np.arange(w)]
-            found[to[to >= 0]] = felt[to >= 0]
+            found[to[to >= 0]] = influence[to >= 0]
         return found
 
     def worst(self, std: Floats, *roots: Floats) -> list[Floats]:
@@ -159,8 +161,8 @@ class StepMoves:
         counts, outputs = np.isfinite(std) & (std > 0.0), self.fit.model.counting_outputs
         unit = np.where(counts, 1.0 / np.where(counts, std, 1.0), 0.0)[: len(outputs)]
         found = [np.zeros(len(r)) for r in roots]
-        for members, felt in self._each(outputs):
-            share = (felt * unit).swapaxes(1, 2)  # (m, o, w)
+        for members, influence in self._each(outputs):
+            share = (influence * unit).swapaxes(1, 2)  # (m, o, w)
             for each, r in zip(found, roots, strict=True):
                 squares = ((share @ r[members]) ** 2).sum(axis=2)
                 each[members] = np.sqrt(squares.max(axis=1, initial=0.0))
@@ -176,13 +178,13 @@ class StepMoves:
             carried = np.zeros((self.steps.width, o))
             for end in range(len(rows), 0, -FEW):
                 part = slice(max(end - FEW, 0), end)
-                felt = self.fit.response_of(rows[part], outputs).T[::-1, None]
-                felt = felt * self.root[rows[part], :, None][::-1]
-                felt[0] += carried
-                felt = np.cumsum(felt, axis=0, out=felt)
-                carried = felt[-1].copy()
+                influence = self.fit.response_of(rows[part], outputs).T[::-1, None]
+                influence = influence * self.root[rows[part], :, None][::-1]
+                influence[0] += carried
+                influence = np.cumsum(influence, axis=0, out=influence)
+                carried = influence[-1].copy()
                 mine = np.flatnonzero((first >= part.start) & (first < end))
-                yield before + mine, felt[end - 1 - first[mine]]
+                yield before + mine, influence[end - 1 - first[mine]]
             before += len(first)
 
 
