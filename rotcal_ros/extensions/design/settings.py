@@ -130,7 +130,7 @@ class TracerDesignSettings(TableAngleSettings):
         "0: none slips",
     )
     confidence: float = expert(
-        0.95,
+        0.9,
         minimum=0.5,
         maximum=0.99,
         doc="probability with which the result's own U meets the goal",

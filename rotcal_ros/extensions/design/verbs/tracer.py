@@ -39,7 +39,7 @@ PLAN_FILE = "plan.yaml"
 @click.option(
     "--confidence",
     type=click.FloatRange(0.5, 0.99),
-    help="Probability with which the result's own U meets the goal.  [default: 0.95]",
+    help="Probability with which the result's own U meets the goal.  [default: 0.9]",
 )
 @click.option("--plain", is_flag=True, help="The plain minimum, whose lengths check nothing.")
 @click.option(
