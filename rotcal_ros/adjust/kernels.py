@@ -236,11 +236,6 @@ class Kernel(ABC):
             found[:, here] = outputs.times(self.times(rows.T))
         return found
 
-    def variances_from(self, outputs: Outputs, share: Floats) -> Floats:
-        """Return the variances (o, c) of ``outputs`` by ``share`` (c, n) of each row."""
-        every = np.arange(share.shape[1])
-        return self.products_of(outputs, every, every, share)
-
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
 
