@@ -263,7 +263,8 @@ def write(path, world, value, times=()):
 @pytest.fixture
 def setup(tmp_path):
     path = tmp_path / "setup.yaml"
-    path.write_text("/**: {ros__parameters: {method: level, plan: {}}}\n")
+    angles = "table_start_deg: 0.0, table_step_deg: 30.0, table_positions: 12"
+    path.write_text(f"/**: {{ros__parameters: {{method: level, plan: {{{angles}}}}}}}\n")
     return path
 
 
