@@ -53,13 +53,16 @@ def test_more_noise_takes_more_lengths_and_a_larger_circle_fewer():
 def test_all_scaled_alike_takes_the_same():
     once, half = (
         tracer_trade(
-            replace(COARSE, need_arcsec=s * 1.202, target_std_m=(s * 1e-6,) * 3),
+            replace(
+                COARSE, need_arcsec=s * 1.202, target_std_m=(s * 1e-6,) * 3,
+                error_motion_std_m=s * 2e-9,
+            ),
             (0.065,),
             (s * 2e-7,),
             time=PAPERS_TIME,
         )[0]
         for s in (1.0, 0.5)
-    )
+    )  # fmt: skip
     assert half.lengths == once.lengths
     assert half.expanded == pytest.approx(0.5 * once.expanded, rel=1e-6)
 
