@@ -336,7 +336,7 @@ def undetected_family(
 ) -> Undetected:
     """Return the worst that one member of a family does before the test of all finds it.
 
-    Arguments as of :func:`unseen`. ``usual``: the worst of this share of the members alone.
+    Arguments as of :func:`undetected`. ``usual``: the worst of this share of the members alone.
     """
     k, w = seen.score.shape
     if not k:

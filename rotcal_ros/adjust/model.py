@@ -402,11 +402,11 @@ class Model:
     ``blocks``: names of the unknowns in the order of x (p,), and how many of each. ``observed``,
     ``std`` (n,): what was read, and its stated standard deviation. ``outputs`` (o, p): C, the
     result is C x; what nothing determines, such as a zero that all readings share, outputs must
-    not feel. ``also`` (k, p) by name: what else is reported with its uncertainty, but counts in no
-    test. ``component`` (n,): which of the ``components`` of noise each observation belongs to.
+    not feel. ``further`` (k, p) by name: what else is reported with its uncertainty, but counts in
+    no test. ``component`` (n,): which of the ``components`` of noise each observation belongs to.
     ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations;
-    else they are called by their groups. What is known beforehand joins by :meth:`knowing`. Rows
-    that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
+    else they are called by their groups. What is known beforehand joins by :meth:`with_prior`.
+    Rows that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
     ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
     ``definitions`` G (g, p): G x = 0 fixes what no observation determines, and nothing else.
@@ -763,8 +763,8 @@ class Model:
     def with_blocks(self, covariance: Floats) -> Model:
         """Return the model of elements of c rows whose noise is correlated, made independent.
 
-        ``covariance`` (m, c, c) of each element's. As in :meth:`sharing` by the symmetric root,
-        of the correlations: rows keep their ``std``, which are the roots of its diagonal.
+        ``covariance`` (m, c, c) of each element's. As in :meth:`with_common_errors` by the
+        symmetric root, of the correlations: rows keep their ``std``, which are the roots of its diagonal.
         """
         std = np.sqrt(covariance.diagonal(axis1=1, axis2=2))  # (m, c)
         size, ways = np.linalg.eigh(covariance / std[:, :, None] / std[:, None])

@@ -209,7 +209,7 @@ def test_the_schema_is_one():
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_a_stored_result_has_described_fields_alone(path):
-    VALIDATOR.validate(json.loads(path.read_text()))
+    assert not list(VALIDATOR.iter_errors(json.loads(path.read_text())))
 
 
 @pytest.mark.parametrize(
