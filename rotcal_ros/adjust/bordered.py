@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
@@ -264,22 +264,22 @@ class Bordered(Kernel):
             joined = np.append(groups.shared, own[own >= 0])
             rest = Groups.of(design.few, joined) if 2 * weak.sum() < count else None
             return None if rest is None else cls.of(design, rest, open_)
-        inverse, influence = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
+        inverse, on_basis = np.linalg.inv(triangle), np.swapaxes(basis, 1, 2) @ border
         known = np.hstack([design.known[:, groups.shared], design.columns[n:]])
         of_own = _own_of(groups, design.known.T)  # (g, s, m)
         of_own = (np.swapaxes(inverse, 1, 2) @ of_own).reshape(count * size, -1)  # H'
         _, grown, ways = np.linalg.svd(_triangle(np.concatenate([np.eye(len(known)), of_own])))
         root, tied = grown[:, None] * ways, of_own @ (ways.T / grown)
-        left_known = known - of_own.T @ influence.reshape(count * size, known.shape[1])
+        left_known = known - of_own.T @ on_basis.reshape(count * size, known.shape[1])
         white = np.linalg.solve(root.T, left_known)
         flat = border.reshape(count * groups.depth, known.shape[1])
         length = np.linalg.norm(np.concatenate([flat, known]), axis=0)
         length = np.where(length > 0.0, length, 1.0)
-        beside_own = flat - (basis @ influence).reshape(flat.shape)
+        beside_own = flat - (basis @ on_basis).reshape(flat.shape)
         left = np.concatenate([beside_own, white])
         ways, nothing = _determined(left / length, open_)
-        by_known = (tied @ white).reshape(influence.shape)
-        moved = -(influence + by_known)
+        by_known = (tied @ white).reshape(on_basis.shape)
+        moved = -(on_basis + by_known)
         every = np.zeros((sum(design.shape[1:]), len(length)))
         at = np.append(groups.shared, np.arange(design.few.shape[1], len(every)))
         every[at, np.arange(len(at))] = 1.0
@@ -383,7 +383,7 @@ class Bordered(Kernel):
         share = np.stack(
             [np.bincount(first, each, len(self._place)).astype(np.float64) for each in weight]
         )
-        influence, found = self._felt_by(outputs), np.empty((len(outputs), len(share)))
+        influence, found = self._influence_on(outputs), np.empty((len(outputs), len(share)))
         groups, size = self.groups.own.shape
         common = influence.common.reshape(-1, groups, size)
         for k, (own, mixed, low) in enumerate(zip(*self._moments(share), strict=True)):
@@ -401,7 +401,7 @@ class Bordered(Kernel):
         """Return the variances (o,) of ``outputs``."""
         if _dense(outputs):
             return super().variances_of(outputs)
-        influence = self._felt_by(outputs)
+        influence = self._influence_on(outputs)
         root, core = influence.spread(self._signs)
         return np.asarray((influence.own**2).sum(axis=1) + ((root @ core) * root).sum(axis=1))
 
@@ -409,7 +409,7 @@ class Bordered(Kernel):
         """Return the covariance (o, o) of ``outputs``."""
         if _dense(outputs):
             return super().covariance_of(outputs)
-        influence = self._felt_by(outputs)
+        influence = self._influence_on(outputs)
         root, core = influence.spread(self._signs)
         found, own = (root @ core) @ root.T, coo_array(influence.own @ influence.own.T)
         found[own.coords] += own.data
@@ -420,7 +420,7 @@ class Bordered(Kernel):
 
         By way of the border all feel them, else those of their own groups.
         """
-        influence, (_, size) = self._felt_by(outputs), self.groups.own.shape
+        influence, (_, size) = self._influence_on(outputs), self.groups.own.shape
         place = self._place[rows]
         mine = np.flatnonzero(place < len(self.along))
         group, at = np.divmod(place[mine], self.groups.depth)
@@ -471,19 +471,17 @@ class Bordered(Kernel):
         weight = np.zeros((len(share), len(every)))
         weight[:, groups.place] = share[:, : len(groups.place)]
         weight[:, len(self.along) :] = share[:, len(groups.place) :]
-        influence = [np.flatnonzero(each) for each in weight]
-        some = [
-            (every[rows], each[rows, None]) for rows, each in zip(influence, weight, strict=True)
-        ]
+        used = [np.flatnonzero(each) for each in weight]
+        some = [(every[rows], each[rows, None]) for rows, each in zip(used, weight, strict=True)]
         low = np.stack([rows.T @ (rows * each) for rows, each in some])
         of_groups = weight[:, : len(self.along)].reshape(len(share), *self.basis.shape[:2])
         stacked = every[: len(self.along)].reshape(*self.basis.shape[:2], -1)
         turned = self.basis.swapaxes(1, 2) * of_groups[:, :, None]
         return turned @ self.basis, turned @ stacked, low
 
-    def _felt_by(self, outputs: Outputs) -> _InfluenceOfGroups:
+    def _influence_on(self, outputs: Outputs) -> _InfluenceOfGroups:
         """Return what ``outputs`` (o,) feel of the groups, the known rows and the border."""
-        if self._last.get("of") is not outputs:
+        if not self._last or self._last[0][0] is not outputs:
             few, common, share = outputs.few, outputs.common, outputs.share
             (groups, size), real = self.groups.own.shape, self.groups.own >= 0
             column = np.broadcast_to(np.arange(groups * size).reshape(groups, 1, size),
@@ -495,16 +493,14 @@ class Bordered(Kernel):
             mine, common = csr_array(few[:, unknown] @ lines), common[:, unknown] @ lines
             tied = -(mine @ self.tied + share @ (common @ self.tied))
             low = np.hstack([tied, outputs.times(self.columns), share])
-            self._last.update(
-                of=outputs, influence=_InfluenceOfGroups(mine, csc_array(mine), low, common)
-            )
-        found: _InfluenceOfGroups = self._last["influence"]
-        return found
+            influence = _InfluenceOfGroups(mine, csc_array(mine), low, common)
+            self._last[:] = [(outputs, influence)]
+        return self._last[0][1]
 
     @cached_property
-    def _last(self) -> dict[str, Any]:
+    def _last(self) -> list[tuple[Outputs, _InfluenceOfGroups]]:
         """The outputs that were asked for last, and what they feel."""
-        return {}
+        return []
 
 
 class _InfluenceOfGroups(NamedTuple):

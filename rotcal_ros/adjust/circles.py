@@ -508,17 +508,15 @@ class ByOrder(Kernel):
         turn, place = self.turns.turn[rows], self.turns.place[rows]
         column, value = (each[:, 0] for each in outputs.entries)
         if len(np.unique(turn)) == 1 and (run := outputs.run(circles * size, size)):
-            influence = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
-            found = sliding_window_view(influence, len(outputs))[(run[1] - place) % size]
+            read = np.tile(places[turn[0], run[0]], 2 + len(outputs) // size)
+            found = sliding_window_view(read, len(outputs))[(run[1] - place) % size]
             return self._beside_common(found, outputs, turn, place)
         found = np.empty((len(rows), len(outputs)))
         for number, begin in enumerate(range(0, circles * size, size)):
             mine = np.flatnonzero((column >= begin) & (column < begin + size))
             for k in np.unique(turn) if len(mine) else ():
-                influence, here = places[k, number], np.flatnonzero(turn == k)
-                turned = sliding_window_view(np.append(influence, influence[:-1]), size)[
-                    -place[here] % size
-                ]
+                read, here = places[k, number], np.flatnonzero(turn == k)
+                turned = sliding_window_view(np.append(read, read[:-1]), size)[-place[here] % size]
                 found[np.ix_(here, mine)] = turned[:, column[mine] - begin] * value[mine]
         beyond = np.flatnonzero(column >= circles * size)
         found[:, beyond] = others[turn[:, None], column[beyond] - circles * size] * value[beyond]
@@ -539,8 +537,8 @@ class ByOrder(Kernel):
                 found[here] += own[k][step] * np.where(inside, value, 0.0)
             beyond = np.flatnonzero(~inside)
             if len(beyond):
-                influence = others[turn[:, None], column[beyond] - circles * size]
-                found[:, beyond] += influence * value[beyond]
+                read = others[turn[:, None], column[beyond] - circles * size]
+                found[:, beyond] += read * value[beyond]
         return self._beside_common(found, outputs, turn, place)
 
     def _beside_common(self, found: Floats, outputs: Outputs, turn: Ints, place: Ints) -> Floats:
@@ -703,9 +701,9 @@ class Iterated:
             led = self.orders.times(left)
             now = float(left @ led)
             way = led + now / before * way
-            influence = self._normal(way)
-            length = now / float(way @ influence)
-            found, left, before = found + length * way, left - length * influence, now
+            turned = self._normal(way)
+            length = now / float(way @ turned)
+            found, left, before = found + length * way, left - length * turned, now
         return None
 
     @cached_property
@@ -723,13 +721,13 @@ class Iterated:
         now, carried, found = float(left @ way), 0.0, np.array([np.inf, 0.0])
         nothing, diagonal, beside = OPEN**2 * now, list[float](), list[float]()
         for step in range(1, STEPS // 4):
-            influence = self._normal(way)
-            along = float(way @ influence)
+            turned = self._normal(way)
+            along = float(way @ turned)
             if along <= OPEN * now:
                 return 0.0, float(found[1])  # nothing is determined along this way
             length = now / along
             diagonal.append(1.0 / length + carried)
-            left = left - length * influence
+            left = left - length * turned
             gain = self._led(left)
             after = float(left @ gain)
             if step % LOOKED == 0 or after < nothing:

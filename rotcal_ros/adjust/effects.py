@@ -177,10 +177,8 @@ def expected_weights(seen: ObservableFamily, size: float, probability: float) ->
     its likelihood ratio is how probable it is afterwards, and its expected square what it adds.
     """
     information = seen.information.diagonal(axis1=1, axis2=2).ravel()
-    influence = np.abs(seen.score.ravel()) * size
-    logs = (
-        influence + np.log1p(np.exp(-2.0 * influence)) - np.log(2.0) - 0.5 * information * size**2
-    )
+    pull = np.abs(seen.score.ravel()) * size
+    logs = pull + np.log1p(np.exp(-2.0 * pull)) - np.log(2.0) - 0.5 * information * size**2
     ratio = np.exp(np.minimum(logs, 600.0)) * probability / max(len(logs), 1)
     return np.asarray(size**2 * ratio / (1.0 - probability + ratio.sum()))
 

@@ -575,10 +575,10 @@ class _Steps:
         step = self.by_form.solve(white) if self.by_form else self.design.roughly(white)
         if step is None:
             return self._by_normal_equations(white, x)
-        influence = self.design.times(step)
+        change = self.design.times(step)
         if self.defines:
             step = self.defined(x + step) - x
-        return step, float(influence @ influence)
+        return step, float(change @ change)
 
     @property
     def defines(self) -> bool:
@@ -605,10 +605,10 @@ class _Steps:
     def _by_normal_equations(self, white: Floats, x: Floats) -> tuple[Floats, float]:
         if self._factor is None:
             step = self._whole.solve(white)
-            influence = self.design.times(step)
+            change = self.design.times(step)
             if isinstance(self._whole, Defined):
                 step = self._whole.defined(x + step) - x
-            return step, float(influence @ influence)
+            return step, float(change @ change)
         (root, scale, open_), moving = self._factor, _moving(self.model, len(x))
         along = lapack.dtrtrs(root, (self.design.adjoint(white) / scale)[moving], trans=1)[0]
         step = np.zeros(len(scale))
@@ -646,12 +646,10 @@ def _require_told(model: Model, design: Design) -> None:
     """
     if design.divided:
         return
-    influence = model.output_rows.influenced
-    unseen = np.flatnonzero(influence & (design.lengths[: len(influence)] == 0.0))
+    counted = model.output_rows.influenced
+    unseen = np.flatnonzero(counted & (design.lengths[: len(counted)] == 0.0))
     if unseen.size:
-        raise _untold(
-            _in_words(model, unseen, np.zeros((model.size[0], len(influence)), np.bool_))
-        )
+        raise _untold(_in_words(model, unseen, np.zeros((model.size[0], len(counted)), np.bool_)))
     if design.large:
         raise ObservabilityError(
             "the observations cannot separate the places of the circles: measure what joins them"

@@ -349,11 +349,11 @@ class Whole(Kernel):
 
     def squares_between(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
-        influence = [np.flatnonzero(each) for each in share]
-        each = [self.basis[rows] for rows in influence]
+        used = [np.flatnonzero(each) for each in share]
+        each = [self.basis[rows] for rows in used]
         spread = np.stack([
             (basis.T * part[rows]) @ basis
-            for basis, part, rows in zip(each, share, influence, strict=True)
+            for basis, part, rows in zip(each, share, used, strict=True)
         ]).reshape(len(share), -1)  # fmt: skip
         return np.asarray(spread @ spread.T)
 
@@ -424,9 +424,9 @@ class Updated(Kernel):
 
     def _with_extra(self, extra: Floats) -> Updated | None:
         """Return the same with ``extra`` columns (n, q); None where they are not firm."""
-        influence = self.design.adjoint(extra)
-        gain = self.times(influence)
-        squares, whole = extra.T @ extra - influence.T @ gain, (extra**2).sum(axis=0)
+        back = self.design.adjoint(extra)
+        gain = self.times(back)
+        squares, whole = extra.T @ extra - back.T @ gain, (extra**2).sum(axis=0)
         length = np.sqrt(np.where(whole > 0.0, whole, 1.0))
         inverse = _inverse(squares / length / length[:, None])
         if inverse is None:
@@ -526,8 +526,8 @@ class Updated(Kernel):
         taken = np.zeros((len(share), *self.columns.shape))
         taken[:, :p] = [self.base.times(self.design.adjoint(own)[:p]) for own in each]
         squares = np.stack([low.T @ own for own in each])
-        influence = [self.design.times(own) for own in taken]
-        mixed = np.stack([[other.T @ own for other in each] for own in influence])
+        computed = [self.design.times(own) for own in taken]
+        mixed = np.stack([[other.T @ own for other in each] for own in computed])
         found = found + 2.0 * (mixed * self.core).sum(axis=(2, 3))
         spread = self.core @ squares @ self.core
         return np.asarray(found + (spread[:, None] * squares).sum(axis=(2, 3)))

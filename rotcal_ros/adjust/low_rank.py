@@ -136,9 +136,9 @@ class LowRank:
         own = self.blocks[:, 0]
         divided = self.columns / own
         middle = np.eye(len(self.core)) + self.core @ (self.columns.T @ divided)
-        influence = np.linalg.solve(middle, self.core @ (divided.T @ right))
+        solved = np.linalg.solve(middle, self.core @ (divided.T @ right))
         determinant = np.log(np.abs(own)).sum() + np.linalg.slogdet(middle)[1]
-        return np.asarray(right / own - divided @ influence), float(determinant)
+        return np.asarray(right / own - divided @ solved), float(determinant)
 
     def lifted(self, by: float) -> LowRank:
         """Return the matrix with ``by`` added to its diagonal."""
@@ -254,11 +254,11 @@ class Slopes:
         if covariance.columns is None:
             half = self.times(covariance.dense())
             return LowRank.whole(self.times(half.T))
-        influence = (covariance.blocks @ self.along.T.reshape(k, s, -1)).reshape(k * s, -1)
-        mixed = (self.own[:, None] @ influence.reshape(k, s, -1))[:, 0]
+        mapped = (covariance.blocks @ self.along.T.reshape(k, s, -1)).reshape(k * s, -1)
+        mixed = (self.own[:, None] @ mapped.reshape(k, s, -1))[:, 0]
         own = (self.own[:, None] @ covariance.blocks) @ self.own[:, :, None]
         c = self.common.shape[1]
-        core = np.block([[self.along @ influence, np.eye(c)], [np.eye(c), np.zeros((c, c))]])
+        core = np.block([[self.along @ mapped, np.eye(c)], [np.eye(c), np.zeros((c, c))]])
         return LowRank(
             own,
             np.hstack([self.common, mixed, self.times(covariance.columns)]),

@@ -764,7 +764,8 @@ class Model:
         """Return the model of elements of c rows whose noise is correlated, made independent.
 
         ``covariance`` (m, c, c) of each element's. As in :meth:`with_common_errors` by the
-        symmetric root, of the correlations: rows keep their ``std``, which are the roots of its diagonal.
+        symmetric root, of the correlations: rows keep their ``std``, which are the roots of its
+        diagonal.
         """
         std = np.sqrt(covariance.diagonal(axis1=1, axis2=2))  # (m, c)
         size, ways = np.linalg.eigh(covariance / std[:, :, None] / std[:, None])

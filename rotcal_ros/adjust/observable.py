@@ -42,9 +42,9 @@ def family_observable_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> O
             fit.families[columns] = _steps_observable_by(fit, columns)
         return fit.families[columns]
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
-    gain, influence = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
+    gain, back = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
     mine, solved, adjoint = (
-        each.reshape(len(each), -1, width).transpose(1, 2, 0) for each in (white, gain, influence)
+        each.reshape(len(each), -1, width).transpose(1, 2, 0) for each in (white, gain, back)
     )
     whole, own = (mine**2).sum(axis=2), mine @ mine.swapaxes(1, 2)
     own = own - adjoint @ solved.swapaxes(1, 2)
@@ -99,8 +99,8 @@ def _run_observable_by(
             later = np.zeros((len(root), len(many), w))
             for j, until in enumerate(many):
                 later[rows[until:], j] = mine[until:]
-            influence = fit.kernel.projected_in(later.reshape(len(root), -1), rows)
-            taken = influence.reshape(len(rows), len(many), w)
+            fitted = fit.kernel.projected_in(later.reshape(len(root), -1), rows)
+            taken = fitted.reshape(len(rows), len(many), w)
         of = slice(k * AT_A_TIME, (k + 1) * AT_A_TIME)
         begin, here = int(first[of][0]) if len(first) else 0, first[of]
         among, part = fit.kernel.among(rows[begin:end]), mine[begin:end]

@@ -118,8 +118,8 @@ class Outputs:
     def part(self, which: slice | Ints) -> Outputs:
         """Return some of them."""
         share = self.share[which]
-        influence = share.any(axis=0)
-        return Outputs(self.few[which], self.common[influence], share[:, influence])
+        used = share.any(axis=0)
+        return Outputs(self.few[which], self.common[used], share[:, used])
 
     def times(self, x: Floats) -> Floats:
         """Return C times ``x`` (p + q,) or (p + q, k); the last q unknowns count nothing."""
