@@ -35,7 +35,7 @@ def folder(tmp_path, monkeypatch):
 
 def ran(name, folder):
     """Return the outputs of a notebook."""
-    extra = "needs the extra: pip install 'rotcal_ros[notebook,dcc]'"
+    extra = "needs what the notebook names in its first lines"
     nbclient, nbformat, *_ = (
         pytest.importorskip(module, reason=extra)
         for module in ("nbclient", "nbformat", "ipykernel", "pandas", "lxml", "signxml")

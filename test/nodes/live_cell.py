@@ -17,7 +17,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rotcal_ros.foundation.machine_load import Patience, describe, patient
 from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
-from rotcal_ros.foundation.plugins import node_module
+from rotcal_ros.foundation.plugins import NODES as NODES_BESIDE
+from rotcal_ros.foundation.plugins import names, node_module
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
@@ -130,7 +131,8 @@ class LiveCell:
 
     def _python(self, node):
         client = "rotcal_ros.nodes.client.json_client"
-        module = node_module(node) if node in EXECUTABLES else client
+        ours = node in (*EXECUTABLES, *names(NODES_BESIDE))
+        module = node_module(node) if ours else client
         return [sys.executable, "-m", module, "--ros-args", "-r", "__ns:=/cell"]
 
 
