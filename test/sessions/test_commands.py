@@ -71,5 +71,5 @@ def test_the_nodes_of_a_later_run_know_what_is_left(session):
 
 
 def test_a_node_that_no_package_brings_is_named(session):
-    with pytest.raises(ConfigurationError, match="no node 'hologram'$"):
+    with pytest.raises(ConfigurationError, match=r"no node 'hologram'$"):
         node_command(session, "hologram")
