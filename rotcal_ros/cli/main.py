@@ -181,7 +181,7 @@ class LazyGroup(click.Group):
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     subcommand_metavar="VERB ...",
-    epilog="Exit codes: 0 good, 1 the verdict is bad or a bag was not read completely, 2 wrong "
+    epilog="Exit codes: 0 success, 1 the verdict is bad or a bag was not read completely, 2 wrong "
     "usage or unreadable input, 3 too few or contradictory data, 130 interrupted, 141 the output "
     "was closed.",
 )
