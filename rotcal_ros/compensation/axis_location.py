@@ -8,13 +8,14 @@ table has numbers for this; each kind writes its own (:meth:`.controller.Control
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.compensation.agreement import require_verified
+from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import side_facts, stem_of, with_side
 from rotcal_ros.foundation.arrays import Floats
@@ -23,9 +24,6 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import AxisLine, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
-
-if TYPE_CHECKING:
-    from rotcal_ros.compensation.controller import Controller
 
 KIND: Final = "rotcal_axis_location"
 DECIMALS: Final = 6
@@ -42,21 +40,6 @@ def describe(line: AxisLine) -> str:
         parts.append(f"{name} {value / unit:.4g} {word} (U {u:.2g})")
     turns = {1: "", -1: ", which turns clockwise,", 0: ", whose sense is not known,"}[line.sense]
     return f"{line.letter}{turns} at ({x:.4f}, {y:.4f}, {z:.4f}) mm: {', '.join(parts)}"
-
-
-@dataclass(frozen=True)
-class Located:
-    """What a controller is given: ``files`` by name, and ``notes`` on what they leave.
-
-    ``values`` are the parameters by name, in the unit of the controller. ``unverified``: what
-    has not been confirmed on a real control.
-    """
-
-    files: Mapping[str, str]
-    values: Mapping[str, float]
-    source: str
-    notes: tuple[str, ...] = ()
-    unverified: tuple[str, ...] = ()
 
 
 def prepare_location(

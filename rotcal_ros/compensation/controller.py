@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Protocol
 
-from rotcal_ros.compensation.axis_location import Located
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -48,6 +47,21 @@ class Lag:
     bound: float = 0.0
     simulated: float = 0.0
     notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where an axis is, for a controller: ``files`` by name, ``notes`` on what they leave.
+
+    ``values`` are the parameters by name, in the unit of the controller. ``unverified``: what
+    has not been confirmed on a real control.
+    """
+
+    files: Mapping[str, str]
+    values: Mapping[str, float]
+    source: str
+    notes: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
 
 
 class Rule(Protocol):

@@ -23,8 +23,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.compensation.axis_location import Located
-from rotcal_ros.compensation.controller import EveryTurnController, Facts, Lag, Rule
+from rotcal_ros.compensation.controller import EveryTurnController, Facts, Lag, Located, Rule
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     every_turn,

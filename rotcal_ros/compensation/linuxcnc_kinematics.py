@@ -15,7 +15,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from rotcal_ros.compensation.axis_location import DECIMALS, Located, millimetres
+from rotcal_ros.compensation.axis_location import DECIMALS, millimetres
+from rotcal_ros.compensation.controller import Located
 from rotcal_ros.compensation.controller_files import fixed
 from rotcal_ros.compensation.linuxcnc_machine import Ini
 from rotcal_ros.foundation.components import COVERAGE_FACTOR

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.axis_location import Located, millimetres
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.axis_location import millimetres
+from rotcal_ros.compensation.controller import Controller, Facts, Located
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     fixed,
