@@ -85,16 +85,17 @@ class MappedFit(Fit):
     @cached_property
     def variance(self) -> Floats:
         """Variances (o,) of the outputs."""
-        return np.asarray((self.response**2).sum(axis=1) + self.left_out**2)
+        return np.asarray(np.einsum("on,on->o", self.response, self.response) + self.left_out**2)
 
     def products_of(self, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) over pairs of rows, as of :class:`Fit`."""
-        return np.asarray((self.by[:, first] * self.by[:, second]) @ weight.T)
+        # output by output: the pairs of all are several times as large as the map
+        return np.stack([weight @ (own[first] * own[second]) for own in self.by])
 
     @property
     def output_std(self) -> Floats:
         """Standard deviations (o,) of the outputs, those that nothing correlates."""
-        return self.counting(np.sqrt((self.by**2).sum(axis=1) + self.left_out**2))
+        return self.counting(np.sqrt(np.einsum("on,on->o", self.by, self.by) + self.left_out**2))
 
 
 def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
