@@ -19,7 +19,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=["click", "numpy", f"rotcal_ros=={VERSION}", "starlette", "uvicorn"],
+    install_requires=["click", f"rotcal_ros=={VERSION}", "starlette", "uvicorn"],
     entry_points={
         "rotcal_ros.verbs": [f"web = {NAME}:VERB"],
         "rotcal_ros.translations": [f"{NAME} = {NAME}"],
