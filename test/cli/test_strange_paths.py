@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli import main
 from rotcal_ros.foundation.escapes import printable_lines
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -75,7 +75,7 @@ def of_anybody(locked, command):
             pytest.skip("root reads every folder, and setpriv is not here to prevent it")
         command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
     ended = subprocess.run(
-        command, capture_output=True, text=True, timeout=patient(60), check=False
+        command, capture_output=True, text=True, timeout=load_scaled_timeout(60), check=False
     )
     locked.chmod(0o700)
     if ended.returncode == 77 or "setpriv:" in ended.stderr:

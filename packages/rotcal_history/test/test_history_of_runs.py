@@ -7,7 +7,7 @@ import pytest
 from live_cell import wait_until
 
 from rotcal_history.database import ParkHistory, result_of
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -29,11 +29,11 @@ def test_a_run_is_in_the_history_once_it_is_done(rotcal, cell, tmp_path):
     run = rotcal("--output", folder, *kept, log=cut, changes=own)
     wait_until(lambda: STEP.search(cut.read_text()), "a step is done")
     run.send_signal(signal.SIGINT)
-    assert run.wait(patient(60)) == 130
+    assert run.wait(load_scaled_timeout(60)) == 130
     assert not database.exists()
 
     run = rotcal("--resume", folder, *kept, log=log, changes=own)
-    assert run.wait(patient(120)) == 0
+    assert run.wait(load_scaled_timeout(120)) == 0
     assert "history: entry 1: result of 4711/C" in log.read_text()
     live.wait_for_log("calibration_status", "reported: 1 tables")
     with ParkHistory(str(database)) as history:

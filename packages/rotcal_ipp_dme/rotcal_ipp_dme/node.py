@@ -18,8 +18,8 @@ from rotcal_ipp_dme.driver import Driver
 from rotcal_ipp_dme.protocol import DmeError
 from rotcal_ipp_dme.settings import DmeSettings
 from rotcal_ros.bags import names
-from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.capture.messages import Orders
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.foundation.node_state import LOADING, NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import announced_plan, conversions

@@ -15,8 +15,8 @@ from std_msgs.msg import Header
 
 from rotcal_ipp_dme import node as dme_adapter
 from rotcal_ipp_dme.node import LOOKS_FIRST, DmeAdapter
-from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.capture.messages import Orders
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.nodes.runtime.liveness import SecondNodeError
 

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.heard import publisher_of
+from rotcal_ros.capture.publishers import publisher_of
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.units import DEGREE

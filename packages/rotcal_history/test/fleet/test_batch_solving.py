@@ -28,7 +28,7 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.recordings.replay import read_recording
@@ -184,7 +184,7 @@ def cluster(tmp_path, monkeypatch):
     ]  # fmt: skip
     log = (tmp_path / "dask.log").open("w")
     processes = [subprocess.Popen(command, stdout=log, stderr=log)]
-    deadline = time.monotonic() + patient(60)
+    deadline = time.monotonic() + load_scaled_timeout(60)
     while not file.exists():
         assert time.monotonic() < deadline, (tmp_path / "dask.log").read_text()
         time.sleep(0.05)
@@ -192,7 +192,7 @@ def cluster(tmp_path, monkeypatch):
     yield json.loads(file.read_text())["address"], processes[0]
     for process in reversed(processes):
         process.terminate()
-        process.wait(patient(30))
+        process.wait(load_scaled_timeout(30))
 
 
 @pytest.mark.long
@@ -201,7 +201,7 @@ def test_a_dask_cluster_gives_the_same_and_its_death_loses_nothing(cluster, jobs
 
     address, scheduler = cluster
     with Client(address) as client:
-        client.wait_for_workers(2, timeout=patient(60))
+        client.wait_for_workers(2, timeout=load_scaled_timeout(60))
     outcomes = by_source(on_cluster(jobs, address))
     assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
     assert not any(outcome.cached for outcome in outcomes)

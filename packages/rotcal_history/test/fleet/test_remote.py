@@ -14,7 +14,7 @@ from fleet_bags import configuration_text, write_bag
 from rotcal_history.fleet.bag_search import find_bags
 from rotcal_history.fleet.batch_solving import Job, solve_bag
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.methods.configuration import parse_configuration
 
 pytest.importorskip("fsspec")
@@ -31,7 +31,7 @@ def server(tmp_path_factory):
         port = free.getsockname()[1]
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     process = subprocess.Popen(command, stdout=log.open("w"), stderr=subprocess.STDOUT)
-    deadline = time.monotonic() + patient(60)
+    deadline = time.monotonic() + load_scaled_timeout(60)
     while True:
         try:
             socket.create_connection(("127.0.0.1", port)).close()

@@ -41,7 +41,7 @@ def publisher_of(identity: Sequence[int]) -> str:
 
 
 @dataclass(frozen=True)
-class Believed:
+class PublisherList:
     """The accepted publishers of each topic (absolute name); on other topics all are accepted."""
 
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -51,7 +51,7 @@ class Believed:
         return json.dumps(self.publishers, sort_keys=True) if self.publishers else ""
 
     @classmethod
-    def read(cls, text: str) -> Believed:
+    def read(cls, text: str) -> PublisherList:
         """Return the content of a line; one that cannot be read accepts everybody."""
         try:
             publishers = json.loads(text or "{}")
@@ -64,7 +64,7 @@ Offers = Mapping[str, Mapping[str, str]]
 """Who publishes: topic -> identity of the publisher -> name of its node, absolute."""
 
 
-def started_anew(began: Offers, now: Offers) -> dict[str, list[str]]:
+def restarted_nodes(began: Offers, now: Offers) -> dict[str, list[str]]:
     """Return the topics of the nodes that were restarted since a run ``began``, by node.
 
     The publisher of that time is gone, and ``now`` there is a new one with the same node name. It
@@ -105,37 +105,37 @@ class Intruder:
 
 
 @dataclass
-class WhoIsHeard:
+class PublisherFilter:
     """Decides for one listener; ``intruders`` are those met since the run began."""
 
-    believed: Believed = field(default_factory=Believed)
+    accepted: PublisherList = field(default_factory=PublisherList)
     intruders: list[Intruder] = field(default_factory=list)
     _last: dict[str, int] = field(default_factory=dict)
 
-    def believe(self, believed: Believed) -> None:
+    def accept(self, accepted: PublisherList) -> None:
         """Accept these from now on; repeating them changes nothing."""
-        if believed != self.believed:
-            self.believed = believed
+        if accepted != self.accepted:
+            self.accepted = accepted
             self.intruders.clear()
             self._last.clear()
 
-    def hears(self, topic: str, origin: Origin) -> bool:
+    def accepts(self, topic: str, origin: Origin) -> bool:
         """Return whether a message counts; the publisher of one that does not is noted.
 
         Without identities the message numbers decide: those of one publisher increase, and a
         publisher that began later counts from 1.
         """
-        accepted = self.believed.publishers.get(topic)
-        if not accepted:
+        publishers = self.accepted.publishers.get(topic)
+        if not publishers:
             return True
         if origin.publisher:
-            believed = origin.publisher in accepted
+            accepted = origin.publisher in publishers
         else:
-            believed = self._follows(topic, origin.number)
+            accepted = self._follows(topic, origin.number)
         intruder = Intruder(topic, origin.publisher)
-        if not believed and intruder not in self.intruders:
+        if not accepted and intruder not in self.intruders:
             self.intruders.append(intruder)
-        return believed
+        return accepted
 
     def _follows(self, topic: str, number: int | None) -> bool:
         last = self._last.get(topic)
@@ -154,12 +154,12 @@ def run_name(plan: Any) -> str:
     return f"{plan.plan_id}@{stamp_ns(plan.header.stamp)}"
 
 
-class Whose(Enum):
+class PlanOwner(Enum):
     """Whose plan it is: the running goal's, one without a goal, or another planner's."""
 
-    THE_GOALS = "the goal's"
-    ANYBODYS = "anybody's"
-    A_STRANGERS = "a stranger's"
+    RUNNING_GOAL = "running goal"
+    NO_GOAL = "no goal"
+    OTHER_PLANNER = "other planner"
 
 
 @dataclass
@@ -170,7 +170,7 @@ class _WaitingPlan(Generic[T]):
 
 
 @dataclass
-class PlansHeard(Generic[T]):
+class PendingPlans(Generic[T]):
     """The plans that arrived, each until it is known whose it is.
 
     While a goal runs only its plan counts: one that arrives meanwhile and is not confirmed by the
@@ -185,7 +185,7 @@ class PlansHeard(Generic[T]):
         """Take a plan, which announces ``run``; repeating it changes nothing."""
         self._waiting.setdefault(run, _WaitingPlan(plan, now_s))
 
-    def judged(self, goals_run: str | None, now_s: float) -> Iterator[tuple[T, Whose]]:
+    def judged(self, goals_run: str | None, now_s: float) -> Iterator[tuple[T, PlanOwner]]:
         """Yield each plan once, as soon as it is known whose it is.
 
         ``goals_run`` is the run of the planner's goal, "" where it has none, and None if no
@@ -195,11 +195,11 @@ class PlansHeard(Generic[T]):
             waiting.in_a_goal |= bool(goals_run) and goals_run != run
             late = now_s - waiting.since_s > PATIENCE_S
             if goals_run == run:
-                whose = Whose.THE_GOALS
+                whose = PlanOwner.RUNNING_GOAL
             elif waiting.in_a_goal and late:
-                whose = Whose.A_STRANGERS
+                whose = PlanOwner.OTHER_PLANNER
             elif not waiting.in_a_goal and (goals_run == "" or late):
-                whose = Whose.ANYBODYS
+                whose = PlanOwner.NO_GOAL
             else:
                 continue
             del self._waiting[run]

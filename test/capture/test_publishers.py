@@ -2,17 +2,17 @@
 
 import pytest
 
-from rotcal_ros.capture.heard import (
+from rotcal_ros.capture.publishers import (
     MOST_MISSED,
     PATIENCE_S,
-    Believed,
     Intruder,
     Origin,
-    PlansHeard,
-    WhoIsHeard,
-    Whose,
+    PendingPlans,
+    PlanOwner,
+    PublisherFilter,
+    PublisherList,
     publisher_of,
-    started_anew,
+    restarted_nodes,
 )
 
 POINTS, LENGTHS = "/cell/probe_point", "/cell/tracer_length"
@@ -20,14 +20,14 @@ OURS, STRAY, THIRD = "0a" * 16, "0b" * 16, "0c" * 16
 
 
 def judge(**publishers):
-    heard = WhoIsHeard()
+    heard = PublisherFilter()
     topics = {"points": POINTS, "lengths": LENGTHS}
-    heard.believe(Believed({topics[name]: gids for name, gids in publishers.items()}))
+    heard.accept(PublisherList({topics[name]: gids for name, gids in publishers.items()}))
     return heard
 
 
 @pytest.mark.parametrize(
-    ("believed", "events", "expected"),
+    ("accepted", "events", "expected"),
     [
         # a second probe joins in the middle, between the points of the first one
         ((OURS,), [(OURS, 5), (STRAY, 1), (OURS, 6), (STRAY, 2)], [True, False, True, False]),
@@ -45,23 +45,23 @@ def judge(**publishers):
         ((OURS,), [("", None), ("", None)], [True, True]),
     ],
 )  # fmt: skip
-def test_a_run_hears_those_with_whom_it_began(believed, events, expected):
-    heard = judge(points=believed)
-    assert [heard.hears(POINTS, Origin(*event)) for event in events] == expected
+def test_a_run_hears_those_with_whom_it_began(accepted, events, expected):
+    heard = judge(points=accepted)
+    assert [heard.accepts(POINTS, Origin(*event)) for event in events] == expected
     assert bool(heard.intruders) == (False in expected)
 
 
 def test_topics_are_judged_each_for_itself():
     heard = judge(points=(OURS,), lengths=(THIRD,))
-    assert not heard.hears(LENGTHS, Origin(OURS, 1))
-    assert heard.hears(POINTS, Origin(OURS, 1))
-    assert heard.hears("/cell/heartbeat", Origin(STRAY, 1))
+    assert not heard.accepts(LENGTHS, Origin(OURS, 1))
+    assert heard.accepts(POINTS, Origin(OURS, 1))
+    assert heard.accepts("/cell/heartbeat", Origin(STRAY, 1))
 
 
 def test_an_intruder_is_named_with_its_topic_and_what_to_do():
     heard = judge(points=(OURS,))
     for publisher in (THIRD, STRAY, THIRD):
-        heard.hears(POINTS, Origin(publisher, 1))
+        heard.accepts(POINTS, Origin(publisher, 1))
     first, second = heard.intruders
     assert (first.publisher, second) == (THIRD, Intruder(POINTS, STRAY))
     text = second.describe("second_probe")
@@ -89,33 +89,33 @@ def test_an_instrument_that_was_started_anew_is_not_told_to_go_away():
     ],
 )
 def test_who_was_started_anew_during_a_run(now, anew):
-    assert started_anew({POINTS: {OURS: "/cell/probe"}}, {POINTS: now}) == anew
+    assert restarted_nodes({POINTS: {OURS: "/cell/probe"}}, {POINTS: now}) == anew
 
 
 def test_a_topic_that_nobody_publishes_any_more_has_nobody_who_was_started_anew():
-    assert started_anew({POINTS: {OURS: "/cell/probe"}, LENGTHS: {THIRD: "/x"}}, {}) == {}
+    assert restarted_nodes({POINTS: {OURS: "/cell/probe"}, LENGTHS: {THIRD: "/x"}}, {}) == {}
 
 
 def test_the_next_run_begins_without_intruders_and_the_same_words_change_nothing():
     heard = judge(points=(OURS,))
-    heard.hears(POINTS, Origin(STRAY, 1))
-    heard.believe(Believed({POINTS: (OURS,)}))
+    heard.accepts(POINTS, Origin(STRAY, 1))
+    heard.accept(PublisherList({POINTS: (OURS,)}))
     assert len(heard.intruders) == 1
-    heard.believe(Believed({POINTS: (STRAY,)}))
+    heard.accept(PublisherList({POINTS: (STRAY,)}))
     assert not heard.intruders
-    assert heard.hears(POINTS, Origin(STRAY, 2))
-    heard.believe(Believed())
-    assert heard.hears(POINTS, Origin(OURS, 1))
+    assert heard.accepts(POINTS, Origin(STRAY, 2))
+    heard.accept(PublisherList())
+    assert heard.accepts(POINTS, Origin(OURS, 1))
 
 
 def test_all_listeners_read_the_same_words():
-    believed = Believed({POINTS: (OURS, THIRD), LENGTHS: (STRAY,)})
-    assert Believed.read(believed.in_a_beat()) == believed
-    turned = Believed({LENGTHS: (STRAY,), POINTS: (OURS, THIRD)})
-    assert turned.in_a_beat() == believed.in_a_beat()
-    assert Believed().in_a_beat() == ""
+    accepted = PublisherList({POINTS: (OURS, THIRD), LENGTHS: (STRAY,)})
+    assert PublisherList.read(accepted.in_a_beat()) == accepted
+    turned = PublisherList({LENGTHS: (STRAY,), POINTS: (OURS, THIRD)})
+    assert turned.in_a_beat() == accepted.in_a_beat()
+    assert PublisherList().in_a_beat() == ""
     for torn in ("", "{", "[]", "3", '{"a": 3}'):
-        assert Believed.read(torn) == Believed()
+        assert PublisherList.read(torn) == PublisherList()
 
 
 def test_an_identity_is_the_same_in_the_graph_and_in_a_message():
@@ -128,12 +128,12 @@ BEATS = {0: None, 5: "", 20: "first", 30: "second", 40: "", 60: "third", 70: ""}
 A listener that starts knows no planner, from 5 s on a planner that prepares a goal.
 """
 ENDS_S = 80
-FREE, OURS_TOO, NOT_OURS = Whose.ANYBODYS, Whose.THE_GOALS, Whose.A_STRANGERS
+FREE, OURS_TOO, NOT_OURS = PlanOwner.NO_GOAL, PlanOwner.RUNNING_GOAL, PlanOwner.OTHER_PLANNER
 
 
 def heard_in(offers, beats=BEATS, tick_s=0.2):
     """Return plan -> (whose it is, s that this took), by a clock of the test."""
-    heard, found, offers = PlansHeard(), {}, dict(offers)
+    heard, found, offers = PendingPlans(), {}, dict(offers)
     goals_run, came = None, dict(offers)
     for tick in range(int(ENDS_S / tick_s)):
         now = tick * tick_s
@@ -188,7 +188,7 @@ def test_a_planner_that_is_gone_has_no_goal_any_more():
 
 
 def test_the_same_plan_again_is_judged_once_while_it_waits():
-    heard = PlansHeard()
+    heard = PendingPlans()
     for now in (0.0, 0.5, 1.0):
         heard.offer("stranger", "plan", now)
         assert list(heard.judged("ours", now)) == []
