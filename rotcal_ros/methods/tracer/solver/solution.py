@@ -30,7 +30,7 @@ from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.solver.carried_lengths import slips_of
+from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 from rotcal_ros.methods.tracer.solver.circle import (
     ABSORBED,
     TableMotion,
@@ -73,6 +73,8 @@ LEAST_WALK: Final = 1e-9
 LEAN: Final = 1e-4
 """Angle (rad) of an axis whose square is nothing."""
 MOST_STEPS: Final = 6
+SMALL: Final = 1e-3
+"""Variance, as a share of that of the lengths, that is too small to matter."""
 
 
 def limits_of(settings: TracerLimits) -> Limits:
@@ -137,6 +139,11 @@ class TracerSolution:
         """The lengths in their places."""
         return self.posed.grid
 
+    @cached_property
+    def lengths(self) -> CarriedLengths:
+        """The lengths, with the unknowns that were solved."""
+        return self.posed.lengths_of(self.supposed)
+
     @property
     def positions(self) -> Ints:
         """The table positions (m,) that have a station; those with too few lengths are absent."""
@@ -198,19 +205,15 @@ class TracerSolution:
         """Ranges (s,) at reading zero, m, of the zeros that lengths count from."""
         if self.printed is not None:
             return self.printed[:, 3]
-        first, zeros = self.posed.lengths.first, self.posed.lengths.zeros
-        if self.supposed.walk:
-            return zeros
-        return zeros + self._unknowns[first["zero"] : first["target"]]
+        zeros = self.posed.lengths.zeros
+        return zeros if self.supposed.walk else zeros + self.lengths.part(self._unknowns, "zero")
 
     @cached_property
     def targets(self) -> Floats:
         """Where the targets stood (n, 3), m."""
         if self.printed is not None:
             return self.grid.targets
-        begin = sum(list(self.found.model.blocks.values())[:4])
-        moved = self._unknowns[begin : begin + self.grid.targets.size]
-        return np.asarray(self.grid.targets + moved.reshape(-1, 3))
+        return np.asarray(self.grid.targets + self.lengths.part(self._unknowns, "target"))
 
     @cached_property
     def trials(self) -> Trials:
@@ -261,10 +264,10 @@ class TracerSolution:
         lengths, x, at = self.posed.lengths, self._unknowns, np.arange(len(self.stations))
         first = lengths.first
         arm = (self.stations - lengths.origin) @ lengths.axes
-        arm = arm - x[: arm.size].reshape(arm.shape)
+        arm = arm - lengths.part(x, "shift")
         turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]]) @ lengths.axes.T
-        carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])
-        out = carry @ lengths.ways[0] @ lengths.axes.T
+        carry = rotation_about_z(lengths.angles + lengths.part(x, "turn")[:, 2])
+        out = carry @ lengths.place_ways[:, 0] @ lengths.axes.T
         own = np.broadcast_to(lengths.axes, (len(at), 3, 3))
         felt = np.concatenate([own, turned[:, :, None], out[:, :, None]], axis=2)
         shifts = [3 * at, 3 * at + 1, 3 * at + 2]
@@ -588,3 +591,22 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
             )
     curve = np.eye(m, model.size[1], begin)
     return CurveModel(model, lengths.angles, {"ECC": curve})
+
+
+def slips_of(zero: Ints, order: Ints, step_std: float, std: float) -> Floats:
+    """Return columns (k, r) of what slips by ``step_std`` (m) at any moment do to the lengths.
+
+    ``zero``, ``order`` (k,): which zero each has, and when it was taken. What is small against
+    noise of ``std``, m, is left out.
+    """
+    found = [np.zeros((len(zero), 0))]
+    for number in np.unique(zero) if step_std else ():
+        rows = np.flatnonzero(zero == number)
+        rows = rows[np.argsort(order[rows], kind="stable")]
+        later = np.tri(len(rows))[:, 1:]
+        size, ways = np.linalg.eigh(step_std**2 * later @ later.T)
+        large = size > SMALL * std**2
+        columns = np.zeros((len(zero), int(large.sum())))
+        columns[rows] = ways[:, large] * np.sqrt(size[large])
+        found.append(columns)
+    return np.hstack(found)

@@ -25,12 +25,12 @@ from rotcal_ros.foundation.results import (
     Zeros,
 )
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.methods.tracer.solver.carried_lengths import LATER_RUN
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
 from rotcal_ros.methods.tracer.solver.posed import (
     ALONG_AXIS,
     ERROR_MOTION,
-    LATER_RUN,
     STATED_CIRCLE,
 )
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
@@ -261,11 +261,10 @@ class Join:
 
 def joins_of(solution: TracerSolution) -> list[Join]:
     """Return how the later runs were joined."""
-    problem, lengths, fit = solution.problem, solution.posed.lengths, solution.found.fit
-    if problem.run is None or not lengths.later_zeros:
+    problem, lengths, fit = solution.problem, solution.lengths, solution.found.fit
+    if problem.run is None or LATER_RUN not in lengths.blocks:
         return []
-    begin, found = sum(list(fit.model.blocks.values())[:6]), []
-    assert list(fit.model.blocks)[6] == LATER_RUN
+    begin, found = lengths.first[LATER_RUN], []
     assert problem.again is not None
     for k, run in enumerate(np.unique(problem.run)[1:].tolist()):
         unit = np.zeros((len(fit.x), 1))
@@ -360,8 +359,7 @@ def _corrections(solution: TracerSolution) -> dict[str, Any]:
     if solution.printed is not None:
         return {}
     fit, n = solution.found.fit, solution.grid.targets.size
-    begin = sum(list(fit.model.blocks.values())[:4])
-    rows = np.eye(n, len(fit.x), begin)
+    rows = np.eye(n, len(fit.x), solution.lengths.first["target"])
     std = solution.found.scale * np.sqrt(np.maximum(fit.kernel.variances(rows), 0.0))
     return {
         "target_corrections": solution.targets - solution.grid.targets,
@@ -391,7 +389,7 @@ def _segments(solution: TracerSolution) -> list[dict[str, Any]]:
     fit, lengths = solution.found.fit, solution.posed.lengths
     assert solution.grid.segment_ids is not None
     count = fit.model.blocks["zero"]
-    begin = sum(list(fit.model.blocks.values())[:3])
+    begin = solution.lengths.first["zero"]
     rows = np.eye(count, len(fit.x), begin)
     covariance = solution.found.scale**2 * (rows @ fit.kernel.times(rows.T))
     beam = lengths.zero
