@@ -17,11 +17,13 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver.problem import Grid
 
 RANK_TOLERANCE: Final = 1e-12
@@ -40,6 +42,13 @@ NEVER_TURNED: Final = (
 Solution = TypeVar("Solution")
 NEAR: Final = 0.02
 """Distance, m, to which a person knows where the tracer stands on the table."""
+
+
+def limits_of(settings: TracerLimits) -> Limits:
+    """Return what the engine holds for chance."""
+    return Limits(
+        settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
+    )
 
 
 def or_prior(*, free: bool) -> str:

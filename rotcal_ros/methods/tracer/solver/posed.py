@@ -61,6 +61,7 @@ from rotcal_ros.methods.tracer.solver.observability import (
     hardly_moved,
 )
 from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.reported import along_beams
 from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
 from rotcal_ros.planning.readings import passes
 
@@ -175,20 +176,17 @@ class Posed:
         return found
 
     @cached_property
-    def moved(self) -> Floats:
+    def moved(self) -> Floats | None:
         """By how much the reported moves of its target make each length (k,) longer, m."""
-        lengths, moved = self.lengths, self.problem.moved
-        if moved is None:
-            return np.zeros(len(lengths.row))
-        return np.asarray((lengths.toward * moved[lengths.row]).sum(axis=1))
+        return along_beams(self.lengths, self.problem.moved)
 
     def lengths_of(self, supposed: Supposed) -> CarriedLengths:
         """Return the lengths with the unknowns that what is supposed leaves them."""
-        lengths = replace(
-            self.lengths,
-            observed=self.lengths.observed - supposed.weight * self.moved,
-            std=np.hypot(self.lengths.std, supposed.left),
-        )
+        lengths = self.lengths
+        if self.moved is not None:
+            observed = lengths.observed - supposed.weight * self.moved
+            std = np.hypot(lengths.std, supposed.left)
+            lengths = replace(lengths, observed=observed, std=std)
         if supposed.walk:
             lengths = _wandering(lengths)
         if self.problem.circle_std is not None:

@@ -18,10 +18,10 @@ from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.observable import family_observable_by, observable_by
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Effect
-from rotcal_ros.methods.tracer.solver.observability import check_counts
+from rotcal_ros.methods.tracer.solver.observability import check_counts, limits_of
 from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed, effects_of
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem, arrange
-from rotcal_ros.methods.tracer.solver.solution import ecc_of_stations, limits_of, unseen_slips
+from rotcal_ros.methods.tracer.solver.solution import ecc_of_stations, unseen_slips
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,15 +13,12 @@ from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
-from rotcal_ros.foundation.protection import POWER, Protection, ordered
+from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import (
     ErrorMotion,
     Placement,
-    Rejection,
-    Residuals,
     Result,
-    Verdict,
     Zeros,
 )
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -34,6 +31,12 @@ from rotcal_ros.methods.tracer.solver.posed import (
     STATED_CIRCLE,
 )
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
+from rotcal_ros.methods.tracer.solver.reporting import (
+    corrections,
+    of_all_rows,
+    segments_of,
+    tangential_protection,
+)
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 
 METHOD = "tracer_multistation"
@@ -63,36 +66,42 @@ def solve(problem: TracerProblem) -> Result:
 def result_of(solution: TracerSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
     found, motion, angles = solution.found, solution.motion, solution.table_angles
+    problem, lengths, absent = solution.problem, solution.posed.lengths, solution.posed.absent
     covariance = solution.covariance
     spread = LowRank.whole(covariance)
     closing: tuple[Closure, ...] = ()
-    if not solution.problem.repeated_runs:
+    if not problem.repeated_runs:
         closing = closures(angles, solution.deviations, spread, solution.positions)
-    doubts = tuple(_doubts(solution))
-    verdict: Verdict = "suspect" if doubts and found.verdict == "ok" else found.verdict
-    numbering = _numbering(solution)
-    verdict, warnings = numbering.judged(verdict, (*found.doubts, *doubts, *_remarks(solution)))
-    every = {p.effect: p for p in (*found.protections(), *_protections(solution))}
-    every["numbering"] = numbering.protection()
+    doubts, numbering = tuple(_doubts(solution)), _numbering(solution)
+    plain = found.result(
+        METHOD,
+        angles,
+        {"ECC": slice(None)},
+        (lengths.position, lengths.target),
+        doubts=doubts,
+        protections=(*_protections(solution), numbering.protection()),
+        details=_details(solution, closing),
+        joint=True,
+        further=False,
+    )
+    warnings = (*found.doubts, *doubts, *_remarks(solution))
+    verdict, warnings = numbering.judged(plain.verdict, warnings)
+    assert plain.residuals is not None
+    residuals = replace(plain.residuals, residual=_residuals(solution))
+    if problem.run is not None:
+        plain = replace(plain, raw_data=RawData())
     steps = np.arange(len(angles) - 1)
-    return Result(
-        method=METHOD,
-        angles=angles,
-        deviations={"ECC": solution.deviations},
+    every = of_all_rows(
+        replace(plain, residuals=residuals), problem, lengths, absent.repeated | absent.unfit
+    )
+    return replace(
+        every,
         std={"ECC": solution.std},
         covariance={"ECC": covariance},
-        sigma0=found.sigma0,
-        dof=found.fit.dof,
-        n_observations=len(solution.problem.length),
-        rejected=tuple(Rejection(*each) for each in sorted(_rejected(solution).items())),
         verdict=verdict,
         warnings=warnings,
         adjacent_deviations=np.diff(solution.deviations),
         adjacent_std=np.sqrt(np.maximum(spread.between(steps, steps + 1), 0.0)),
-        residuals=_residuals(solution),
-        details=_details(solution, closing),
-        protections=ordered(every.values()),
-        raw_data=_raw_data(solution),
         zeros=Zeros("first angle"),
         budget=_budget(solution),
         placement=Placement.upwards(
@@ -102,13 +111,6 @@ def result_of(solution: TracerSolution) -> Result:
     )
 
 
-def _rejected(solution: TracerSolution) -> dict[int, str]:
-    """Return by row of the problem why a length was not used."""
-    row, absent = solution.posed.lengths.row, solution.posed.absent
-    why = {int(row[k]): reason for k, reason in solution.found.why.items()}
-    return absent.repeated | absent.unfit | why
-
-
 def _numbering(solution: TracerSolution) -> Numbering:
     """Return how the stations stand to the start values that a plan or a person has stated."""
     stated, stations = solution.problem.start_stations, solution.stations
@@ -116,40 +118,15 @@ def _numbering(solution: TracerSolution) -> Numbering:
     return Numbering.of("plan.tracer_m", solution.table_angles, solution.motion.radius, bearing)
 
 
-def _residuals(solution: TracerSolution) -> Residuals:
-    """Return one row per length; NaN where it has no place among those that were solved."""
-    problem, fit, row = solution.problem, solution.found.fit, solution.posed.lengths.row
-
-    def of_rows(values: Floats, otherwise: Floats | float) -> Floats:
-        column = np.full(len(problem.length), otherwise, dtype=np.float64)
-        column[row] = values[: len(row)]
-        return column
-
-    residual = fit.residual
-    if solution.printed is not None:
-        lengths, state = solution.posed.lengths, solution.printed
-        apart = state[lengths.position, :3] - solution.grid.targets[lengths.target]
-        computed = np.linalg.norm(apart, axis=1) - state[lengths.position, 3]
-        residual = fit.model.observed[: len(row)] - computed
-    return Residuals(
-        table_position=problem.position,
-        target=problem.target,
-        residual=of_rows(residual, np.nan),
-        redundancy=of_rows(fit.redundancy, 0.0),
-        test_value=of_rows(fit.test_value, 0.0),
-        used=of_rows(fit.used.astype(np.float64), 0.0).astype(np.bool_),
-        std=of_rows(fit.std, problem.length_std),
-    )
-
-
-def _raw_data(solution: TracerSolution) -> RawData:
-    """Return what standard errors of lengths and targets do to ECC, where they are not many."""
-    count = len(solution.posed.lengths.row)
-    influence = solution.found.influence({"ECC": slice(None)}, count, 1)
-    if influence is None or solution.problem.run is not None:
-        return RawData()
-    rows = solution.posed.lengths.row[influence.rows]
-    return RawData(influence=replace(influence, rows=rows))
+def _residuals(solution: TracerSolution) -> Floats:
+    """Return the residuals (k,) of the lengths, m, of the stations that a result has."""
+    fit, lengths, state = solution.found.fit, solution.posed.lengths, solution.printed
+    k = len(lengths.row)
+    if state is None:
+        return fit.residual[:k]
+    apart = state[lengths.position, :3] - solution.grid.targets[lengths.target]
+    computed = np.linalg.norm(apart, axis=1) - state[lengths.position, 3]
+    return np.asarray(fit.model.observed[:k] - computed)
 
 
 def _budget(solution: TracerSolution) -> dict[str, Floats]:
@@ -324,7 +301,7 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         ],
         "target_ids": grid.target_ids,
         "targets": solution.targets,
-        **_corrections(solution),
+        **({} if solution.printed is not None else corrections(found, solution.lengths)),
         "unknowns": found.model.size[1],
         "rank": fit.kernel.rank,
         "weakest": {"station": int(solution.positions[weak]), "direction": direction, "std": std},
@@ -354,75 +331,16 @@ def circle_details(motion: TableMotion, stations: Floats, angles: Floats) -> dic
     }
 
 
-def _corrections(solution: TracerSolution) -> dict[str, Any]:
-    """Return by what the targets were corrected; nothing where they are taken as known."""
-    if solution.printed is not None:
-        return {}
-    fit, n = solution.found.fit, solution.grid.targets.size
-    rows = np.eye(n, len(fit.x), solution.lengths.first["target"])
-    std = solution.found.scale * np.sqrt(np.maximum(fit.kernel.variances(rows), 0.0))
-    return {
-        "target_corrections": solution.targets - solution.grid.targets,
-        "target_corrections_std": std.reshape(-1, 3),
-    }
-
-
 def _zeros(solution: TracerSolution) -> dict[str, Any]:
     """Return the zeros of segments, their walk per length that was used, m, and slips."""
     if solution.problem.segment is None:
         return {}
     slips = solution.slips
     return {
-        "segments": _segments(solution),
+        "segments": segments_of(solution.found, solution.lengths, solution.grid),
         "zero_walk_std": solution.supposed.walk,
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
     }
-
-
-def _segments(solution: TracerSolution) -> list[dict[str, Any]]:
-    """Return one entry per unbroken beam, in the order of time.
-
-    ``zero``, ``std``: range at reading zero where it begins, m. ``step``, ``step_std``: the zero
-    less that at the end of the one before, as stations and targets that both have measured show
-    it, m; ``probability``: how likely it would be if the zero had stayed.
-    """
-    fit, lengths = solution.found.fit, solution.posed.lengths
-    assert solution.grid.segment_ids is not None
-    count = fit.model.blocks["zero"]
-    begin = solution.lengths.first["zero"]
-    rows = np.eye(count, len(fit.x), begin)
-    covariance = solution.found.scale**2 * (rows @ fit.kernel.times(rows.T))
-    beam = lengths.zero
-    in_time = np.lexsort((lengths.order, beam))
-    last = np.append(np.flatnonzero(np.diff(beam[in_time])), len(in_time) - 1)
-    first = np.append(0, last[:-1] + 1)
-    walks = bool(solution.supposed.walk)
-    value = (lengths.zeros[beam[in_time]] if walks else lengths.zeros) + fit.x[
-        begin : begin + count
-    ]
-    ends = (first, last) if walks else (np.arange(len(first)), np.arange(len(first)))
-    found: list[dict[str, Any]] = []
-    before: int | None = None
-    for k in np.argsort(lengths.order[in_time[first]], kind="stable").tolist():
-        zero, at_end = int(ends[0][k]), int(ends[1][k])
-        used = fit.used[: len(beam)][beam == beam[in_time[first[k]]]]
-        entry = {
-            "segment": int(solution.grid.segment_ids[beam[in_time[first[k]]]]),
-            "lengths": int(used.sum()),
-            "zero": float(value[zero]),
-            "std": float(np.sqrt(covariance[zero, zero])),
-        }
-        if before is not None:
-            step = float(value[zero] - value[before])
-            variance = float(covariance[zero, zero] + covariance[before, before]
-                             - 2.0 * covariance[before, zero])  # fmt: skip
-            entry |= {
-                "step": step, "step_std": float(np.sqrt(variance)),
-                "probability": chi2_sf(step**2 / variance, 1.0),
-            }  # fmt: skip
-        found.append(entry)
-        before = at_end
-    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -449,41 +367,6 @@ def returned(solution: TracerSolution) -> tuple[Returned, ...]:
         within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
         found.append(Returned(c.first, c.last, within))
     return tuple(found)
-
-
-def tangential_protection(
-    radius: float,
-    *,
-    alike: str,
-    of: str = "",
-    beside: str = "",
-    within: float | None,
-    shown: str,
-    untested: str,
-) -> Protection:
-    """Return the statement about a tracer that moves along its circle between the angles.
-
-    All its lengths are those of a table that turned further: none can show it, and an angle that
-    was measured again bounds only what does not come back with the angle. ``radius`` (m) of the
-    circle; ``alike``: what else looks like it, ``of`` which deviation the angle is, ``beside``:
-    what else is said. ``within`` (m): how near the tracer came back, 95 %, as ``shown``; None:
-    that is ``untested``.
-    """
-    why = (
-        f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
-        f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{of}"
-    )
-    bound = (
-        "no angle was measured again, which would bound what of it does not come back with "
-        f"{untested}"
-    )
-    if within is not None:
-        bound = (
-            f"what of it does not come back with the angle is less than {within / MICROMETRE:.2g} "
-            f"um, {within / radius / ARCSEC:.2g} arcsec (95 %, {shown})"
-        )
-    why = "; ".join(filter(None, (why, beside, bound)))
-    return Protection("tangential motion", "not protected", why)
 
 
 def _protections(solution: TracerSolution) -> Iterator[Protection]:

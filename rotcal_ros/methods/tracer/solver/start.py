@@ -197,7 +197,7 @@ def _find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tupl
     """
     ambiguous = False
     if given is None:
-        fullest = _fullest_strips(grid)
+        fullest = fullest_strips(grid)
         if (fullest.used.sum(axis=1) >= STATION_MINIMUM).all():
             state, ambiguous = find_start(fullest, None)
             given = _unbent(fullest, state)[:, :3]
@@ -216,7 +216,7 @@ def with_zeros(grid: Grid, standing: Floats) -> Floats:
     return np.column_stack([standing, (total / np.maximum(weight, 1e-300))[zero]])
 
 
-def _fullest_strips(grid: Grid) -> Grid:
+def fullest_strips(grid: Grid) -> Grid:
     """Return the grid of the fullest strip of each station, each with a zero of its own."""
     order = np.lexsort((-grid.used.sum(axis=1), grid.station))
     best = order[np.unique(grid.station[order], return_index=True)[1]]

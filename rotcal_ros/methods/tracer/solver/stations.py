@@ -32,11 +32,11 @@ from rotcal_ros.methods.tracer.solver.circle import (
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, with_motion
+from rotcal_ros.methods.tracer.solver.reporting import tangential_protection
 from rotcal_ros.methods.tracer.solver.solve import (
     METHOD,
     circle_details,
     doubt_closure,
-    tangential_protection,
 )
 
 EXACT: Final = 1e-10
