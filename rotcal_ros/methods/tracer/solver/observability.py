@@ -24,6 +24,7 @@ from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.problem import Grid
 
 RANK_TOLERANCE: Final = 1e-12
@@ -67,7 +68,8 @@ def check_counts(grid: Grid, dropped: Iterable[str] = ()) -> None:
     m, n = grid.n_stations, grid.used.shape[1]
     lengths = int(grid.used.sum())
     missing = what_is_missing(m, n, lengths, grid.free and grid.zero is None, grid.station_minimum)
-    needed = grid.unknowns + (3 * n - 7 if grid.free else 0) - grid.contrasts
+    needed = 3 * m + grid.n_zeros + (3 * n - 7 if grid.free else 0)
+    needed -= 0 if grid.circle_std is None else contrast_count(m)
     if not missing and lengths < needed:
         missing = (
             f"{lengths} usable lengths from {m} stations to {n} targets with {grid.n_zeros} "

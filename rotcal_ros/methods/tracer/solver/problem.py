@@ -27,7 +27,6 @@ from rotcal_ros.methods.tracer.settings import (
     TracerSolverSettings,
     Variant,
 )
-from rotcal_ros.methods.tracer.solver.circle import contrast_count
 
 _DEFAULTS: Final = TracerSolverSettings()
 _LATEST: Final = 2**62
@@ -416,11 +415,6 @@ class Grid:
         return self.n_stations if self.segment_ids is None else len(self.segment_ids)
 
     @property
-    def unknowns(self) -> int:
-        """How many unknowns stations and zeros have."""
-        return 3 * self.n_stations + self.n_zeros
-
-    @property
     def station_minimum(self) -> int:
         """How many lengths a station needs, see :func:`station_minimum`."""
         own_zero = self.zero is None or (
@@ -433,11 +427,6 @@ class Grid:
         """Whether nothing but targets ties stations, and each has the lengths to find it alone."""
         tied = self.zero is not None or self.circle_std is not None
         return not tied and bool((self.used.sum(axis=1) >= STATION_MINIMUM).all())
-
-    @property
-    def contrasts(self) -> int:
-        """How many observations the stations' circle makes."""
-        return 0 if self.circle_std is None else contrast_count(self.n_stations)
 
     @cached_property
     def first_strip(self) -> Ints:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +21,7 @@ from rotcal_ros.foundation.results import (
     Result,
     Zeros,
 )
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import LATER_RUN
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
@@ -178,15 +178,6 @@ def _doubts(solution: TracerSolution) -> Iterator[str]:
         yield f"no deviation for station(s) {names}: too few usable lengths"
 
 
-def doubt_closure(closure: Closure) -> str:
-    """Return the sentence about a closure that is larger than its uncertainty allows."""
-    return (
-        f"stations {closure.first} and {closure.last} stand at the same table angle but differ by "
-        f"{closure.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
-        f"{closure.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
-    )
-
-
 def _cause(size: float, std: float, fringe: float) -> str:
     """Return what may have made a zero jump by ``size`` +- ``std``, m."""
     number = round(size / fringe) if fringe else 0
@@ -214,62 +205,48 @@ def _remarks(solution: TracerSolution) -> Iterator[str]:
             "all targets lie in one plane, so the tracer could stand on either side of it: the "
             "lower side was taken; give start_stations to choose the other"
         )
-    yield from (_joined(join) for join in joins_of(solution))
+    for run, offset, std, steps, apart, sigma0, _ in map(dict.values, _joins(solution)):
+        yield (
+            f"run {run} was joined by {steps} steps measured again: its lengths were "
+            f"{offset:+.3g} m off (standard deviation {std:.2g} m); the steps agree within "
+            f"{apart:.2g} m, {sigma0:.2f} times what is expected"
+        )
     if solution.reported is not None and solution.reported.warning:
         yield solution.reported.warning
 
 
-@dataclass(frozen=True, slots=True)
-class Join:
-    """The zero of a ``run`` against the first: ``offset``, m, with the standard deviation ``std``.
+def _joins(solution: TracerSolution) -> list[dict[str, Any]]:
+    """Return how the later runs were joined.
 
+    The zero of a ``run`` against the first: ``offset``, m, with the standard deviation ``std``.
     ``disagreement``: the largest residual of its ``steps`` measured again, m; ``sigma0`` and
     ``probability``: test that nothing but the zero has changed.
     """
-
-    run: int
-    offset: float
-    std: float
-    steps: int
-    disagreement: float
-    sigma0: float
-    probability: float
-
-
-def joins_of(solution: TracerSolution) -> list[Join]:
-    """Return how the later runs were joined."""
     problem, lengths, fit = solution.problem, solution.lengths, solution.found.fit
     if problem.run is None or LATER_RUN not in lengths.blocks:
         return []
-    begin, found = lengths.first[LATER_RUN], []
-    assert problem.again is not None
+    begin, found, used = lengths.first[LATER_RUN], [], fit.used[: len(lengths.row)]
     for k, run in enumerate(np.unique(problem.run)[1:].tolist()):
-        unit = np.zeros((len(fit.x), 1))
-        unit[begin + k] = 1.0
+        unit = np.eye(1, len(fit.x), begin + k).T
         variance = float(fit.kernel.times(unit)[begin + k, 0])
-        again = (
-            (lengths.later == k) & (problem.again[lengths.row] > 0) & fit.used[: len(lengths.row)]
-        )
-        rows = np.flatnonzero(again)
+        again = (lengths.later == k) & (problem.earlier[lengths.row] > 0)
+        rows = np.flatnonzero(again & used)
         values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.among(rows))
         seen = values > 1e-6
         squares = float(((ways.T @ fit.white[rows])[seen] ** 2 / values[seen]).sum())
         dof = int(seen.sum())
-        worst = float(np.abs(fit.residual[rows]).max(initial=0.0))
-        std = solution.found.scale * float(np.sqrt(variance))
-        sigma0, chance = float(np.sqrt(squares / dof)) if dof else 0.0, 1.0
-        if dof:
-            chance = chi2_sf(squares, dof)
-        found.append(Join(run, -float(fit.x[begin + k]), std, len(rows), worst, sigma0, chance))
+        found.append(
+            {
+                "run": run,
+                "offset": -float(fit.x[begin + k]),
+                "std": solution.found.scale * float(np.sqrt(variance)),
+                "steps": len(rows),
+                "disagreement": float(np.abs(fit.residual[rows]).max(initial=0.0)),
+                "sigma0": float(np.sqrt(squares / dof)) if dof else 0.0,
+                "probability": chi2_sf(squares, dof) if dof else 1.0,
+            }
+        )
     return found
-
-
-def _joined(join: Join) -> str:
-    return (
-        f"run {join.run} was joined by {join.steps} steps measured again: its lengths were "
-        f"{join.offset:+.3g} m off (standard deviation {join.std:.2g} m); the steps agree within "
-        f"{join.disagreement:.2g} m, {join.sigma0:.2f} times what is expected"
-    )
 
 
 def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str, Any]:
@@ -312,9 +289,9 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         **found.details(further=False),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in closing],
-        "returned": [asdict(each) for each in returned(solution)],
+        "returned": _returned(solution),
         **({} if solution.reported is None else {"reported_places": asdict(solution.reported)}),
-        **({} if problem.run is None else {"joins": [asdict(j) for j in joins_of(solution)]}),
+        **({} if problem.run is None else {"joins": _joins(solution)}),
     }
 
 
@@ -343,21 +320,12 @@ def _zeros(solution: TracerSolution) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class Returned:
-    """How nearly the tracer came back to a place of its circle after whole turns of the table.
+def _returned(solution: TracerSolution) -> list[dict[str, Any]]:
+    """Return how nearly the tracer came back to its circle after whole turns of the table.
 
     Table positions ``first`` and ``last`` stand at the same angle; along the circle their stations
     lie apart by less than ``within`` (m), with 95 %.
     """
-
-    first: int
-    last: int
-    within: float
-
-
-def returned(solution: TracerSolution) -> tuple[Returned, ...]:
-    """Return what each closing measurement bounds; empty where no angle comes twice."""
     whole = LowRank.whole(solution.covariance)
     # without the error motion: that is searched for
     budget = 2.0 * (solution.error_motion.used / solution.motion.radius) ** 2
@@ -365,8 +333,8 @@ def returned(solution: TracerSolution) -> tuple[Returned, ...]:
     for c in closures(solution.table_angles, solution.deviations, whole, solution.positions):
         std = float(np.sqrt(max(c.std**2 - budget, 0.0)))
         within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
-        found.append(Returned(c.first, c.last, within))
-    return tuple(found)
+        found.append({"first": c.first, "last": c.last, "within": within})
+    return found
 
 
 def _protections(solution: TracerSolution) -> Iterator[Protection]:
@@ -387,17 +355,17 @@ def _protections(solution: TracerSolution) -> Iterator[Protection]:
     yield _repeatability(solution, arrivals)
     if solution.slips is not None:
         yield solution.slips.protection()
-    nearest = max(returned(solution), key=lambda each: each.within, default=None)
+    nearest = max(_returned(solution), key=lambda each: each["within"], default=None)
     drift = ", or a machine whose origin drifts in step with each turn of the table,"
     yield tangential_protection(
         solution.motion.radius,
         alike=drift if arrivals > 1 else "",
         beside=f"the uncertainty holds {motion.used / MICROMETRE:.2g} um (k = 1), which is "
         "believed and not measured",
-        within=None if nearest is None else nearest.within,
+        within=None if nearest is None else nearest["within"],
         shown=""
         if nearest is None
-        else f"positions {nearest.first} and {nearest.last}, at the same angle",
+        else f"positions {nearest['first']} and {nearest['last']}, at the same angle",
         untested="the angle",
     )
 
