@@ -26,13 +26,13 @@ GROUPS = (
         "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
         "methods/measurements", "extensions/fleet", "extensions/replay",
     )),
-    ("Plans", "planning.md", ("planning/", "extensions/design", "cli/plan")),
+    ("Plans", "planning.md", ("planning/", "rotcal_design/", "cli/plan")),
     ("Laser tracer", "tracer.md", ("methods/tracer/",)),
     ("Laser tracer at three places", "tracer_six.md", ("methods/tracer_six/",)),
     ("Ball plate", "ball_plate.md", ("methods/ball_plate/",)),
     ("Plane mirror", "plane_mirror.md", ("methods/plane_mirror/",)),
     ("Controller tables and the feed", "compensation.md", (
-        "compensation/", "extensions/controllers", "extensions/network_stores", "cli/export",
+        "compensation/", "rotcal_controllers/", "cli/export",
     )),
     ("Comparing and reporting", "evaluation.md", (
         "evaluation/", "report/", "extensions/certificate", "extensions/page", "cli/report",
@@ -99,9 +99,12 @@ def refusals(source: str) -> Iterator[Refusal]:
 
 
 def _grouped() -> Iterator[tuple[str, str, list[Refusal]]]:
-    left = sorted(PACKAGE.rglob("*.py"))
+    places = {path: path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
+    beside = (ROOT / "packages").glob("*/rotcal_*/**/*.py")
+    places |= {path: "/".join(path.relative_to(ROOT).parts[2:]) for path in beside}
+    left = sorted(places)
     for title, more, beginnings in GROUPS:
-        here = [f for f in left if f.relative_to(PACKAGE).as_posix().startswith(beginnings)]
+        here = [file for file in left if places[file].startswith(beginnings)]
         left = [file for file in left if file not in here]
         found = (r for file in here for r in refusals(file.read_text(encoding="utf-8")))
         yield title, more, sorted(set(found), key=_order)
