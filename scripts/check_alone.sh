@@ -1,16 +1,17 @@
 #!/usr/bin/env bash
 # What the packages beside the core need, and what the core needs of them: nothing. As if none were
-# installed, the quick tests of the command line and of what the whole tree says of itself pass; as
-# if one were the only one, all of it and of its tests can be imported. `make test PACKAGE=... ALONE=1`
-# runs all tests of one.
+# installed, all tests of the core can be imported, and those that ask for verbs, settings, plug-ins,
+# languages and names of the interface pass; as if one were the only one, all of it and of its tests
+# can be imported. `make test PACKAGE=... ALONE=1` runs all tests of one, rotcal_ros being the core.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 python=${VENV:-.venv}/bin/python
 run=("$python" -m pytest -q --quick --live never -p no:cacheprovider)
 export OMP_NUM_THREADS=1
 
-"$python" scripts/alone.py -- "${run[@]}" -n "$(nproc)" \
-    test/cli test/sessions test/foundation test/api test/nodes/adapters test/nodes/check
+"$python" scripts/alone.py -- "${run[@]}" --collect-only test >/dev/null
+"$python" scripts/alone.py -- "${run[@]}" test/cli/test_cli_main.py test/cli/test_settings*.py \
+    test/api/test_names.py test/foundation/test_plugins.py test/foundation/test_language.py
 for package in packages/rotcal_*; do
     name=${package##*/}
     "$python" scripts/alone.py "$name" -- "$python" - "$name" <<'PYTHON'
