@@ -21,8 +21,7 @@ import numpy as np
 from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
-from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense, squares_beside
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -39,6 +38,9 @@ SURE: Final = 1e-5
 """Least eigenvalue, per largest, of normal equations whose inverse keeps ten digits."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
+WEAK: Final = 0.01
+"""Share that its group leaves of a combination of rows, below which it counts as nothing at first.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,15 +345,37 @@ class Bordered(Kernel):
             found += (place[:, :, None] == place[:, None]) & ~mine[:, :, None]
         return np.asarray(found)
 
-    def low_rank(self, rows: Ints) -> LowRank | None:
-        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
-        place = self._place[rows]
-        group = np.where(place < len(self.along), place // self.groups.depth, -1 - place)
-        if len(np.unique(group)) < len(rows):
-            return None  # of rows of one group more is in common
-        low = self._every_low[place]
-        own = np.append((self.basis**2).sum(axis=2), np.ones(len(self.root)))[place]
-        return LowRank(own[:, None, None], low, np.diag(self._signs)).if_low()
+    def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
+        """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank.
+
+        What groups leave of their rows, 1 - QQ', is made white along its axes. Where it is nearly
+        nothing it is taken for 1, and what that is too much joins the low rank.
+        """
+        place, of_groups = self._place[rows], len(self.along)
+        mine = place < of_groups
+        number, line = np.divmod(np.minimum(place, of_groups - 1), self.groups.depth)
+        basis = np.where(mine[:, None], self.basis[number, line], 0.0)
+        each = np.where(mine, number, len(self.basis) + place)  # known rows are alone
+        group = np.unique(each, return_inverse=True)[1]
+        at = group, within(group)
+        shape = [int(k.max()) + 1 for k in at]
+
+        def stacked(values: Floats) -> Floats:
+            found = np.zeros((*shape, values.shape[1]))
+            found[at] = values
+            return found
+
+        own = stacked(np.hstack([basis, ~mine[:, None]]))
+        taken, axes = np.linalg.eigh(own @ own.swapaxes(1, 2))
+        weak = taken > 1.0 - WEAK
+        scale = 1.0 / np.sqrt(np.where(weak, 1.0, 1.0 - taken))[:, :, None]
+        turned = axes.swapaxes(1, 2) @ stacked(np.hstack([white[:, None], self._every_low[place]]))
+        turned = (scale * turned).reshape(weak.size, -1)
+        lack = np.zeros((weak.size, int(weak.sum())))
+        lack[np.flatnonzero(weak), np.arange(lack.shape[1])] = np.sqrt(taken[weak])
+        sign = np.append(self._signs, np.ones(lack.shape[1]))
+        squares, rank = squares_beside(turned[:, 0], np.hstack([turned[:, 1:], lack]), sign)
+        return squares, rank - weak.size + len(rows)
 
     @cached_property
     def leverage(self) -> Floats:

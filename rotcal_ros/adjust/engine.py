@@ -44,7 +44,7 @@ from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model, Steps
 from rotcal_ros.adjust.noise import PRIOR
-from rotcal_ros.adjust.observable import columns_of, family_observable_by, observable_by
+from rotcal_ros.adjust.observable import seen_of
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
@@ -145,8 +145,8 @@ class Adjusted:
         contested = list(self.diagnosis.contested())
         found = [np.sqrt(weight) * change[:, None] for weight, change in contested]
         for effect, size, probability in self.model.expected:
-            columns = effect.at(self.fit.computed)
-            seen = family_observable_by(self.fit, columns, effect.width)
+            seen = seen_of(self.fit, effect)
+            assert isinstance(seen, ObservableFamily)
             weight = expected_weights(seen, size, probability)
             stride = -(-len(weight) * len(self.fit.value) // MOST_AT_ONCE)
             root = np.sqrt(stride * weight[::stride])
@@ -244,7 +244,7 @@ class Adjusted:
         """What the solution makes of each declared effect, and closures beside it."""
         found = []
         for effect in self.model.effects:
-            seen = _seen(self.fit, effect)
+            seen = seen_of(self.fit, effect)
             for closed in self.closed:
                 seen = closed.beside(effect, seen)
             found.append((effect, seen))
@@ -483,7 +483,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _undetected(e, _seen(fit, e), counting, each)
+        e.effect: _undetected(e, seen_of(fit, e), counting, each)
         for e in model.effects
         if isinstance(e.columns, Steps) or e.whole(computed).any()
     }
@@ -614,13 +614,6 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     yield _against_noise(found)
     yield from _against_single(found)
     yield from _against_gathering(found)
-
-
-def _seen(fit: Fit, effect: Disturbing) -> Observable | ObservableFamily:
-    columns = effect.at(fit.computed)
-    if effect.family:
-        return family_observable_by(fit, columns, effect.width)
-    return observable_by(fit, columns_of(columns, slice(None)))
 
 
 def _undetected(

@@ -75,18 +75,18 @@ class Hypotheses:
         In the standard uncertainties ``std`` (o,); zero or infinite: one that does not count.
         """
         counts = (std > 0.0) & np.isfinite(std)
+        rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
+        for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
+            influence = self.of_rows(rows[some] / std[some, None])
+            np.maximum(most, np.abs(influence, out=influence).max(axis=0, initial=0.0), out=most)
+        return most
+
+    def of_rows(self, matrix: Floats) -> Floats:
+        """Return a ``matrix`` (r, n) of the rows times the mixing, (r, q, d)."""
         if self.times is not None:
-            rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
-            for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
-                influence = self.times(rows[some] / std[some, None])
-                np.maximum(
-                    most, np.abs(influence, out=influence).max(axis=0, initial=0.0), out=most
-                )
-            return most
-        mix, rows = self.mixing(), self.group.sensitivity.dense()[counts] / std[counts, None]
-        influence = rows @ mix.reshape(len(mix), -1)
-        most = np.maximum(influence.max(axis=0, initial=0.0), -influence.min(axis=0, initial=0.0))
-        return np.asarray(most.reshape(mix.shape[1:]))
+            return self.times(matrix)
+        mix = self.mixing()
+        return (matrix @ mix.reshape(len(mix), -1)).reshape(len(matrix), *mix.shape[1:])
 
     def take(self, which: slice) -> Hypotheses:
         """Return some of them."""

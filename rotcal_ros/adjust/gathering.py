@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile
-from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, Undivided, group_test
+from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, group_test
 from rotcal_ros.adjust.judgement import BELIEF, Belief, Blame, Judgement, blame, judge
 from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.foundation.arrays import Floats
@@ -112,7 +112,7 @@ class Gathering:
 
 def judged(
     before: Gathering,
-    groups: Sequence[Group | Undivided | JudgedWhole],
+    groups: Sequence[Group | JudgedWhole],
     rest: tuple[float, float] | None,
     weighed: Sequence[Group] | None = None,
     belief: Belief = BELIEF,

@@ -141,13 +141,10 @@ class _Reach:
         sensitivity = unseen.found.group.sensitivity
         if self.root is None or sensitivity.common is None:
             return np.inf
-        times = unseen.found.times
-        if times is None:
-            mix = unseen.found.mixing()
-            flat = mix.reshape(len(mix), -1)
-            along, own = sensitivity.along @ flat, sensitivity.own @ flat
-        else:  # runs, by differences of leading sums
-            along, own = (times(part)[:, :, 0] for part in (sensitivity.along, sensitivity.own))
+        along, own = (
+            unseen.found.of_rows(part).reshape(len(part), -1)
+            for part in (sensitivity.along, sensitivity.own)
+        )
         share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
         counted = self.std[sensitivity.at] > 0.0
         at = sensitivity.at[counted]

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from linear_worlds import lines, outputs, places_on_a_ring, residuals
+from linear_worlds import Dense, lines, outputs, places_on_a_ring, residuals
 
-from rotcal_ros.adjust.groups import Dense
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.subsets import runs
 

@@ -8,9 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.closures import Closure, closures
+from rotcal_ros.adjust.closures import Closure, closures, difference_variance
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Protection, ordered
@@ -64,10 +63,9 @@ def result_of(solution: TracerSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
     found, motion, angles = solution.found, solution.motion, solution.table_angles
     covariance = solution.covariance
-    spread = LowRank.whole(covariance)
     closing: tuple[Closure, ...] = ()
     if not solution.problem.repeated_runs:
-        closing = closures(angles, solution.deviations, spread, solution.positions)
+        closing = closures(angles, solution.deviations, covariance, solution.positions)
     doubts = tuple(_doubts(solution))
     verdict: Verdict = "suspect" if doubts and found.verdict == "ok" else found.verdict
     numbering = _numbering(solution)
@@ -88,7 +86,7 @@ def result_of(solution: TracerSolution) -> Result:
         verdict=verdict,
         warnings=warnings,
         adjacent_deviations=np.diff(solution.deviations),
-        adjacent_std=np.sqrt(np.maximum(spread.between(steps, steps + 1), 0.0)),
+        adjacent_std=np.sqrt(difference_variance(covariance, steps, steps + 1)),
         residuals=_residuals(solution),
         details=_details(solution, closing),
         protections=ordered(every.values()),
@@ -442,11 +440,11 @@ class Returned:
 
 def returned(solution: TracerSolution) -> tuple[Returned, ...]:
     """Return what each closing measurement bounds; empty where no angle comes twice."""
-    whole = LowRank.whole(solution.covariance)
+    covariance = solution.covariance
     # without the error motion: that is searched for
     budget = 2.0 * (solution.error_motion.used / solution.motion.radius) ** 2
     found = []
-    for c in closures(solution.table_angles, solution.deviations, whole, solution.positions):
+    for c in closures(solution.table_angles, solution.deviations, covariance, solution.positions):
         std = float(np.sqrt(max(c.std**2 - budget, 0.0)))
         within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
         found.append(Returned(c.first, c.last, within))

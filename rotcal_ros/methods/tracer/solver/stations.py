@@ -14,9 +14,8 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.closures import closures
+from rotcal_ros.adjust.closures import closures, difference_variance
 from rotcal_ros.adjust.engine import Adjusted, adjust
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.adjust.noise import UNTESTED, GlobalTest
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -82,8 +81,7 @@ def solve(problem: StationProblem) -> Result:
     solved = adjust(model_of(motion, problem.table_angles, None if contradicted else stated))
     error_motion = _error_motion(motion, solved, stated)
     covariance, std, every = solved.covariance, solved.std, np.arange(m)
-    spread = LowRank.whole(covariance)
-    closing = closures(problem.table_angles, motion.cumulative, spread, problem.positions)
+    closing = closures(problem.table_angles, motion.cumulative, covariance, problem.positions)
     warnings = (
         *((_doubt(motion, error_motion),) if contradicted else ()),
         *(doubt_closure(c) for c in closing if c.open(problem.significance)),
@@ -100,7 +98,7 @@ def solve(problem: StationProblem) -> Result:
         verdict="suspect" if warnings else "ok",
         warnings=warnings,
         adjacent_deviations=motion.adjacent,
-        adjacent_std=np.sqrt(np.maximum(spread.between(every[:-1], every[1:]), 0.0)),
+        adjacent_std=np.sqrt(difference_variance(covariance, every[:-1], every[1:])),
         details={
             "variant": "stations",
             "station_ids": problem.positions,
