@@ -39,7 +39,7 @@ from rotcal_ros.adjust.effects import (
     undetected_family,
 )
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
-from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
+from rotcal_ros.adjust.gathering import SUSPECTED
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model, Steps
@@ -533,10 +533,9 @@ def _doubts(found: Adjusted) -> Iterator[str]:
             f"brackets their likelihood): {others}; the uncertainty covers them all"
         )
     yield from gathering.doubts(
-        found.diagnosis.gathering,
-        GatheringLimits(limits.gathered_share, limits.significance),
-        model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
-    )
+        found.diagnosis.gathering, limits.gathered_share, limits.significance, model.words,
+        model.unit,
+    )  # fmt: skip
     yield from _open(found)
     if not found.fit.dof:
         yield f"no {model.words.elements} are left to check the others: nothing could contradict"
@@ -705,10 +704,16 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
         return
     words, unit = found.model.words, found.model.unit
     worst = hidden(
-        judgement.groups, found.counting_std, SUSPECTED, POWER,
-        LARGEST * float(found.model.std.max()), judgement.gathered, judgement.freedom,
-    )  # fmt: skip
+        judgement, found.counting_std, SUSPECTED, POWER, LARGEST * float(found.model.std.max())
+    )
     if worst is None:
         return
     what = f"several {words.elements} that are off together ({words.cause})"
-    yield gathering.protection(worst, what, unit.shown(worst.size))
+    if not worst.seen:
+        yield Protection("one place", "not protected", f"{what} leave no residual")
+        return
+    why = (
+        f"{what} are looked for; {worst.count} of {worst.name} by {unit.shown(worst.size)} are "
+        "found, the worst case"
+    )
+    yield Protection("one place", "tested", why, worst.error)

@@ -310,12 +310,9 @@ def recurring(run: Ints, when: Floats) -> Floats:
     return np.asarray(np.where((run >= 0)[:, None], shapes, 0.0))
 
 
-def knocks(run: Ints, when: Floats, most: int | None = None) -> Floats:
-    """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k).
-
-    Of far more moments than ``most`` some, evenly: one between two is seen nearly as well.
-    """
-    return Steps(run, when, most=most).whole()
+def knocks(run: Ints, when: Floats) -> Floats:
+    """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k)."""
+    return Steps(run, when).whole()
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str, str]:

@@ -21,6 +21,7 @@ from rotcal_ros.adjust.explanations import (
     studentised,
     without,
 )
+from rotcal_ros.adjust.sensitivity import total
 from rotcal_ros.adjust.subsets import neighbourhoods, runs
 
 E = 8
@@ -83,7 +84,7 @@ def test_bayes_factors_and_moments(own_zero, form):
         assert found.log_bayes()[0, t] == pytest.approx(by_density(view, errors, size), abs=1e-8)
         weights = np.zeros((1, len(SIZES)))
         weights[0, t] = 1.0
-        mean, second = found.moments(weights)
+        mean, second = total([found.moment(weights)], group.sensitivity.outputs)
         expected, spread = by_adjustment(view, errors, size, view.residual)
         assert mean == pytest.approx(expected, abs=1e-9)
         assert second == pytest.approx(np.outer(expected, expected) + spread, rel=1e-8, abs=1e-8)
