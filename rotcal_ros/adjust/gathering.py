@@ -114,10 +114,13 @@ def doubts(
     named = {case.group.name for case in gathering.blamed}
     judgement = gathering.judgement
     if judgement is not None and gathering.chance < SUSPECTED:
+        name = judgement.groups[judgement.worst].name
+        why = (
+            f"the {words.elements} of {name} look as if some of them were off together (p = "
+            f"{gathering.chance:.2g} on sound {words.elements})"
+        )
         yield (
-            f"the {words.elements} of {judgement.groups[judgement.worst].name} look as if some of "
-            f"them were off together (p = {gathering.chance:.2g} on sound {words.elements}), "
-            "which ones is not certain: the uncertainty holds what that may do; look for "
+            f"{why}, which ones is not certain: the uncertainty holds what that may do; look for "
             f"{words.cause} {words.its}, and measure it again"
         )
     yield from _counted(gathering.counts, named, rejected_share, significance, words)
@@ -125,11 +128,11 @@ def doubts(
 
 def _blamed(case: Blame, words: Words, unit: Unit) -> str:
     count = int(case.subset.sum())
-    size = " ".join(f"{x / unit.si:+.2g}" for x in case.size.tolist())
+    size = " ".join(f"{x / unit.si:+.2g}" for x in case.size.tolist()) + f" {unit.name}"
     text = (
         f"{count} of the {case.group.size + case.group.lost} {words.elements} of "
-        f"{case.group.name} are off together, by about {size} {unit.name}, and were left out: "
-        f"look for {words.cause} {words.where}"
+        f"{case.group.name} are off together, by about {size}, and were left out: look for "
+        f"{words.cause} {words.where}"
     )
     if case.ambiguous:
         other = int(case.rivals[0].sum())

@@ -301,8 +301,9 @@ class Blame:
     """Which elements of a group to leave out, and what else explains the residuals as well.
 
     ``subset`` (e,), its ``size`` (c,): by how much its elements are off together, in the unit of
-    a shift. ``change`` (o,): what leaving it out does to the outputs. ``rivals`` (q, e), best first, with their ``ratios`` (q,) of likelihood, best to
-    rival; ``covariance`` (o, o): what the choice among all of them adds.
+    a shift. ``change`` (o,): what leaving it out does to the outputs. ``rivals`` (q, e), best
+    first, with their ``ratios`` (q,) of likelihood, best to rival; ``covariance`` (o, o): what the
+    choice among all of them adds.
     """
 
     group: Group
