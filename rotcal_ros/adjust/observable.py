@@ -82,10 +82,10 @@ def _part_observable_by(
     return ObservableFamily(moved, own, beside, score, whole)
 
 
-def _products(one: Floats, other: Floats) -> Floats:
+def _products(first: Floats, second: Floats) -> Floats:
     """Return the scalar products (k, w, w) of the columns of each of k members, (n, k, w)."""
-    ways = range(one.shape[2])
-    found = [[np.einsum("nk,nk->k", one[:, :, a], other[:, :, b]) for b in ways] for a in ways]
+    ways = range(first.shape[2])
+    found = [[np.einsum("nk,nk->k", first[:, :, a], second[:, :, b]) for b in ways] for a in ways]
     return np.moveaxis(np.array(found), 2, 0)
 
 
