@@ -13,6 +13,7 @@ the border itself that of the rows t and M^-1/2 k. Square roots throughout, no n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -275,18 +276,16 @@ class Bordered(Kernel):
         left_known = known - of_own.T @ on_basis.reshape(count * size, known.shape[1])
         white = np.linalg.solve(root.T, left_known)
         flat = border.reshape(count * groups.depth, known.shape[1])
-        length = np.linalg.norm(np.concatenate([flat, known]), axis=0)
+        length = np.sqrt(np.einsum("rc,rc->c", flat, flat) + (known**2).sum(axis=0))
         length = np.where(length > 0.0, length, 1.0)
         beside_own = flat - (basis @ on_basis).reshape(flat.shape)
-        left = np.concatenate([beside_own, white])
-        ways, nothing = _determined(left / length, open_)
+        ways, nothing = _determined((beside_own, white), length, open_)
         by_known = (tied @ white).reshape(on_basis.shape)
         moved = -(on_basis + by_known)
         every = np.zeros((sum(design.shape[1:]), len(length)))
         at = np.append(groups.shared, np.arange(design.few.shape[1], len(every)))
         every[at, np.arange(len(at))] = 1.0
         _to_own(groups, every, inverse @ moved)
-        ways, nothing = ways / length[:, None], nothing / length[:, None]
         below: Floats = np.asarray(np.linalg.solve(root, white @ ways), dtype=np.float64)
         return cls(
             design, np.asarray(every @ nothing), groups, basis, inverse, tied, root, every @ ways,
@@ -595,17 +594,20 @@ def _to_own(groups: Groups, columns: Floats, own: Floats) -> None:
     columns[groups.own[real]] += own[real]
 
 
-def _determined(rows: Floats, open_: float) -> tuple[Floats, Floats]:
+def _determined(rows: Sequence[Floats], length: Floats, open_: float) -> tuple[Floats, Floats]:
     """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k).
 
-    They are what is left of columns of length 1: nothing where that is a share ``open_`` of it.
+    They are what is left of columns of a ``length`` (c,): nothing where that is a share ``open_``
+    of it.
     """
-    squares, axes = np.linalg.eigh(rows.T @ rows)
+    products = sum((part.T @ part for part in rows), np.zeros((len(length), len(length))))
+    squares, axes = np.linalg.eigh(products / length / length[:, None])
     if len(squares) and squares[0] > SURE * max(squares[-1], 1.0):  # no digits that matter go
-        return axes / np.sqrt(squares), axes[:, :0]
-    _, share, turn = np.linalg.svd(_triangle(rows))
-    determined = np.arange(rows.shape[1]) < (share > open_ * share.max(initial=1.0)).sum()
-    return turn[determined].T / share[: int(determined.sum())], turn[~determined].T
+        return axes / np.sqrt(squares) / length[:, None], np.zeros((len(length), 0))
+    _, share, turn = np.linalg.svd(_triangle(np.concatenate(rows) / length))
+    determined = np.arange(len(length)) < (share > open_ * share.max(initial=1.0)).sum()
+    ways, nothing = turn[determined].T / share[: int(determined.sum())], turn[~determined].T
+    return ways / length[:, None], nothing / length[:, None]
 
 
 def _triangle(matrix: Floats) -> Floats:
