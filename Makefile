@@ -9,6 +9,9 @@ DEMO := out/demo$(VENV:.venv%=%)
 # of a trajectory controller, and the closed loop on LinuxCNC.
 JAZZY_TESTS := test/nodes/test_every_reader.py test/nodes/test_two_cells.py test/cli/test_doctor.py \
 	test/extensions/ros2_control/test_table_goals.py test/linuxcnc/test_closed_loop.py
+# The tests of PACKAGE, rotcal_ros being the core; ALONE=1: with the core and nothing else.
+TESTS = $(patsubst packages/rotcal_ros/test,test,$(PACKAGE:%=packages/%/test))
+HIDING = $(if $(ALONE),$(BIN)/python scripts/alone.py $(filter-out rotcal_ros,$(PACKAGE)) --)
 SEED ?= 1
 SAMPLE ?= 400
 SECONDS ?= 60
@@ -25,8 +28,8 @@ demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure aga
 resume: setup  ## continue a demo that was interrupted
 	@$(BIN)/rotcal verify --resume $(DEMO)
 
-test: setup  ## run the quick tests, minutes; PYTEST_ARGS="-k plane" runs some, quick or slow
-	@VENV=$(VENV) scripts/test.sh $(or $(PYTEST_ARGS),--quick)
+test: setup  ## run the quick tests, minutes; PACKAGE=rotcal_papers: of one; PYTEST_ARGS="-k plane"
+	@VENV=$(VENV) $(HIDING) scripts/test.sh $(or $(PYTEST_ARGS),--quick) $(TESTS)
 
 test-all: setup  ## run the slow ones, too, as CI does once a week
 	@VENV=$(VENV) scripts/test.sh
@@ -85,7 +88,7 @@ setup:  ## make or refresh .venv (PYTHON=python3.12 chooses another Python)
 	@PYTHON="$(PYTHON)" scripts/setup.sh $(ROS_DISTRO)
 
 clean:  ## remove everything that make has made
-	rm -rf .venv .venv-* build install log out *.egg-info .coverage .hypothesis .*_cache
+	rm -rf .venv .venv-* build install log out *.egg-info packages/*/*.egg-info .coverage .hypothesis .*_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## show this list

@@ -29,7 +29,6 @@ VERBS_OF_EXTENSIONS = {
     "history": "history",
     "replay": "replay",
     "reprocess": "fleet",
-    "reproduce": "papers",
     "web": "page",
 }
 PLANS = {
@@ -85,6 +84,7 @@ setup(
         "": [
             "py.typed",
             "*.pyi",
+            "*.json",
             "*.xml",
             "words.yaml",
             "templates/*",

@@ -18,7 +18,7 @@ rm -rf "$work"
 mkdir -p "$work/src"
 cd "$work"
 ln -s "$root" src/rotcal_ros
-ln -s rotcal_ros/msg_defs src/rotcal_msgs
+ln -s rotcal_ros/msg_defs rotcal_ros/packages src
 python "$root/scripts/check_keys.py" src
 colcon build || {
     tail -n 30 log/latest_build/*/stderr.log >&2
@@ -36,4 +36,8 @@ program=$(type -P rotcal)
     exit 1
 }
 rotcal --version
+for package in "$root"/packages/*/; do
+    package=$(basename "$package")
+    [[ $(python -c "import $package as p; print(p.__file__)") == "$PWD/install/$package/"* ]]
+done
 python "$root/scripts/check_node.py" "$work/install" planner

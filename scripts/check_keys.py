@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from catkin_pkg.package import parse_package
@@ -29,7 +30,7 @@ def wrong(source: Path, environment: dict[str, str]) -> tuple[list[str], list[st
 
     As colcon, rosdep and bloom do it: none looks inside a package for another one.
     """
-    found = [parse_package(path) for path in sorted(source.glob("*/package.xml"))]
+    found = [parse_package(path) for path in sorted(_manifests(source))]
     own, known, faults = {package.name for package in found}, known_keys(), list[str]()
     for package in found:
         package.evaluate_conditions(environment)
@@ -44,6 +45,15 @@ def wrong(source: Path, environment: dict[str, str]) -> tuple[list[str], list[st
             elif known[key][0] == "pip" and environment.get("ROTCAL_PIP") != "1":
                 faults.append(f"{package.name}: {key} is of pip alone, which bloom refuses")
     return sorted(own), faults
+
+
+def _manifests(folder: Path) -> Iterator[Path]:
+    """Yield the manifest of a package, or those of the packages below a folder that is none."""
+    if (folder / "package.xml").exists():
+        yield folder / "package.xml"
+    else:
+        for below in filter(Path.is_dir, folder.iterdir()):
+            yield from _manifests(below)
 
 
 def main() -> int:

@@ -2,9 +2,10 @@
 
 usage: python scripts/lock.py [kilted] [jazzy]     needs uv, and an index that it can reach
 
-The versions follow from setup.py, constraints.txt and constraints-DISTRIBUTION.txt, for every
-Python from 3.10 on by markers. A line `# for: core ros` before each package says which extras need
-it, directly or not: scripts/setup.sh installs those that were asked for.
+The versions follow from what the core and the packages beside it ask for, constraints.txt and
+constraints-DISTRIBUTION.txt, for every Python from 3.10 on by markers. A line `# for: core ros`
+before each says who needs it, directly or not: the core, its extras, packages with all of theirs.
+scripts/setup.sh installs what was asked for.
 """
 
 from __future__ import annotations
@@ -28,15 +29,18 @@ _BLOCK = re.compile(r"(?m)^(?P<name>[\w.-]+)==[^\n]*(?:\n    (?:--hash|#)[^\n]*)
 _VIA = re.compile(r"#\s+(?:via\s+)?(\S+)")
 
 
-def wanted_by_extra(distribution: str) -> dict[str, set[str]]:
-    """Return extra -> names of its direct dependencies; `core` are those without an extra."""
+def wanted_by_part(distribution: str) -> dict[str, set[str]]:
+    """Return part -> its direct dependencies as they are stated."""
     found: defaultdict[str, set[str]] = defaultdict(set, tools={*TOOLS})
-    others = {f"build-{d}" for d in DISTRIBUTIONS} - {f"build-{distribution}"}
-    for text in requires("rotcal_ros") or ():
-        extra = re.search(r"extra == ['\"]([\w-]+)['\"]", text)
-        part = extra[1] if extra else "core"
-        if part not in NOT_INSTALLED | others:
-            found[part].add(_plain(re.split(r"[\[;<>=!~ ]", text, maxsplit=1)[0]))
+    left_out = {f"build-{d}" for d in DISTRIBUTIONS} - {f"build-{distribution}"} | NOT_INSTALLED
+    packages = [path.parent.name for path in sorted(ROOT.glob("packages/*/setup.py"))]
+    for package in ("rotcal_ros", *packages):
+        for text in requires(package) or ():
+            wanted, _, condition = text.partition(";")
+            extra = re.search(r"extra == ['\"]([\w-]+)['\"]", condition)
+            part = package if package in packages else extra[1] if extra else "core"
+            if part not in left_out and not wanted.startswith("rotcal_"):
+                found[part].add(wanted.strip())
     return dict(found)
 
 
@@ -44,19 +48,18 @@ def _plain(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def resolved(distribution: str, extras: list[str]) -> str:
+def resolved(distribution: str, wanted: set[str]) -> str:
     """Return what uv resolves, with hashes, and with who needs each package as comments."""
     pins = ("constraints.txt", f"constraints-{distribution}.txt")
     command = [
-        Path(sys.executable).with_name("uv"), "pip", "compile", "setup.py", "-", "--quiet",
+        Path(sys.executable).with_name("uv"), "pip", "compile", "-", "--quiet",
         "--universal", "--python-version", OLDEST_PYTHON, "--generate-hashes", "--no-header",
         "--no-emit-index-url", "--no-emit-find-links", "--annotation-style", "split",
         *(part for pin in pins for part in ("--constraint", pin)),
-        *(part for extra in extras for part in ("--extra", extra)),
     ]  # fmt: skip
     outcome = subprocess.run(
-        command, cwd=ROOT, input="\n".join(TOOLS), capture_output=True, text=True, check=False,
-        env={**os.environ, "UV_PYTHON_DOWNLOADS": "never"},
+        command, cwd=ROOT, input="\n".join(sorted(wanted)), capture_output=True, text=True,
+        check=False, env={**os.environ, "UV_PYTHON_DOWNLOADS": "never"},
     )  # fmt: skip
     if outcome.returncode:
         raise SystemExit(outcome.stderr)
@@ -65,8 +68,8 @@ def resolved(distribution: str, extras: list[str]) -> str:
 
 def locked(distribution: str) -> str:
     """Return the text of a lock."""
-    wanted = wanted_by_extra(distribution)
-    text = resolved(distribution, sorted(wanted.keys() - {"core", "tools"}))
+    wanted = wanted_by_part(distribution)
+    text = resolved(distribution, set().union(*wanted.values()))
     blocks = [(_plain(m["name"]), m[0]) for m in _BLOCK.finditer(text)]
     needs: defaultdict[str, set[str]] = defaultdict(set)
     for name, block in blocks:
@@ -74,14 +77,14 @@ def locked(distribution: str) -> str:
             needs[_plain(by)].add(name)
     parts: defaultdict[str, set[str]] = defaultdict(set)
     for part, names in wanted.items():
-        waiting = list(names)
+        waiting = [_plain(re.split(r"[\[<>=!~ ]", name, maxsplit=1)[0]) for name in names]
         while waiting:
             if part not in parts[name := waiting.pop()]:
                 parts[name].add(part)
                 waiting += needs[name]
     lines = [
         f"# Made by scripts/lock.py for ROS 2 {distribution.capitalize()}: do not edit.\n",
-        "# Before each package stands which extras need it; `tools` set up the environment.\n",
+        "# Before each package stands who needs it; `tools` set up the environment.\n",
     ]
     for name, block in blocks:
         pinned = re.sub(r"\n    #[^\n]*", "", block)

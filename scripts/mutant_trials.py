@@ -38,6 +38,9 @@ from hypothesis import Phase, settings
 
 PACKAGE = "rotcal_ros"
 ROOT = Path(__file__).parents[1]
+BESIDE = sorted(path.parent for path in ROOT.glob("packages/*/setup.py"))
+"""The folders of the packages beside the core."""
+SOURCES = [ROOT / PACKAGE, *(path / path.name for path in BESIDE)]
 KEPT = ROOT / "out" / "mutants"
 MARKERS = "not slow and not ros and not linuxcnc"
 ENOUGH_S = 20.0
@@ -171,7 +174,7 @@ class Folder:
     def __init__(self, name: str) -> None:
         self.name = name
         self.data, kept = KEPT / f"{name}.coverage", KEPT / f"{name}.json"
-        digest = digest_of(ROOT / PACKAGE, *self._paths())
+        digest = digest_of(*SOURCES, *self._paths())
         if not kept.exists() or json.loads(kept.read_text())["digest"] != digest:
             KEPT.mkdir(parents=True, exist_ok=True)
             self.data.unlink(missing_ok=True)
@@ -187,12 +190,14 @@ class Folder:
         self.imports: list[str] = measured.get("imports", [])
 
     def _paths(self) -> list[Path]:
-        if self.name != "top":
-            return [ROOT / "test" / self.name]
-        return sorted(Path(ROOT, "test").glob("test_*.py"))
+        return (
+            sorted(Path(ROOT, "test").glob("test_*.py"))
+            if self.name == "top"
+            else [tests_of(self.name)]
+        )
 
     def _measure(self, kept: Path, digest: str) -> int:
-        source = [str(ROOT / PACKAGE)]
+        source = [*map(str, SOURCES)]
         meter = Meter(coverage.Coverage(str(self.data), config_file=False, source=source))
         meter.coverage.start()
         code = run_pytest([str(path.relative_to(ROOT)) for path in self._paths()], meter)
@@ -269,8 +274,10 @@ class Suite:
         return chosen
 
     def _far(self, path: Path, test: str) -> tuple[bool, float, str]:
-        package = path.relative_to(ROOT / PACKAGE).parts[0]
-        near = f"test/{package}/" in test or path.stem in test.split("::")[0]
+        source = next(place for place in SOURCES if place in path.parents)
+        package = source.name if source.parent in BESIDE else path.relative_to(source).parts[0]
+        place = tests_of(package).relative_to(ROOT)
+        near = test.startswith(f"{place}/") or path.stem in test.split("::")[0]
         return not near, self._needs(self.parts[test]), test
 
     def _needs(self, parts: Iterable[str]) -> float:
@@ -296,7 +303,8 @@ class Suite:
         killer.write_text("")
 
         def trial() -> int:
-            parts = path.relative_to(ROOT).with_suffix("").parts
+            source = next(place for place in SOURCES if place in path.parents)
+            parts = path.relative_to(source.parent).with_suffix("").parts
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             sys.meta_path.insert(0, Replaced(name, str(path), source))
             return run_pytest(files_of(tests), Chosen(tests, killer), "-x")
@@ -308,6 +316,12 @@ class Suite:
         by = killer.read_text()
         killer.unlink()
         return "timeout" if late else "survived" if passed else "killed", by
+
+
+def tests_of(package: str) -> Path:
+    """Return the folder of the tests of a folder of the core, or of a package beside it."""
+    beside = ROOT / "packages" / package
+    return beside / "test" if beside in BESIDE else ROOT / "test" / package
 
 
 def files_of(tests: Sequence[str]) -> list[str]:

@@ -27,14 +27,30 @@ from typing import Any
 import libcst as cst
 import libcst.matchers as m
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutant_trials import ENOUGH_S, PACKAGE, ROOT, Suite, digest_of, measure, side_by_side
+from mutant_trials import (
+    BESIDE,
+    ENOUGH_S,
+    PACKAGE,
+    ROOT,
+    SOURCES,
+    Suite,
+    digest_of,
+    measure,
+    side_by_side,
+    tests_of,
+)
 from mutmut.mutation.file_mutation import MutationVisitor, deep_replace
 from mutmut.mutation.mutators import mutation_operators
 from mutmut.mutation.pragma_handling import IgnoredCode
 
-PACKAGES = [*sorted(path.parent.name for path in Path(ROOT, PACKAGE).glob("*/__init__.py")), "top"]
-"""The folders of the package, and ``top`` for the files in none of them."""
-FOLDERS = [*sorted({path.parent.name for path in Path(ROOT, "test").glob("*/test_*.py")}), "top"]
+OTHERS = [path.name for path in BESIDE]
+PACKAGES = [
+    *sorted(path.parent.name for path in Path(ROOT, PACKAGE).glob("*/__init__.py")), *OTHERS, "top"
+]  # fmt: skip
+"""The folders of the core, the packages beside it, and ``top`` for the files in none of them."""
+FOLDERS = [
+    *sorted({path.parent.name for path in Path(ROOT, "test").glob("*/test_*.py")}), *OTHERS, "top"
+]  # fmt: skip
 """The folders of tests, and ``top`` likewise."""
 CHANGES_NOTHING = re.compile(r",\s*(?:strict=\w+|dtype=np\.float64|(?=\)))")
 INDICES = re.compile(r'"[a-z.,]+->[a-z.]*"')
@@ -134,16 +150,16 @@ def _same_but_none(old: cst.Call, new: cst.CSTNode) -> bool:
 def files_of(package: str) -> list[Path]:
     """Return the files of a package."""
     whole = Path(ROOT, PACKAGE)
-    return sorted(whole.glob("*.py") if package == "top" else Path(whole, package).rglob("*.py"))
+    place = ROOT / "packages" / package if package in OTHERS else whole
+    return sorted(whole.glob("*.py") if package == "top" else Path(place, package).rglob("*.py"))
 
 
 def folders_for(packages: Sequence[str]) -> list[str]:
     """Return the folders of tests that name one of the packages; all of them for all packages."""
-    names = tuple(f"{PACKAGE}.{package}" for package in packages)
+    names = tuple(p if p in OTHERS else f"{PACKAGE}.{p}" for p in packages)
 
     def concerned(folder: str) -> bool:
-        place = Path(ROOT, "test", folder)
-        texts = (path.read_text() for path in place.rglob("*.py"))
+        texts = (path.read_text() for path in tests_of(folder).rglob("*.py"))
         return folder in packages or any(name in text for text in texts for name in names)
 
     return [folder for folder in FOLDERS if "top" in (folder, *packages) or concerned(folder)]
@@ -188,7 +204,9 @@ def main() -> None:
     side_by_side(given.jobs, lambda number: measure(folders[number :: given.jobs]))
     suite = Suite(folders, given.enough_s)
     given.output.parent.mkdir(parents=True, exist_ok=True)
-    code = digest_of(ROOT / PACKAGE, ROOT / "test")[:8]  # of other code nothing counts
+    code = digest_of(*SOURCES, ROOT / "test", *(path / "test" for path in BESIDE))[
+        :8
+    ]  # of other code nothing counts
     notes = given.output.with_suffix(f".{code}.jsonl")
     end = start + 60.0 * (given.minutes or math.inf)
     rest = left(chosen, notes)

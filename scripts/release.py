@@ -26,8 +26,14 @@ from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "out" / "release"
-MANIFESTS = (ROOT / "package.xml", ROOT / "msg_defs" / "package.xml")
-CHANGELOGS = (ROOT / "CHANGELOG.rst", ROOT / "msg_defs" / "CHANGELOG.rst")
+BESIDE = tuple(sorted(path.parent.name for path in ROOT.glob("packages/*/setup.py")))
+"""The packages beside the core."""
+MANIFESTS = (
+    ROOT / "package.xml",
+    ROOT / "msg_defs" / "package.xml",
+    *(ROOT / "packages" / name / "package.xml" for name in BESIDE),
+)
+CHANGELOGS = tuple(path.with_name("CHANGELOG.rst") for path in MANIFESTS)
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 UNTRIED = "not on this machine"
 GOLDEN = ROOT / "test" / "golden" / "tracer" / "table"
@@ -110,13 +116,19 @@ def release(version: str, work: Path) -> Path:
         folder.mkdir()
     commit = _output("git", "rev-parse", "HEAD").strip()
     _export(source, commit)
-    _run(sys.executable, "-m", "build", "--quiet", "--outdir", built, source, cwd=work)
-    wheel, archive = next(built.glob("*.whl")), next(built.glob("*.tar.gz"))
-    check_contents(wheel, archive, source)
+    beside = {name: source / "packages" / name for name in BESIDE}
+    wheels, archives = zip(
+        *(
+            build_package(name, place, built, work)
+            for name, place in {"rotcal_ros": source, **beside}.items()
+        ),
+        strict=True,
+    )
+    trials = {wheels[0].name: wheels[:1], archives[0].name: archives[:1], "all wheels": wheels}
     tried = {
-        f"{python} {package.name}": try_out(python, package, work, built)
+        f"{python} {what}": try_out(python, packages, work, built)
         for python in PYTHONS
-        for package in (wheel, archive)
+        for what, packages in trials.items()
     }
     if not any(ok == "passed" for ok in tried.values()):
         raise UnfitError(f"none of Python {', '.join(PYTHONS)} is on this machine")
@@ -128,17 +140,23 @@ def release(version: str, work: Path) -> Path:
     return built
 
 
-def check_contents(wheel: Path, archive: Path, source: Path) -> None:
+def build_package(name: str, source: Path, built: Path, work: Path) -> tuple[Path, Path]:
+    """Return the wheel and the source archive of a package, after a look at what they hold."""
+    _run(sys.executable, "-m", "build", "--quiet", "--outdir", built, source, cwd=work)
+    wheel, archive = next(built.glob(f"{name}-*.whl")), next(built.glob(f"{name}-*.tar.gz"))
+    check_contents(name, wheel, archive, source)
+    return wheel, archive
+
+
+def check_contents(name: str, wheel: Path, archive: Path, source: Path) -> None:
     """Refuse a wheel or a source archive that lacks a file of the package, or holds another."""
     of_package = {
-        str(path.relative_to(source))
-        for path in (source / "rotcal_ros").rglob("*")
-        if path.is_file()
+        str(path.relative_to(source)) for path in (source / name).rglob("*") if path.is_file()
     }
     with zipfile.ZipFile(wheel) as stream:
-        packed = {name for name in stream.namelist() if name.startswith("rotcal_ros/")}
+        packed = {held for held in stream.namelist() if held.startswith(f"{name}/")}
     with tarfile.open(archive) as stream:
-        names = {name.partition("/")[2] for name in stream.getnames()}
+        names = {held.partition("/")[2] for held in stream.getnames()}
     for what, held in (("wheel", packed), ("source archive", names)):
         if missing := of_package - held:
             raise UnfitError(f"the {what} lacks {min(missing)} ({len(missing)} files)")
@@ -146,29 +164,30 @@ def check_contents(wheel: Path, archive: Path, source: Path) -> None:
         raise UnfitError(f"the wheel holds {min(strange)}, which the repository does not")
 
 
-def try_out(python: str, package: Path, work: Path, built: Path) -> str:
-    """Install a package for one Python, alone, and solve with it; return how that went.
+def try_out(python: str, packages: Sequence[Path], work: Path, built: Path) -> str:
+    """Install packages for one Python, alone, and solve with them; return how that went.
 
     The first wheel that passes also gives the bill of materials.
     """
     interpreter = find_python(python)
     if interpreter is None:
         return UNTRIED
-    print(f"Python {python}: {package.name}", flush=True)
+    print(f"Python {python}: {', '.join(package.name for package in packages)}", flush=True)
     place = work / "try"
     shutil.rmtree(place, ignore_errors=True)
     _run(interpreter, "-m", "venv", place)
     inside = place / "bin" / "python"
     pins = ("-c", ROOT / "constraints.txt")
-    _run(inside, "-m", "pip", "-q", "--disable-pip-version-check", "install", *pins, package)
+    _run(inside, "-m", "pip", "-q", "--disable-pip-version-check", "install", *pins, *packages)
     program = place / "bin" / "rotcal"
-    _run(program, "--help", cwd=place)
+    if "cannot be loaded" in _output(program, "--help", cwd=place):
+        raise UnfitError(f"Python {python}: a verb cannot be loaded")
     solved = place / "solved.json"
     solve = (program, "solve", GOLDEN / "table.csv", "--setup", GOLDEN / "setup.yaml", "--json")
     solved.write_text(_output(*solve, cwd=place))
     _run(inside, "-c", SPEAKS, GOLDEN / "result.json", solved, cwd=place)
     bill = built / "sbom.cdx.json"
-    if package.suffix == ".whl" and not bill.exists():
+    if packages[0].suffix == ".whl" and not bill.exists():
         tool = Path(sys.executable).with_name("cyclonedx-py")
         _run(tool, "environment", "--output-reproducible", "-o", bill, inside)
     return "passed"

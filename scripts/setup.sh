@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Makes .venv with all that rotcal_ros needs: Python packages, ROS 2 wheels, rotcal_msgs. That is
-# ROS 2 Kilted; the environment of any other distribution is named after it: .venv-jazzy.
+# Makes .venv with rotcal_ros, the packages beside it and all that they need: Python packages, ROS 2
+# wheels, rotcal_msgs. That is ROS 2 Kilted; the environment of any other distribution is named after
+# it: .venv-jazzy.
 #
 # Three parts, each with a stamp that holds the hash of what it was made from; the second run
 # finds three good stamps and is done. A part removes its stamp before it starts, so that an
@@ -18,7 +19,9 @@ SUFFIX=-$DISTRO
 VENV=$PWD/.venv$SUFFIX
 BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
-EXTRAS=${ROTCAL_EXTRAS:-ros,many,history,opcua,ads,dcc,notebook,page,docs,test},build,build-$DISTRO
+PACKAGES=$(cd packages && echo rotcal_*)
+EXTRAS=${ROTCAL_EXTRAS:-ros,many,history,opcua,ads,dcc,notebook,page,docs,test,packages}
+EXTRAS=${EXTRAS/packages/${PACKAGES// /,}},build,build-$DISTRO
 LOCK=locks/$DISTRO.txt
 # Settings of a sourced ROS installation or of another environment would leak into this one.
 unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
@@ -84,7 +87,7 @@ install_packages() {
     if [[ $settings =~ [.](no-index|index-url)= ]] || ! by_uv "${hashed[@]}"; then
         quietly "${pip[@]}" install "${hashed[@]}"
     fi
-    quietly "${pip[@]}" install --no-deps --no-build-isolation -e .
+    install_ours
     enter_into_ament_index
 }
 
@@ -103,23 +106,44 @@ by_uv() {
         "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "$@" >>"$LOG" 2>&1
 }
 
+# The core and the packages beside it, as they lie here; a package whose folder is gone goes, too.
+install_ours() {
+    local package ours=(--no-deps --no-build-isolation -e .)
+    for package in $("${pip[@]}" list --format freeze | sed -n 's/^\(rotcal_[a-z_]*\)==.*/\1/p'); do
+        [[ " rotcal_ros rotcal_msgs $PACKAGES " == *" $package "* ]] ||
+            quietly "${pip[@]}" uninstall -y "$package"
+    done
+    for package in $PACKAGES; do
+        ours+=(-e "packages/$package")
+    done
+    by_uv "${ours[@]}" || quietly "${pip[@]}" install --use-pep517 "${ours[@]}"
+    rm -rf ./*.egg-info packages/*/*.egg-info # found before what is installed, and soon out of date
+}
+
 # What `ros2 run` and `ros2 launch` look for, should there be any: pip leaves it out. Links of files,
 # because ROS does not look into linked folders.
 enter_into_ament_index() {
-    local share=$VENV/share/rotcal_ros nodes=$VENV/lib/rotcal_ros index
-    index=$VENV/share/ament_index/resource_index/packages
-    rm -rf "$share" "$nodes"
-    mkdir -p "$index" "$share" "$nodes"
-    cp resource/rotcal_ros "$index"
-    cp -rs "$PWD/package.xml" "$PWD/config" "$PWD/launch" "$share"
+    local share=$VENV/share index=$VENV/share/ament_index/resource_index/packages package
+    mkdir -p "$index"
+    find "$VENV/lib" "$share" "$index" -maxdepth 1 -name 'rotcal_*' ! -name rotcal_msgs -exec rm -rf {} +
+    for package in . $(printf 'packages/%s ' $PACKAGES); do
+        cp "$package"/resource/* "$index"
+    done
+    mkdir "$share/rotcal_ros" $(printf "$share/%s " $PACKAGES)
+    cp -rs "$PWD/package.xml" "$PWD/config" "$PWD/launch" "$share/rotcal_ros"
+    for package in $PACKAGES; do
+        cp -s "$PWD/packages/$package/package.xml" "$share/$package"
+    done
     quietly "$VENV/bin/python" - "$VENV" <<'END'
 import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 
 for script in entry_points(group="console_scripts"):
-    if script.value.startswith("rotcal_ros."):
-        Path(sys.argv[1], "lib", "rotcal_ros", script.name).symlink_to(f"../../bin/{script.name}")
+    if script.dist.name.startswith("rotcal_"):
+        place = Path(sys.argv[1], "lib", script.dist.name)
+        place.mkdir(exist_ok=True)
+        (place / script.name).symlink_to(f"../../bin/{script.name}")
 END
     # An activated environment is a prefix of ROS; what was sourced before stays behind it.
     grep -q AMENT_PREFIX_PATH "$VENV/bin/activate" ||
@@ -154,7 +178,7 @@ flock 9 # two terminals, one set-up
 # An environment can neither be moved nor serve another Python.
 environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
 packages=$({
-    echo "$environment" && cat "$LOCK" setup.* scripts/setup.sh rotcal_ros/{__init__,foundation/node_names}.py
+    echo "$environment" && cat "$LOCK" setup.* packages/*/setup.* scripts/setup.sh rotcal_ros/{__init__,foundation/node_names}.py
     find config launch -type f | sort
 } | hash_of)
 messages=$({

@@ -99,9 +99,12 @@ def refusals(source: str) -> Iterator[Refusal]:
 
 
 def _grouped() -> Iterator[tuple[str, str, list[Refusal]]]:
-    left = sorted(PACKAGE.rglob("*.py"))
+    places = {path: path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
+    beside = (ROOT / "packages").glob("*/rotcal_*/**/*.py")
+    places |= {path: "/".join(path.relative_to(ROOT).parts[2:]) for path in beside}
+    left = sorted(places)
     for title, more, beginnings in GROUPS:
-        here = [f for f in left if f.relative_to(PACKAGE).as_posix().startswith(beginnings)]
+        here = [file for file in left if places[file].startswith(beginnings)]
         left = [file for file in left if file not in here]
         found = (r for file in here for r in refusals(file.read_text(encoding="utf-8")))
         yield title, more, sorted(set(found), key=_order)

@@ -9,7 +9,11 @@ from importlinter.api import read_configuration
 
 ROOT = Path(__file__).parents[1]
 CONTRACTS = read_configuration(str(ROOT / "pyproject.toml"))["contracts_options"]
-LAYERS = next(contract["layers"] for contract in CONTRACTS if contract["type"] == "layers")
+LAYERS, *_, OF_PACKAGES = (
+    contract["layers"] for contract in CONTRACTS if contract["type"] == "layers"
+)
+BESIDE = sorted(path.parent.name for path in ROOT.glob("packages/*/package.xml"))
+"""The packages beside the core."""
 
 
 def names(text: str, separators: str = ",") -> list[str]:
@@ -80,3 +84,26 @@ def test_the_table_holds_every_extension():
     assert [names(row[0])[0] for row in rows("| extension | holds |")] == sorted(
         place.parent.name for place in places
     )
+
+
+def test_the_table_and_the_contract_hold_every_package():
+    assert [names(row[0])[0] for row in rows("| package beside the core | holds |")] == BESIDE
+    assert [sorted(names(layer, "|")) for layer in OF_PACKAGES] == [BESIDE, ["rotcal_ros"]]
+
+
+def imported_by(folder: Path) -> set[str]:
+    """Return the packages beside the core that files below a folder import, or name as such."""
+    text = "\n".join(path.read_text("utf-8") for path in sorted(folder.rglob("*.py")))
+    return {name for name in BESIDE if re.search(rf"\b{name}\b(?!/)", text)}
+
+
+def test_the_core_and_its_tests_name_no_package():
+    found = set().union(
+        *(imported_by(ROOT / folder) for folder in ("rotcal_ros", "launch", "test"))
+    )
+    assert found == set()
+
+
+@pytest.mark.parametrize("package", BESIDE)
+def test_a_package_and_its_tests_know_no_other(package):
+    assert imported_by(ROOT / "packages" / package) == {package}

@@ -1,6 +1,7 @@
 """The package as a whole: what several files say about it must be one story."""
 
 import ast
+import json
 import os
 import re
 import runpy
@@ -20,7 +21,11 @@ import rotcal_ros
 from rotcal_ros.foundation.middleware import SUPPORTED
 
 ROOT = Path(__file__).parents[1]
-MANIFESTS = [ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"]
+BESIDE = sorted(path.parent for path in ROOT.glob("packages/*/package.xml"))
+"""The folders of the packages beside the core."""
+MANIFESTS = [
+    ROOT / "package.xml", ROOT / "msg_defs" / "package.xml", *(p / "package.xml" for p in BESIDE)
+]  # fmt: skip
 CHANGELOGS = [path.with_name("CHANGELOG.rst") for path in MANIFESTS]
 ROSDEP_KEYS = {
     "click": "python3-click",
@@ -47,7 +52,14 @@ VAGUE = {"said", "told", "made", "still", "one"}
 """Words that name nothing of the field."""
 TEXT_FILES = sorted(
     path
-    for pattern in ("rotcal_ros/**/*.py", "test/**/*.py", "benchmarks/*.py", "scripts/*", "*.py")
+    for pattern in (
+        "rotcal_ros/**/*.py",
+        "packages/**/*.py",
+        "test/**/*.py",
+        "benchmarks/*.py",
+        "scripts/*",
+        "*.py",
+    )
     for path in ROOT.glob(pattern)
     if path.is_file() and "__pycache__" not in path.parts
 )
@@ -70,8 +82,12 @@ def test_manifests_are_valid_and_agree_with_the_package(manifest):
     assert [m.email for m in package.maintainers] == ["maintainers@rotcal.invalid"]
 
 
-def test_the_installed_package_agrees_with_the_source():
-    installed = metadata.metadata("rotcal_ros")
+each_package = pytest.mark.parametrize("name", ["rotcal_ros", *(path.name for path in BESIDE)])
+
+
+@each_package
+def test_the_installed_package_agrees_with_the_source(name):
+    installed = metadata.metadata(name)
     assert installed["Version"] == rotcal_ros.__version__
     assert installed["License"] == "Apache-2.0"
     assert installed["Maintainer-email"] == "maintainers@rotcal.invalid"
@@ -89,12 +105,30 @@ def test_the_changelog_begins_with_this_version(changelog):
     assert versions[0] == rotcal_ros.__version__
 
 
-def test_every_direct_dependency_is_pinned():
+@each_package
+def test_every_direct_dependency_is_pinned(name):
     required = {
-        re.match(r"[\w.-]+", requirement)[0].lower()
-        for requirement in metadata.requires("rotcal_ros")
+        re.match(r"[\w.-]+", requirement)[0].lower() for requirement in metadata.requires(name)
     }
-    assert required - PINS == set()
+    assert required - PINS == {"rotcal_ros"} - {name}
+
+
+@pytest.mark.parametrize("folder", BESIDE, ids=lambda path: path.name)
+def test_a_package_beside_the_core_is_whole(folder):
+    name = folder.name
+    assert f"rotcal_ros=={rotcal_ros.__version__}" in metadata.requires(name)
+    assert parse_package(folder / "package.xml").name == name
+    for part in ("README.md", "setup.cfg", f"resource/{name}", f"{name}/py.typed", "test"):
+        assert (folder / part).exists(), part
+    settings = ConfigParser()
+    settings.read(folder / "setup.cfg")
+    assert settings["develop"]["script_dir"] == f"$base/lib/{name}"
+    assert settings["install"]["install_scripts"] == f"$base/lib/{name}"
+
+
+def test_errors_know_which_package_brings_what():
+    index = runpy.run_path(str(ROOT / "scripts" / "package_index.py"))
+    assert json.loads(index["INDEX"].read_text()) == index["index"]()
 
 
 @pytest.mark.parametrize("path", CONSTRAINTS, ids=lambda path: path.stem)
@@ -145,6 +179,10 @@ def test_a_lock_has_what_each_extra_needs_as_it_is_pinned(distribution, python, 
     found, _ = locked(distribution)
     here = {"python_version": python, "python_full_version": f"{python}.9", "extra": ""}
     here |= {"sys_platform": "linux", "platform_machine": "x86_64"}
+    beside = {
+        path.name: [t for t in metadata.requires(path.name) if not t.startswith("rotcal_")]
+        for path in BESIDE
+    }
 
     def fits(marker):
         return marker is None or Marker(marker).evaluate(here)
@@ -163,7 +201,7 @@ def test_a_lock_has_what_each_extra_needs_as_it_is_pinned(distribution, python, 
         if canonicalize_name(name) in versions and fits(*marker or [None]):
             assert versions[canonicalize_name(name)] == version
     others = {f"build-{other}" for other in SUPPORTED} - {f"build-{distribution}"}
-    wanted = {"core": setup_py["install_requires"], **setup_py["extras_require"]}
+    wanted = {"core": setup_py["install_requires"], **setup_py["extras_require"], **beside}
     for part in wanted.keys() - {"mutants", "release", *others}:
         named = {canonicalize_name(re.match(r"[\w.-]+", text)[0]) for text in wanted[part]}
         assert named <= {name for parts, name, _ in there if part in parts}, part
@@ -213,7 +251,11 @@ def test_every_command_leads_to_a_function():
 @pytest.fixture
 def setup_py(monkeypatch):
     """Return what setup.py gives to setup(), and its names."""
-    monkeypatch.chdir(ROOT)
+    return given_to_setup(monkeypatch, ROOT)
+
+
+def given_to_setup(monkeypatch, folder):
+    monkeypatch.chdir(folder)
     given = {}
     monkeypatch.setattr("setuptools.setup", lambda **arguments: given.update(arguments))
     return runpy.run_path("setup.py") | given
@@ -225,11 +267,13 @@ def test_every_shared_folder_exists_and_is_installed(setup_py):
     assert shared.keys() <= {destination for destination, _files in setup_py["data_files"]}
 
 
-def test_every_data_file_of_the_package_is_installed(setup_py):
-    patterns = setup_py["package_data"][""]
+@each_package
+def test_every_data_file_of_the_package_is_installed(name, monkeypatch):
+    place = ROOT if name == "rotcal_ros" else ROOT / "packages" / name
+    patterns = given_to_setup(monkeypatch, place)["package_data"][""]
     data = [
-        path.relative_to(ROOT)
-        for path in (ROOT / "rotcal_ros").rglob("*")
+        path.relative_to(place)
+        for path in (place / name).rglob("*")
         if path.is_file() and path.suffix not in {".py", ".pyc"}
     ]
     assert data
@@ -247,19 +291,24 @@ def test_ros_run_finds_the_executables():
 @pytest.fixture(scope="module")
 def code():
     """Return file -> all nodes of its tree, of what is installed."""
-    files = (path for folder in ("rotcal_ros", "launch") for path in (ROOT / folder).rglob("*.py"))
+    folders = (ROOT / "rotcal_ros", ROOT / "launch", *(path / path.name for path in BESIDE))
+    files = (path for folder in folders for path in folder.rglob("*.py"))
     trees = {path.relative_to(ROOT): ast.parse(path.read_text()) for path in sorted(files)}
     return {path: [*ast.walk(tree)] for path, tree in trees.items()}
 
 
-def test_the_manifest_names_what_is_imported_and_nothing_else(setup_py, code):
-    extras = setup_py["extras_require"]
+@each_package
+def test_the_manifest_names_what_is_imported_and_nothing_else(name, code, monkeypatch):
+    place = ROOT if name == "rotcal_ros" else ROOT / "packages" / name
+    below = ("rotcal_ros/", "launch/") if place == ROOT else (f"packages/{name}/",)
+    extras = given_to_setup(monkeypatch, place).get("extras_require", {})
     with_own_errors = ("many", "history", "opcua", "ads", "dcc", "page")
-    names = (name for extra in with_own_errors for name in extras[extra])
+    names = (name for extra in with_own_errors for name in extras.get(extra, ()))
     optional = {*(name.replace("-", "_") for name in names), *OF_THE_CONTROLLER} - {"uvicorn"}
     imported = {
         name.split(".")[0]
-        for nodes in code.values()
+        for path, nodes in code.items()
+        if str(path).startswith(below)
         for node in nodes
         for name in (
             [alias.name for alias in node.names]
@@ -269,11 +318,11 @@ def test_the_manifest_names_what_is_imported_and_nothing_else(setup_py, code):
             else []
         )
     }
-    foreign = imported - set(sys.stdlib_module_names) - optional - {"rotcal_ros"}
+    foreign = imported - set(sys.stdlib_module_names) - optional - {name}
     needed = {ROSDEP_KEYS.get(name, name) for name in foreign}
     assert needed & RECORDED_BY_NAME == set()
-    named = {dependency.name for dependency in parse_package(MANIFESTS[0]).exec_depends}
-    assert named == needed | RECORDED_BY_NAME
+    named = {dependency.name for dependency in parse_package(place / "package.xml").exec_depends}
+    assert named == needed | (RECORDED_BY_NAME if place == ROOT else set())
 
 
 @pytest.mark.parametrize(("asked", "found"), [({}, set()), ({"ROTCAL_PIP": "1"}, OF_PIP_ALONE)])
@@ -291,8 +340,10 @@ def test_every_key_is_one_of_rosdep(tmp_path):
     keys = runpy.run_path(str(ROOT / "scripts" / "check_keys.py"))
     (tmp_path / "rotcal_ros").symlink_to(ROOT)
     assert keys["wrong"](tmp_path, {})[1] == ["rotcal_ros: no rosdep key 'rotcal_msgs'"]
-    (tmp_path / "rotcal_msgs").symlink_to(ROOT / "msg_defs")
-    assert keys["wrong"](tmp_path, {}) == (["rotcal_msgs", "rotcal_ros"], [])
+    (tmp_path / "msg_defs").symlink_to(ROOT / "msg_defs")
+    (tmp_path / "packages").symlink_to(ROOT / "packages")
+    names = sorted(["rotcal_msgs", "rotcal_ros", *(path.name for path in BESIDE)])
+    assert keys["wrong"](tmp_path, {}) == (names, [])
     asked = {d.name for m in MANIFESTS for d in parse_package(m).exec_depends}
     assert asked & {k for k, rest in keys["known_keys"]().items() if "pip" in rest} >= OF_PIP_ALONE
 
@@ -300,7 +351,7 @@ def test_every_key_is_one_of_rosdep(tmp_path):
 def test_the_workspace_file_and_the_recipe_name_the_same_folders():
     (name,) = yaml.safe_load((ROOT / "rotcal.repos").read_text())["repositories"]
     recipe = (ROOT / "docs" / "install.md").read_text()
-    for line in ("vcs import src < rotcal.repos", f"ln -s {name}/msg_defs src/rotcal_msgs"):
+    for line in ("vcs import src < rotcal.repos", f"ln -s {name}/msg_defs {name}/packages src"):
         assert line in recipe
         assert line in (ROOT / "rotcal.repos").read_text()
 

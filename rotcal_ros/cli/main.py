@@ -118,9 +118,9 @@ class LazyGroup(click.Group):
         """Find the verb; a misspelt one fails with the name that was probably meant."""
         name = args[0]
         if not name.startswith("-") and not _is_known(name):
-            from rotcal_ros.foundation.plugins import nearest
+            from rotcal_ros.foundation.plugins import VERBS, nearest
 
-            context.fail(f"no verb {name!r}{nearest(name, verbs())}")
+            context.fail(f"no verb {name!r}{nearest(name, verbs(), VERBS)}")
         return super().resolve_command(context, args)
 
     def format_commands(self, _context: click.Context, formatter: click.HelpFormatter) -> None:

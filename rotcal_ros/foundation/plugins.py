@@ -1,15 +1,17 @@
 """Plug-ins of installed packages: methods, controllers, instruments, verbs, by entry points.
 
-The built-in ones are found the same way, and so are the extensions of this package, see
-``setup.py``; there is no built-in instrument.
+The built-in ones are found the same way, and so are the packages beside the core; there is no
+built-in instrument.
 """
 
 from __future__ import annotations
 
 import difflib
+import json
 import sys
 from functools import cache
 from importlib.metadata import EntryPoint, distribution, entry_points
+from pathlib import Path
 from traceback import walk_tb
 from types import FrameType
 from typing import Any, Final, NamedTuple
@@ -61,6 +63,11 @@ OF_EXTENSIONS: Final = {
     FUNCTIONS: ("plan_plate", "write_certificate"),
 }  # fmt: skip
 """Names from extensions of this package; if they are missing, errors say what to install."""
+INDEX: Final = Path(__file__).with_name("packages.json")
+"""Package beside the core -> group -> names that it brings: errors say what to install for them.
+
+``scripts/package_index.py`` makes it; no code looks here for what is installed.
+"""
 _OWN: Final = "rotcal_ros"
 NOT_INSTALLED: Final = f"; its extension is not installed: pip install {_OWN}"
 """Hint at a name that an extension of this package provides."""
@@ -199,13 +206,18 @@ def _package(point: EntryPoint) -> str:
 
 
 def nearest(name: str, known: Any, *groups: str) -> str:
-    """Return a hint at a missing extension, at the name that was meant, or the list of all.
+    """Return a hint at a missing package, at the name that was meant, or the list of all.
 
     ``groups``: of which the name may be; where none is given, what a setting may name.
     """
     for group in groups or (CONTROLLERS, STORES):
-        if name in OF_EXTENSIONS.get(group, ()) and name not in _found(group):
+        if name in _found(group):
+            continue
+        if name in OF_EXTENSIONS.get(group, ()):
             return NOT_INSTALLED
+        for package, brought in json.loads(INDEX.read_text(encoding="utf-8")).items():
+            if name in brought.get(group, ()):
+                return f"; its package is not installed: pip install {package}"
     near = difflib.get_close_matches(name[:_LONGEST], list(known), n=1)
     if near:
         return f"; did you mean {near[0]!r}?"

@@ -48,7 +48,7 @@ def offered(line, folder=ROOT):
 
 def test_it_knows_the_verbs():
     assert offered("rotcal ") == list(verbs())
-    assert offered("rotcal rep") == ["reprocess", "report", "reproduce", "replay"]
+    assert offered("rotcal so") == ["solve"]
     assert offered("rotcal --d") == ["--debug"]
 
 

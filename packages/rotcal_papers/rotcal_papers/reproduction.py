@@ -26,7 +26,7 @@ Values: TypeAlias = Mapping[str, float]
 Finding = Literal["follows", "does not follow", "not shown"]
 """Whether a claim follows from what the paper prints; *not shown*: too little is printed."""
 SCHEMA: Final = 1
-render = partial(template.render, package="rotcal_ros.extensions.papers")
+render = partial(template.render, package="rotcal_papers")
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from rotcal_papers import mirror, three_rosette, two_groups
+from rotcal_papers.verbs import PAPERS
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.extensions.papers import mirror, three_rosette, two_groups
-from rotcal_ros.extensions.papers.verbs import PAPERS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.ball_plate.solver.separability import separability
 

@@ -32,7 +32,7 @@ def command(paper: str, output: Path, as_json: bool) -> int:
     Beside each claim stands what the paper's own numbers, or a simulation of its experiment, give,
     and what the claim is worth.
     """
-    found = import_module(f"rotcal_ros.extensions.papers.{paper}").reproduce()
+    found = import_module(f"rotcal_papers.{paper}").reproduce()
     page, data = found.write(output)
     if as_json:
         print_json(found.to_json().rstrip())

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.papers.reproduction import PrintedTable, Reproduction
-from rotcal_ros.extensions.papers.simulated_plates import (
+from rotcal_papers.reproduction import PrintedTable, Reproduction
+from rotcal_papers.simulated_plates import (
     PlateMeasurement,
     draw_components,
     largest_expanded,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rotcal_ros as rc
-from rotcal_ros.extensions.papers import tracer
+from rotcal_papers import tracer
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 
 DATA = Path(__file__).parents[3] / "examples" / "data"

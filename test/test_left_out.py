@@ -1,8 +1,9 @@
-"""Without an extension all else works, and a name that it brings is named with what to install."""
+"""Without a package all else works, and a name that it brings is named with what to install."""
 
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from importlib.metadata import distribution
@@ -10,11 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.plugins import OF_EXTENSIONS, PLANS
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
+ALONE = runpy.run_path(str(ROOT / "scripts" / "alone.py"))
+INDEX = json.loads(plugins.INDEX.read_text("utf-8"))
 EXTENSIONS = sorted(
     place.parent.name for place in (ROOT / "rotcal_ros/extensions").glob("*/__init__.py")
 )
@@ -41,12 +45,13 @@ print(calibration.policy(calibration.from_the_start()).choose().reason)
 
 @pytest.fixture
 def without(tmp_path):
-    """Return what runs Python as if some extensions had not been installed."""
+    """Return what runs Python as if no package, and some extensions not, had been installed."""
     place = tmp_path / "metadata" / "rotcal_ros.egg-info"
     place.mkdir(parents=True)
     ours = distribution("rotcal_ros")
     (place / "PKG-INFO").write_text(f"Name: rotcal_ros\nVersion: {ours.version}\n")
     lines = ours.read_text("entry_points.txt").splitlines(keepends=True)
+    ALONE["hide"](place.parent)
 
     def run(names, *arguments):
         brought = tuple(f"rotcal_ros.extensions.{name}" for name in names)
@@ -83,9 +88,20 @@ def test_the_core_alone_plans_and_measures_until_its_goal_is_reached(without):
     ordered = without(EXTENSIONS, *ROTCAL, "plan", "order", ROOT / "config" / "ball_plate.yaml")
     assert "order interleaved: 876 balls" in ordered.stderr
     listed = without(EXTENSIONS, *ROTCAL, "plan", "--help").stdout
-    assert re.findall(r"^  ([a-z]+)  ", listed, re.M) == ["order", "reliability"]
+    assert re.findall(r"^  ([a-z]+)  ", listed, re.M) == ["add", "order", "power", "reliability"]
     chosen = without(EXTENSIONS, "-c", FIRST_STEP, ROOT / "config" / "tracer_demo.yaml")
     assert (chosen.stdout, chosen.stderr) == ("first sweep\n", "")
+
+
+@pytest.mark.parametrize(
+    ("package", "verb"),
+    [(name, verb) for name in INDEX for verb in INDEX[name].get(plugins.VERBS, ())],
+)
+def test_without_its_package_a_verb_is_told_with_what_to_install(without, package, verb):
+    refused = without([], *ROTCAL, verb)
+    last = refused.stderr.splitlines()[-1]
+    assert last == f"Error: no verb {verb!r}; its package is not installed: pip install {package}"
+    assert refused.returncode == 2
 
 
 def test_without_its_extension_a_plan_is_told_with_what_to_install(without):

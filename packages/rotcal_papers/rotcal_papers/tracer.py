@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.papers.reproduction import PrintedTable, Reproduction
+from rotcal_papers.reproduction import PrintedTable, Reproduction
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
