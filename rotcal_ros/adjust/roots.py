@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -40,7 +41,6 @@ def root_between(
         before = here
         ends = sorted([(a, at_a), (middle, at_middle), (here, at_here), (b, at_b)])
         (a, at_a), (b, at_b) = next(
-            pair for pair in zip(ends, ends[1:], strict=False)
-            if (pair[0][1] < 0.0) != (pair[1][1] < 0.0)
-        )  # fmt: skip
+            pair for pair in pairwise(ends) if (pair[0][1] < 0.0) != (pair[1][1] < 0.0)
+        )
     return here
