@@ -31,15 +31,6 @@ VERBS_OF_EXTENSIONS = {
     "reprocess": "fleet",
     "web": "page",
 }
-PLANS = {
-    "check": "check",
-    "effort": "plates",
-    "plate": "plates",
-    "sequence": "sequence",
-    "tracer": "tracer",
-    "trade": "trade",
-}
-"""Command below ``rotcal plan`` -> its module."""
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
@@ -49,18 +40,6 @@ METHODS = {
     "table_balls": "table_balls",
 }
 CONTROLLERS = {"csv": "plain_csv:PlainCsv", "linuxcnc": "linuxcnc:LinuxCnc"}
-CONTROLLERS_OF_EXTENSIONS = {
-    "fagor": "Fagor",
-    "fanuc": "Fanuc",
-    "heidenhain": "Heidenhain",
-    "kflop": "Kflop",
-    "pmac": "Pmac",
-    "sinumerik": "Sinumerik",
-    "smoothieware": "Smoothieware",
-    "twincat": "TwinCat",
-    "twincat_nc": "TwinCatNc",
-}
-"""Name, which is its module's too -> class."""
 SHARED = ["config", "config/foxglove", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
@@ -128,8 +107,6 @@ setup(
         ],
         "history": ["alembic", "psycopg[binary]", "pyarrow", "sqlalchemy"],
         "many": ["alembic", "distributed", "fsspec", "psycopg[binary]", "pyarrow", "sqlalchemy"],
-        "opcua": ["asyncua", "cryptography"],
-        "ads": ["pyads"],
         "dcc": ["cryptography", "lxml", "signxml"],
         "notebook": ["ipykernel", "nbclient", "nbformat", "pandas", "xarray"],
         "page": ["sse-starlette", "starlette", "uvicorn"],
@@ -194,18 +171,6 @@ setup(
                 f"{controller} = {NAME}.compensation.{place}"
                 for controller, place in CONTROLLERS.items()
             ),
-            *(
-                f"{controller} = {NAME}.extensions.controllers.{controller}:{kind}"
-                for controller, kind in CONTROLLERS_OF_EXTENSIONS.items()
-            ),
-        ],
-        "rotcal_ros.stores": [
-            f"ads = {NAME}.extensions.network_stores.ads_link:ads_store",
-            f"opcua = {NAME}.extensions.network_stores.opcua_link:opcua_store",
-        ],
-        "rotcal_ros.store_settings": [
-            f"ads = {NAME}.extensions.network_stores.settings:AdsSettings",
-            f"opcua = {NAME}.extensions.network_stores.settings:OpcUaSettings",
         ],
         "rotcal_ros.settings": [
             f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",
@@ -222,19 +187,13 @@ setup(
             f"{verb} = {NAME}.extensions.{extension}:VERB"
             for verb, extension in VERBS_OF_EXTENSIONS.items()
         ],
-        "rotcal_ros.plans": [
-            f"{plan} = {NAME}.extensions.design.verbs.{module}:{plan}"
-            for plan, module in PLANS.items()
-        ],
-        "rotcal_ros.goals": [f"tracer = {NAME}.extensions.design.settings:TracerDesignSettings"],
         "rotcal_ros.functions": [
-            f"plan_plate = {NAME}.extensions.design.ball_plate.ball_layout:plan_plate",
             f"write_certificate = {NAME}.extensions.certificate.writing:write_certificate [dcc]",
         ],
         "rotcal_ros.figures": [f"plot = {NAME}.methods.figures.curves:plot"],
-        "rotcal_ros.histories": [f"history = {NAME}.extensions.history.adding"],
+        "rotcal_ros.histories": [f"history = {NAME}.extensions.history.adding [history]"],
         "rotcal_ros.certificates": [
-            f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
+            f"dcc = {NAME}.extensions.certificate.verbs:write_certificate [dcc]"
         ],
     },
     zip_safe=False,

@@ -18,9 +18,9 @@ import numpy as np
 from dense_ball_plate import DenseSolution, solve_dense
 from scipy.optimize import least_squares
 
+from rotcal_design.ball_plate.ball_layout import mean_variances, plan_plate
 from rotcal_ros.adjust.kernels import Defined
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.extensions.design.ball_plate.ball_layout import mean_variances, plan_plate
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.geometry.sphere import fit_spheres

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.extensions.design.tracer.optimum import ideal_plan
+from rotcal_design.tracer.optimum import ideal_plan
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.results import Result

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from rotcal_design.check_plan import CheckPlan, plan_check
 from rotcal_ros.evaluation.quick_check import quick_check
-from rotcal_ros.extensions.design.check_plan import CheckPlan, plan_check
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve

@@ -18,8 +18,8 @@ from functools import cache
 
 import numpy as np
 
-from rotcal_ros.extensions.design.settings import TracerDesignSettings
-from rotcal_ros.extensions.design.tracer.ordering import ordered_design
+from rotcal_design.settings import TracerDesignSettings
+from rotcal_design.tracer.ordering import ordered_design
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.solver import TracerProblem

@@ -1,8 +1,9 @@
 """Find and remove the errors of rotary tables: ``import rotcal_ros as rc``.
 
-The names of ``__all__`` are the interface for Python; docs/api.md lists them. Each is loaded
-when it is first used, so that the import costs nothing. Everything is SI, deviation = actual -
-commanded, angles counter-clockwise about +z; a result of any method is a ``Result``.
+The names of ``__all__`` are the interface for Python; docs/api.md lists them, and those that
+packages beside this one add. Each is loaded when it is first used, so that the import costs
+nothing. Everything is SI, deviation = actual - commanded, angles counter-clockwise about +z; a
+result of any method is a ``Result``.
 """
 
 from importlib import import_module
@@ -41,11 +42,9 @@ _MODULES = {
     "tracer_six": "api.tracer_six",
 }
 """Name -> the module that it is."""
-_OF_EXTENSIONS = ("plan_plate", "write_certificate")
-"""Names that extensions provide, where they are installed."""
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}
 
-__all__ = sorted([*_PLACES, *_MODULES, *_OF_EXTENSIONS])
+__all__ = sorted([*_PLACES, *_MODULES])
 
 
 def __getattr__(name):
@@ -60,19 +59,22 @@ def __getattr__(name):
                 f"{__name__}.{name} needs ROS 2 with rclpy and rotcal_msgs ({error}): source a "
                 "workspace that holds them, or use the .venv of the repository"
             ) from error
-    elif name in _OF_EXTENSIONS:
-        value = _of_extension(name)
-    else:
+    elif name.startswith("_"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    else:
+        value = _of_another_package(name)
     globals()[name] = value
     return value
 
 
-def _of_extension(name):
-    """Return the function ``name`` of an extension; AttributeError says what to install."""
+def _of_another_package(name):
+    """Return a function that a package beside this one adds; AttributeError: what to install."""
     from rotcal_ros.foundation import plugins
     from rotcal_ros.foundation.errors import ConfigurationError
 
+    if name not in plugins.names(plugins.FUNCTIONS):
+        hint = plugins.package_hint(name, plugins.FUNCTIONS)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     try:
         return plugins.load(plugins.FUNCTIONS, name, "function")
     except ConfigurationError as error:
@@ -80,5 +82,7 @@ def _of_extension(name):
 
 
 def __dir__():
-    """Return the names of the interface, and nothing else."""
-    return __all__
+    """Return the names of the interface, with those of installed packages, and nothing else."""
+    from rotcal_ros.foundation import plugins
+
+    return sorted([*__all__, *plugins.names(plugins.FUNCTIONS)])

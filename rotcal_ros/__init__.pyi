@@ -1,5 +1,8 @@
 """The names of the front door for type checkers; a test holds them against __init__.py."""
 
+from collections.abc import Callable
+from typing import Any
+
 from rotcal_ros import ros as ros
 from rotcal_ros.api import ball_plate as ball_plate
 from rotcal_ros.api import plane_mirror as plane_mirror
@@ -28,8 +31,6 @@ from rotcal_ros.api.reading import read_table as read_table
 from rotcal_ros.compensation.controllers import controller_names as controller_names
 from rotcal_ros.compensation.table import CompensationTable as CompensationTable
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns as BidirectionalRuns
-from rotcal_ros.extensions.certificate.writing import write_certificate as write_certificate
-from rotcal_ros.extensions.design.ball_plate.ball_layout import plan_plate as plan_plate
 from rotcal_ros.foundation.components import unit_of as unit_of
 from rotcal_ros.foundation.errors import RotcalError as RotcalError
 from rotcal_ros.foundation.observations import Observation as Observation
@@ -44,3 +45,6 @@ from rotcal_ros.recordings.replay import Recording as Recording
 
 __version__: str
 __all__: list[str]
+# Of packages beside this one, which may be missing:
+plan_plate: Callable[..., Any]
+write_certificate: Callable[..., Any]

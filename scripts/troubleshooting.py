@@ -26,13 +26,13 @@ GROUPS = (
         "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
         "methods/measurements", "extensions/fleet", "extensions/replay",
     )),
-    ("Plans", "planning.md", ("planning/", "extensions/design", "cli/plan")),
+    ("Plans", "planning.md", ("planning/", "rotcal_design/", "cli/plan")),
     ("Laser tracer", "tracer.md", ("methods/tracer/",)),
     ("Laser tracer at three places", "tracer_six.md", ("methods/tracer_six/",)),
     ("Ball plate", "ball_plate.md", ("methods/ball_plate/",)),
     ("Plane mirror", "plane_mirror.md", ("methods/plane_mirror/",)),
     ("Controller tables and the feed", "compensation.md", (
-        "compensation/", "extensions/controllers", "extensions/network_stores", "cli/export",
+        "compensation/", "rotcal_controllers/", "cli/export",
     )),
     ("Comparing and reporting", "evaluation.md", (
         "evaluation/", "report/", "extensions/certificate", "extensions/page", "cli/report",

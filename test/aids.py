@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 HOW = "make test-aids"
 PROGRAMS = (
     HERE / "bags" / "node" / "read_bag.mjs",
-    HERE / "extensions" / "network_stores" / "node" / "file_server.mjs",
+    *sorted(HERE.parent.glob("packages/*/test/**/node/*.mjs")),
 )
 AXE = HERE / "report" / "node" / "axe.js"
 """A place beside the list of packages; the program is in one of them."""

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from rotcal_ros.foundation import plugins
-from rotcal_ros.foundation.plugins import OF_EXTENSIONS, PLANS
 
 pytestmark = pytest.mark.slow
 
@@ -24,7 +23,6 @@ EXTENSIONS = sorted(
 )
 RESULT = ROOT / "examples" / "data" / "result_tracer.json"
 BAG = ROOT / "examples" / "data" / "ball_plate_bag"
-INSTALL = "its extension is not installed: pip install rotcal_ros"
 ROTCAL = ("-m", "rotcal_ros.cli.main")
 CHANGED = """
 import sys
@@ -104,40 +102,72 @@ def test_without_its_package_a_verb_is_told_with_what_to_install(without, packag
     assert refused.returncode == 2
 
 
-def test_without_its_extension_a_plan_is_told_with_what_to_install(without):
-    """So is the one name of Python's front door that is not in the core."""
-    for plan in OF_EXTENSIONS[PLANS]:
-        refused = without(["design"], *ROTCAL, "plan", plan, "--need", "ECC=1", "GOAL.yaml")
-        assert refused.stderr.splitlines()[-1] == f"Error: no plan {plan!r}; {INSTALL}"
-        assert refused.returncode == 2
-    called = without(["design"], "-c", "import rotcal_ros as rc; rc.plan_plate(12, 6)")
-    told = called.stderr.splitlines()[-1].removeprefix("AttributeError: ")
-    assert told == f"rotcal_ros.plan_plate: unknown function 'plan_plate'; {INSTALL}"
+BROUGHT = [
+    (group, name, package)
+    for package, brought in INDEX.items()
+    for group in (plugins.PLANS, plugins.CONTROLLERS, plugins.STORES, plugins.SETTINGS)
+    for name in brought.get(group, ())
+]
+OF_SETTINGS = {
+    plugins.CONTROLLERS: ("bridge.controller={0}", "'{0}' is none of csv, linuxcnc"),
+    plugins.STORES: ("bridge.transport={0}", "'{0}' is none of folder"),
+    plugins.SETTINGS: ("{0}.name=1", "unknown group '{0}'"),
+}
+"""How a setting names one of a group, and what an error says of it."""
 
 
-def test_without_its_extension_a_controller_is_told_with_what_to_install(without, tmp_path):
-    def export(name):
-        asked = ("--to", name, "--replace", "-o", tmp_path)
-        return without(["controllers"], *ROTCAL, "export", RESULT, *asked)
+def hint(package):
+    return f"; its package is not installed: pip install {package}"
 
-    refused = export("fanuc")
+
+def of(group):
+    """Return the parameters of a test with each name of a group and its package."""
+    rows = [(name, package) for of_group, name, package in BROUGHT if of_group == group]
+    return pytest.mark.parametrize(("name", "package"), rows)
+
+
+@of(plugins.PLANS)
+def test_without_its_package_a_plan_is_told_with_what_to_install(without, name, package):
+    refused = without([], *ROTCAL, "plan", name, "--need", "ECC=1", "GOAL.yaml")
+    assert refused.stderr.splitlines()[-1] == f"Error: no plan {name!r}{hint(package)}"
     assert refused.returncode == 2
-    assert refused.stderr == f"rotcal: unknown controller 'fanuc'; {INSTALL}\n"
+
+
+@of(plugins.CONTROLLERS)
+def test_without_its_package_a_controller_is_told_with_what_to_install(
+    without, tmp_path, name, package
+):
+    asked = ("--to", name, "--replace", "-o", tmp_path)
+    refused = without([], *ROTCAL, "export", RESULT, *asked)
+    assert refused.returncode == 2
+    assert refused.stderr == f"rotcal: unknown controller {name!r}{hint(package)}\n"
+
+
+def test_the_core_alone_exports(without, tmp_path):
+    def export(name):
+        return without([], *ROTCAL, "export", RESULT, "--to", name, "--replace", "-o", tmp_path)
+
     assert export("csv").returncode == 0
     assert "did you mean 'linuxcnc'" in export("linuxcmc").stderr
 
 
 @pytest.mark.parametrize(
-    ("extension", "change", "words"),
-    [
-        ("controllers", "bridge.controller=fanuc", "'fanuc' is none of csv, linuxcnc"),
-        ("network_stores", "bridge.transport=opcua", "'opcua' is none of folder"),
-        ("network_stores", "bridge.ads.port=851", "bridge: unknown setting 'ads'"),
-    ],
+    ("name", "package"),
+    [(name, p) for p, brought in INDEX.items() for name in brought.get(plugins.FUNCTIONS, ())],
 )
-def test_without_its_extension_a_setting_is_told_with_what_to_install(
-    without, extension, change, words
+def test_without_its_package_a_name_of_the_front_door_is_told_with_what_to_install(
+    without, name, package
 ):
-    refused = without([extension], "-c", CHANGED, ROOT / "config" / "tracer_demo.yaml", change)
-    last = refused.stderr.splitlines()[-1]
-    assert last.endswith(f"{words}; {INSTALL}")
+    called = without([], "-c", f"import rotcal_ros as rc; rc.{name}")
+    text = called.stderr.splitlines()[-1]
+    assert text == f"AttributeError: module 'rotcal_ros' has no attribute {name!r}{hint(package)}"
+
+
+@pytest.mark.parametrize(
+    ("group", "name", "package"), [row for row in BROUGHT if row[0] in OF_SETTINGS]
+)
+def test_without_its_package_a_setting_is_told_with_what_to_install(without, group, name, package):
+    change, words = OF_SETTINGS[group]
+    config = ROOT / "config" / "tracer_demo.yaml"
+    refused = without([], "-c", CHANGED, config, change.format(name))
+    assert refused.stderr.splitlines()[-1].endswith(f"{words.format(name)}{hint(package)}")

@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rotcal_ros.extensions.design.goal import goal_settings
-from rotcal_ros.extensions.design.settings import SHARED, TracerDesignSettings
-from rotcal_ros.extensions.design.tracer.ordering import ordered_design
+from rotcal_design.goal import goal_settings
+from rotcal_design.settings import SHARED, TracerDesignSettings
+from rotcal_design.tracer.ordering import ordered_design
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.figures.style import BLUE, GREEN, GREY, ORANGE, RED, grid, styled, svg
 

@@ -14,11 +14,9 @@ from rotcal_ros.foundation.settings import expert, setting, with_groups
 DEFAULT: Final = "csv"
 FOLDER: Final = "folder"
 """The transport that needs no settings of its own."""
-_OURS: Final = plugins.OF_EXTENSIONS[plugins.STORES]
-_INSTALLED: Final = plugins.names(plugins.STORE_SETTINGS)
 STORES: Final = {
     name: plugins.load(plugins.STORE_SETTINGS, name, "transport")
-    for name in (*(n for n in _OURS if n in _INSTALLED), *sorted({*_INSTALLED}.difference(_OURS)))
+    for name in plugins.names(plugins.STORE_SETTINGS)
 }
 """The settings of the other transports, by name; each has a ``check()`` of what it needs."""
 

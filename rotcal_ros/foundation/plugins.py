@@ -38,7 +38,7 @@ PLANS: Final = "rotcal_ros.plans"
 GOALS: Final = "rotcal_ros.goals"
 """The settings of what a plan is designed for, which stand in a file of their own."""
 FUNCTIONS: Final = "rotcal_ros.functions"
-"""Names that extensions of this package add to ``import rotcal_ros``."""
+"""Names that packages beside the core add to ``import rotcal_ros``."""
 FIGURES: Final = "rotcal_ros.figures"
 """Figures of a result, which it asks of the packages above it."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
@@ -53,24 +53,12 @@ KINDS: Final = {
     VERBS: "verb",
     PLANS: "plan",
 }
-OF_EXTENSIONS: Final = {
-    CONTROLLERS: (
-        "fagor", "fanuc", "heidenhain", "kflop", "pmac", "sinumerik", "smoothieware", "twincat",
-        "twincat_nc",
-    ),
-    STORES: ("opcua", "ads"),
-    PLANS: ("check", "effort", "plate", "sequence", "tracer", "trade"),
-    FUNCTIONS: ("plan_plate", "write_certificate"),
-}  # fmt: skip
-"""Names from extensions of this package; if they are missing, errors say what to install."""
 INDEX: Final = Path(__file__).with_name("packages.json")
 """Package beside the core -> group -> names that it brings: errors say what to install for them.
 
 ``scripts/package_index.py`` makes it; no code looks here for what is installed.
 """
 _OWN: Final = "rotcal_ros"
-NOT_INSTALLED: Final = f"; its extension is not installed: pip install {_OWN}"
-"""Hint at a name that an extension of this package provides."""
 _LONGEST: Final = 80
 """Most characters of an unknown name that are compared with the existing ones."""
 
@@ -126,16 +114,19 @@ def load(group: str, name: str, what: str) -> Any:
 def extension(group: str, name: str, what: str) -> Any:
     """Load the entry point ``name`` of ``group``, which ``what`` needs.
 
-    Raises ConfigurationError, with the extra to install, if it, or a package that it needs, is
-    missing: pip installs both with the extra ``name`` of this package.
+    Raises ConfigurationError, with what to install, if it, or a package that it needs, is missing.
     """
-    missing, cause = f"the extension {name!r}", None
+    point = _found(group).get(name)
+    if point is None:
+        raise ConfigurationError(f"{what} needs {name!r}{package_hint(name, group)}")
     try:
-        if name in _found(group):
-            return _found(group)[name].load()
+        return point.load()
     except ImportError as error:
-        missing, cause = f"the package {str(error.name).partition('.')[0]}", error
-    raise ConfigurationError(f"{what} needs {missing}: pip install '{_OWN}[{name}]'") from cause
+        owner = point.dist.metadata["Name"] if point.dist else point.module
+        raise ConfigurationError(
+            f"{what} needs the package {str(error.name).partition('.')[0]}: "
+            f"pip install '{owner}[{','.join(point.extras)}]'"
+        ) from error
 
 
 def node_module(name: str) -> str:
@@ -211,14 +202,17 @@ def nearest(name: str, known: Any, *groups: str) -> str:
     ``groups``: of which the name may be; where none is given, what a setting may name.
     """
     for group in groups or (CONTROLLERS, STORES):
-        if name in _found(group):
-            continue
-        if name in OF_EXTENSIONS.get(group, ()):
-            return NOT_INSTALLED
-        for package, brought in json.loads(INDEX.read_text(encoding="utf-8")).items():
-            if name in brought.get(group, ()):
-                return f"; its package is not installed: pip install {package}"
+        if name not in _found(group) and (hint := package_hint(name, group)):
+            return hint
     near = difflib.get_close_matches(name[:_LONGEST], list(known), n=1)
     if near:
         return f"; did you mean {near[0]!r}?"
     return f"; known: {', '.join(known) or 'none'}"
+
+
+def package_hint(name: str, group: str) -> str:
+    """Return what to install for a name that a package beside the core brings; "" for others."""
+    for package, brought in json.loads(INDEX.read_text(encoding="utf-8")).items():
+        if name in brought.get(group, ()):
+            return f"; its package is not installed: pip install {package}"
+    return ""

@@ -188,9 +188,9 @@ def parse_configuration(
         )
     for group, value in values.items():
         if group not in GROUPS:
-            missing = group in _ORDER
-            hint = plugins.NOT_INSTALLED if missing else _without_its_group(method, str(group))
-            hint = hint or plugins.nearest(str(group), ("method", *GROUPS, *short_names(method)))
+            known = ("method", *GROUPS, *short_names(method))
+            hint = _without_its_group(method, str(group))
+            hint = hint or plugins.nearest(str(group), known, plugins.SETTINGS)
             what = "group" if isinstance(value, Mapping) else "setting"
             raise ConfigurationError(f"{source}: unknown {what} {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)

@@ -11,6 +11,7 @@ import pytest
 
 import rotcal_ros as rc
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
@@ -125,7 +126,7 @@ def test_a_report_is_written_of_a_bag_a_table_and_a_result(source, tmp_path):
 
 
 def test_the_module_lists_its_interface_and_nothing_else():
-    assert dir(rc) == sorted(rc.__all__)
+    assert dir(rc) == sorted([*rc.__all__, *plugins.names(plugins.FUNCTIONS)])
 
 
 def test_compare_takes_results_and_files_alike(plate):
@@ -284,7 +285,7 @@ def test_a_cell_that_nobody_turns_is_not_simulated_for_ever():
 
 def test_methods_and_controllers_have_names():
     assert {"tracer_multistation", "ball_plate", "plane_mirror"} <= set(rc.method_names())
-    assert {"csv", "linuxcnc", "sinumerik"} <= set(rc.controller_names())
+    assert {"csv", "linuxcnc"} <= set(rc.controller_names())
 
 
 def test_what_several_instruments_observed_is_solved_together():

@@ -1,20 +1,25 @@
 """The names of the front door: one list in code, types and page, and loaded when used."""
 
 import ast
+import json
 import pkgutil
 import pydoc
 import re
 import subprocess
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
 import rotcal_ros as rc
-from rotcal_ros.foundation.plugins import FUNCTIONS
+from rotcal_ros.foundation.plugins import FUNCTIONS, INDEX, names
 
 ROOT = Path(__file__).parents[2]
+OF_PACKAGES = {
+    name for p in json.loads(INDEX.read_text()).values() for name in p.get(FUNCTIONS, ())
+}
+OF_PACKAGES |= {*names(FUNCTIONS)}
+"""Names that packages beside the core add, where they are installed."""
 HEAVY = ("numpy", "scipy", "yaml", "matplotlib", "rosbags", "rclpy")
 
 
@@ -63,16 +68,14 @@ def test_a_type_checker_sees_the_same_names_at_the_same_places():
     }
     places = {name: f"rotcal_ros.{module}.{name}" for name, module in rc._PLACES.items()}
     places |= {name: f"rotcal_ros.{module}" for name, module in rc._MODULES.items()}
-    brought = entry_points(group=FUNCTIONS)
-    places |= {point.name: f"{point.module}.{point.attr}" for point in brought}
     assert seen == places
     declared = {node.target.id for node in tree.body if isinstance(node, ast.AnnAssign)}
-    assert declared == {"__all__", "__version__"}
+    assert declared == {"__all__", "__version__", *OF_PACKAGES}
 
 
 def test_the_page_lists_every_name():
     rows = re.findall(r"^\| `(?:rc\.)?(\w+)", (ROOT / "docs" / "api.md").read_text(), re.M)
-    assert sorted(rows) == rc.__all__
+    assert sorted(rows) == sorted([*rc.__all__, *OF_PACKAGES])
 
 
 def test_dir_and_help_show_the_names():

@@ -131,10 +131,8 @@ def test_all_that_was_measured_as_a_volumetric_table(export, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["--to", "fanuc", "--spacing", 10], 2, "--accept-unverified"),
         (["--to", "bosch"], 2, "unknown controller 'bosch'"),
         (["--to", "linuxcnc", "--spacing", 1], 2, "360 rows x 1 turns"),
-        (["--to", "sinumerik", "--spacing", 7], 2, "choose a spacing that divides 360"),
         (["--to", "csv", "--spacing", 0], 2, "spacing 0 deg"),
         (["--to", "csv", "--revolutions", "0:2"], 2, "unknown setting 'first_turn'"),
         (["--to", "linuxcnc", "--revolutions", "2:1"], 2, "LAST above FIRST"),

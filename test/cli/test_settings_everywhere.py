@@ -84,16 +84,13 @@ def test_a_configuration_file(refused, tmp_path, arguments, change, nearest):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--to", "fanucc"], "did you mean 'fanuc'"),
-        (["--to", "fanuc"], "--accept-unverified"),
+        (["--to", "linuxcnf"], "did you mean 'linuxcnc'"),
         (["--spacing", "nan"], "spacing nan deg"),
         (["--spacing", 400], "spacing 400 deg"),
         (["--spacing", -10], "spacing -10 deg"),
         (["--spacing", 0.5], "the controller holds 256"),
         (["-o", "file/out"], "takes no new files"),
         (["-o", "taken"], "exists already and nothing is overwritten"),
-        (["--to", "heidenhain", "--accept-unverified", "--set", "plan.table_positions=12"],
-         "measure the full circle"),
     ],
     ids=str,
 )  # fmt: skip

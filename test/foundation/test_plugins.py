@@ -1,7 +1,7 @@
 """What somebody else's plug-in does wrong is said with its name; the plug-ins are made here."""
 
 import sys
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
 import pytest
 
@@ -121,13 +121,6 @@ def test_a_plug_in_that_cannot_be_loaded_is_named_whatever_it_raises(plugin, tex
     told = str(found.value)
     assert told.startswith("the controller 'broken' (broken_drive) cannot be loaded: ")
     assert words in told
-
-
-@pytest.mark.parametrize("group", plugins.OF_EXTENSIONS)
-def test_the_core_knows_the_names_that_its_extensions_bring(group):
-    points = entry_points(group=group)
-    brought = [p.name for p in points if p.module.startswith("rotcal_ros.extensions.")]
-    assert sorted(brought) == sorted(plugins.OF_EXTENSIONS[group])
 
 
 def test_the_groups_that_other_packages_name_stay():

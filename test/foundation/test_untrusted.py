@@ -7,7 +7,6 @@ import pytest
 from rotcal_ros.bags.rosbag2_metadata import parse_description
 from rotcal_ros.bags.settings import changed_limits
 from rotcal_ros.compensation.controllers import parse_options
-from rotcal_ros.extensions.design.goal import goal_settings
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.untrusted import load_yaml
 from rotcal_ros.methods.configuration import (
@@ -98,12 +97,6 @@ def test_every_reader_of_what_people_write_refuses_it(tmp_path):
         read_configuration(wrong)
     with pytest.raises(ConfigurationError, match=f"line {line}: 1:30 is 90"):
         parse_configuration(wrong.read_text())
-    goal = tmp_path / "goal.yaml"
-    goal.write_text("need_arcsec: 1\nneed_arcsec: 2\n")
-    with pytest.raises(ConfigurationError, match=r"goal.yaml: line 2: need_arcsec is given a sec"):
-        goal_settings(None, goal, [])
-    with pytest.raises(ConfigurationError, match="1_0 is 10"):
-        goal_settings(None, None, ["need_arcsec=1_0"])
     with pytest.raises(ConfigurationError, match="010 is 8"):
         parse_options(["turns=010"])
     with pytest.raises(ConfigurationError, match="1:00:00 is 3600"):

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterable, Mapping
+import runpy
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -94,12 +95,6 @@ def _short_setups() -> Iterable[bytes]:
         b"method: tracer_six\nplaces_m: [[0.1, 0, 0.2], [0, 0.1, 0.2]]\nlength_std_m: 3e-8\n"
         b"plan: {table_positions: 4}\nidentity: {item: a table, measured: 2026-03-31}\n"
     )
-
-
-def _read_goal(path: Path) -> None:
-    from rotcal_ros.extensions.design.goal import goal_settings
-
-    goal_settings(None, path, ["need_arcsec=1.0"])
 
 
 def _read_options(path: Path) -> None:
@@ -225,6 +220,13 @@ def _requests() -> Iterable[bytes]:
     ).encode()  # fmt: skip
 
 
+def _beside() -> Iterator[Target]:
+    """Yield the targets of the packages beside the core that are installed."""
+    for path in sorted(ROOT.glob("packages/*/test/fuzz_targets.py")):
+        with suppress(ModuleNotFoundError):
+            yield from runpy.run_path(str(path))["TARGETS"]
+
+
 TARGETS: Final[Mapping[str, Target]] = {
     target.name.partition("/")[0]: target
     for target in (
@@ -233,8 +235,6 @@ TARGETS: Final[Mapping[str, Target]] = {
         Target("recorded/c.yaml", _configurations, texts.harmed_yaml,
                _read_recorded_configuration),
         Target("setup/c.yaml", _short_setups, texts.harmed_yaml, _read_setup),
-        Target("goal/g.yaml", lambda: [b"need_arcsec: 1.2\nlargest_arcsec: 2.5\nkeep_out_m: []\n"],
-               texts.harmed_yaml, _read_goal),
         Target("options/o.txt", lambda: [b"solver.zero=auto", b"plan.box_points=[2, 2, 2]"],
                texts.harmed_yaml, _read_options),
         Target("lengths/lengths.csv", _files("lengths.csv"), texts.harmed_csv,
@@ -272,6 +272,7 @@ TARGETS: Final[Mapping[str, Target]] = {
                reading.read_bag),
         Target("sqliterepair/bag_0.db3", lambda: bags.sqlite_seeds(), bags.harmed_sqlite,
                reading.repair_bag),
+        *_beside(),
     )
 }  # fmt: skip
 """All targets by name."""

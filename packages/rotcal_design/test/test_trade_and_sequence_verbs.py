@@ -1,0 +1,139 @@
+"""``rotcal plan trade`` and ``rotcal plan sequence``."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rotcal_design.trades import USUAL_MIRROR, mirror_trade
+from rotcal_design.verbs.sequence import best_order
+from rotcal_ros.cli.plan import command
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.methods.configuration import changed, parse_configuration
+from rotcal_ros.methods.tracer.policy.sequence import Forecast, MeasuringOrder
+from rotcal_ros.methods.tracer.table import read_pairs
+
+CONFIG = Path(__file__).parents[3] / "config"
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, [str(a) for a in arguments], standalone_mode=False)
+
+
+def data_of(*arguments):
+    done = run(*arguments, "--json")
+    if done.exception:
+        raise done.exception
+    return json.loads(done.stdout)
+
+
+@pytest.mark.slow
+def test_the_mirrors_hours_and_uncertainties_are_the_known_ones():
+    """6 stations with a reflector: 1.28 arcsec in 1.5 h; more reflectors replace stations.
+
+    The statement that the tracker may swing between its nests, 0.5 arcsec, is beside the noise.
+    """
+    still = changed(parse_configuration(USUAL_MIRROR), ["solver.uneven_drift_std_arcsec=0"])
+    rows = mirror_trade(still, [4, 6], [1, 3], move_s=600.0, pair_s=50.0, nest_s=10.0)
+    noise = {(row.stations, row.reflectors): row.expanded for row in rows}
+    assert np.degrees(noise[6, 1]) * 3600.0 == pytest.approx(1.28, rel=0.03)
+    assert np.degrees(noise[4, 3]) * 3600.0 < 0.87
+    ways = data_of("trade", "mirror", "--stations", "4,6", "--reflectors", "1,3")["ways"]
+    found = {(way["stations"], way["reflectors"]): way for way in ways}
+    six = found[6, 1]
+    for way, own in found.items():
+        swing = np.sqrt(own["expanded"] ** 2 - noise[way] ** 2)
+        assert 0.5 < np.degrees(swing) * 3600.0 < 2.0 * 0.5, way
+    assert six["seconds"] / 3600.0 == pytest.approx(1.5, abs=0.02)
+    # 17 positions and 5 shared, six nests twice at each of six stations
+    assert (six["pairs"], six["nests"]) == (22, 72)
+    more = found[4, 3]
+    assert more["seconds"] == 4 * 600.0 + 60 * 50.0 + 48 * 10.0
+    assert [way["seconds"] for way in ways] == sorted(way["seconds"] for way in ways)
+
+
+def test_stations_that_see_nothing_are_refused():
+    with pytest.raises(PlanError, match=r"none of \[2\] tracker stations"):
+        data_of("trade", "mirror", "--stations", "2")
+
+
+def test_balls_of_a_perfect_table_reach_the_bound_and_take_what_is_stated(tmp_path):
+    """Of one ball that only the noise keeps from giving the axis: a circle is the best plan."""
+    setup = tmp_path / "setup.yaml"
+    setup.write_text(
+        "method: table_balls\nballs_m: [[0.15, 0.0, 0.08]]\naxis_m: [0.0, 0.0, 0.08]\n"
+        "closing: false\nerror_motion_std_m: 1.0e-9\ntilt_std_arcsec: 0.001\n"
+        "scale_std_um_per_m: 0.001\nsquareness_std_um_per_m: 0.001\n"
+    )
+    options = ("--angles", "4,12", "--runs", "1,2", "--touch-s", "2", "--way-s", "3")
+    ways = data_of("trade", "balls", str(setup), *options, "--turn-deg-s", "10")["ways"]
+    assert {way["balls"] for way in ways} == {1}
+    for way in ways:
+        assert way["bound"] == pytest.approx(2e-6 / np.sqrt(way["centres"]))
+        # both coordinates share the radius, which is not known: sin and cos, each n / 2
+        assert way["bound"] <= way["place"] < 1.5 * way["bound"]
+        assert way["touches"] == 5 * way["centres"] == 5 * way["angles"] * way["runs"]
+        turned = 360.0 * way["runs"] - 360.0 / way["angles"]
+        assert way["seconds"] == pytest.approx(13.0 * way["centres"] + turned / 10.0)
+    done = run("trade", "balls", str(setup), *options, "--need-um", "1.0")
+    assert "fewest touches for U <= 1 um: " in done.stderr
+    done = run("trade", "balls", str(setup), *options, "--need-um", "0.001")
+    assert "none of these reaches 0.001 um within 15 minutes" in done.stderr
+    with pytest.raises(PlanError, match="none of these numbers of balls"):
+        data_of("trade", "balls", str(setup), "--balls", "3")
+
+
+def test_tables_for_people():
+    done = run("trade", "plate", "--grid", "12", "--balls", "6")
+    assert done.exception is None
+    assert done.stdout.startswith("balls,centres,hours,U/arcsec,or R/mm,or sigma/um")
+    assert "11 to 11 % of the centres" in done.stderr
+    done = run("trade", "tracer", "--radius-m", "0.1", "--sigma-um", "0.1", "--need-arcsec", "2")
+    assert done.exception is None
+    assert "R/mm,sigma/um,targets,lengths,no plan below" in done.stdout
+
+
+@pytest.mark.parametrize("text", ["", "0,1", "x", "-1"])
+def test_lists_are_of_positive_numbers(text):
+    with pytest.raises(PlanError, match=r"expected (positive )?numbers"):
+        data_of("trade", "tracer", f"--sigma-um={text}")
+
+
+def test_numbers_of_balls_are_whole():
+    with pytest.raises(PlanError, match="expected whole numbers"):
+        data_of("trade", "plate", "--balls", "6.5")
+
+
+def test_the_order_of_a_plan_is_found_and_written(tmp_path):
+    order = ["plan.order=targets_per_station", "plan.box_points=[2, 2, 2]"]
+    changes = [part for change in order for part in ("--set", change)]
+    written = tmp_path / "pairs.csv"
+    demo = CONFIG / "tracer_paper.yaml"
+    found = data_of("sequence", demo, *changes, "--limit", "1e9", "-o", written)
+    assert found["lengths"] == 88
+    assert found["listed_s"] == pytest.approx(87 * 5.0 + 10 * 10.0, abs=0.01)
+    assert found["bound_s"] == pytest.approx(found["listed_s"], abs=0.01)
+    assert found["best"] == "closed"  # nothing bounds what drifts in the quickest
+    pairs = np.reshape(read_pairs(written), (-1, 2))
+    assert {tuple(pair) for pair in pairs.tolist()} == {
+        (j, i) for j in range(11) for i in range(8)
+    }
+    assert (np.diff(pairs[:, 0]) != 0).sum() == 11
+
+
+def test_only_tracer_plans_have_such_orders():
+    with pytest.raises(ConfigurationError, match="only plans of a laser tracer"):
+        data_of("sequence", CONFIG / "ball_plate_demo.yaml")
+
+
+def test_an_order_that_hides_less_than_asked_for_is_needed():
+    way = MeasuringOrder("closed", np.arange(2), 1.0, 1.0, Forecast(0.5, 1.5))
+    assert best_order((way,)) is way
+    with pytest.raises(PlanError, match=r"no order .* 1 standard .* best \(closed\) leaves 1.5"):
+        best_order((way,), limit=1.0)
+    endless = replace(way, forecast=Forecast(np.inf, 0.5))
+    with pytest.raises(PlanError, match="leaves inf"):
+        best_order((endless,))
