@@ -51,6 +51,7 @@ from rotcal_ros.adjust.model import (
     drifts,
     recurring,
 )
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
@@ -667,16 +668,19 @@ def _returning(balls: BallsOnTable, read: Readings, zero: Ints) -> Floats:
     return np.asarray(columns)
 
 
-def _outputs(balls: BallsOnTable) -> Floats:
+def _outputs(balls: BallsOnTable) -> Outputs:
     outputs = [_deviation(balls, name) for name in components_of(balls)]
     lines = AXIS if balls.tilting is None else (*AXIS, *balls.tilting.line)
-    return np.concatenate([*outputs, *(block_rows(balls.blocks, name) for name in lines)])
+    rows = np.concatenate([*outputs, *(block_rows(balls.blocks, name) for name in lines)])
+    return Outputs.alone(csr_array(rows))
 
 
-def _also(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:
+def _also(balls: BallsOnTable, places: Floats) -> dict[str, Outputs]:
     found = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
     found |= {name: block_rows(balls.blocks, name) for name in balls.known if name in ALSO}
-    return found if balls.tilting is None else found | _by_tilt(balls, balls.tilting)
+    if balls.tilting is not None:
+        found |= _by_tilt(balls, balls.tilting)
+    return {name: Outputs.alone(csr_array(rows)) for name, rows in found.items()}
 
 
 def _names(balls: BallsOnTable, read: Readings) -> Iterator[str]:
