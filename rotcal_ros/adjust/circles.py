@@ -17,7 +17,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.linalg import eigvalsh_tridiagonal
+from scipy.linalg import eigvalsh_tridiagonal, lapack
 from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.bordered import FewEach, Groups
@@ -27,10 +27,12 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 FIRM: Final = 1e-6
 """Least eigenvalue of normal equations of unit diagonal whose inverse keeps nine digits."""
+ROUGH: Final = 1e-12
+"""The same of a step, or of a variance that is only compared."""
 OPEN: Final = 1e-12
 """Eigenvalue of order 0, of unit diagonal, below which nothing determines a direction."""
 LARGE: Final = 1000
-"""Places of a circle from which on a whole matrix is too large."""
+"""Places of a circle from which on steps are iterated: whole matrices cost their third power."""
 FEW: Final = 16
 """Rows that differ from most in weight up to which a low rank beside the orders is quick."""
 STEPS: Final = 1000
@@ -265,6 +267,10 @@ class Circular(Design):
     def _iterated(self) -> Iterated | None:
         return Iterated.of(self)
 
+    @cached_property
+    def _eliminated(self) -> Eliminated | None:
+        return Eliminated.of(self)
+
     @property
     def open_directions(self) -> Floats | None:
         """What complete turns leave open (p, k); None where that is not known."""
@@ -272,12 +278,26 @@ class Circular(Design):
 
     def roughly(self, white: Floats) -> Floats | None:
         """Return the unknowns (p,) of least squares with any weights; None: nothing does."""
-        if self._iterated is None or not (self.large or self.lengths.all()):
+        if not self.large and self._eliminated is not None:
+            return self._eliminated.solved(self, white)
+        if not (self.large or self.lengths.all()):
             return None
-        return self._iterated.solved(self, white)
+        found = None if self._iterated is None else self._iterated.solved(self, white)
+        if found is None and self._eliminated is not None:
+            found = self._eliminated.solved(self, white)
+        return found
+
+    def variances(self, outputs: Outputs) -> Floats | None:
+        """Return variances (o,) of ``outputs`` with any weights; None: nothing does."""
+        if self._eliminated is None:
+            return None
+        every = outputs.parts(self.shape[1])
+        return np.concatenate([self._eliminated.squares(rows) for _, rows in every])
 
     def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
+        if not self.large and self._eliminated is not None:
+            return False
         mine, others = self._iterated, other._iterated if isinstance(other, Circular) else None
         if mine is None or others is None:
             return False
@@ -572,6 +592,62 @@ def _of_unit_diagonal(square: Floats) -> tuple[Floats, Floats, Floats]:
     scale = np.sqrt(np.where(square.diagonal() > 0.0, square.diagonal(), 1.0))
     values, vectors = np.linalg.eigh(square / scale / scale[:, None])
     return values, vectors, scale
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """The normal equations of a circular design with any weights, circle by circle.
+
+    No row reads two of the circles but the last one: their unknowns are taken out one by one,
+    ``own`` (m,) on the diagonal, and what is left is small. ``shared`` (m, r): between these and
+    the others, over ``own``; ``root``: the lower Cholesky factor of what is left of the others.
+    """
+
+    own: Floats
+    shared: csr_array
+    root: Floats
+
+    @classmethod
+    def of(cls, design: Circular) -> Eliminated | None:
+        """Return those of a ``design``; None where it has extra columns, or they are not firm."""
+        turns = design.turns
+        count = (turns.circles - 1) * turns.size
+        plain = ByOrder.of(turns, np.ones(len(turns.sign)))
+        if design.extra.shape[1] or plain is None:
+            return None
+        first, last = design.few[:, :count], design.few[:, count:]
+        between = csr_array(first.T @ first)
+        own = between.diagonal()
+        if np.count_nonzero(between.data) != count or not (own > 0.0).all():
+            return None
+        shared = csr_array(first.T @ last)
+        over = shared.multiply(1.0 / own[:, None]).tocsr()
+        rest = (last.T @ last - shared.T @ over).toarray()
+        scale = np.sqrt(last.multiply(last).sum(axis=0))
+        if not scale.all():
+            return None
+        open_ = plain.directions[count:] * scale[:, None]
+        open_ /= np.linalg.norm(open_, axis=0)
+        unit = rest / scale / scale[:, None] + open_ @ open_.T
+        root, failed = lapack.dpotrf(unit, lower=1)
+        if failed or lapack.dpocon(root, np.abs(unit).sum(axis=0).max(), uplo="L")[0] < ROUGH:
+            return None
+        return cls(own, csr_array(over), np.asarray(np.tril(root)) * scale[:, None])
+
+    def solved(self, design: Circular, read: Floats) -> Floats:
+        """Return the unknowns (p,) of least squares from what was ``read`` (n,), whitened."""
+        asked, count = design.adjoint(read), len(self.own)
+        left = asked[count:] - self.shared.T @ asked[:count]
+        others = lapack.dpotrs(self.root, left, lower=1)[0]
+        return np.append(asked[:count] / self.own - self.shared @ others, others)
+
+    def squares(self, rows: Floats) -> Floats:
+        """Return the variances (k,) of what ``rows`` (k, p) make of the unknowns."""
+        count = len(self.own)
+        mine = rows[:, :count]
+        others = rows[:, count:] - (self.shared.T @ mine.T).T
+        along = lapack.dtrtrs(self.root, others.T, lower=1)[0]
+        return np.asarray((mine**2 / self.own).sum(axis=1) + (along**2).sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

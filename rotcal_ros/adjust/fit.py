@@ -332,7 +332,12 @@ class Fit:
 
         Those that nothing correlates.
         """
-        return self.counting(np.sqrt(self._plain_variance))
+        design = self._white_design
+        known = self.by_form is not None or self.model.definitions is not None
+        variance = None if known else design.variances(self.model.output_rows)
+        if variance is None and design.rough_first:
+            _require_told(self.model, design)
+        return self.counting(np.sqrt(self._plain_variance if variance is None else variance))
 
     def far_worse_than(self, other: Fit, factor: float) -> bool:
         """Whether an output is less sure than by ``factor`` times of another fit.

@@ -105,6 +105,10 @@ class Design(ABC):
         """Return the unknowns (p,) of least squares where no kernel does; None: nothing does."""
         return None
 
+    def variances(self, outputs: Outputs) -> Floats | None:
+        """Return variances (o,) of ``outputs`` where no kernel does; None: nothing does."""
+        return None
+
     def never_worse(self, other: Design, outputs: Outputs, factor: float) -> bool:
         """Whether bounds show that no output is less sure by ``factor`` than by ``other``."""
         return False

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust import circles
 from rotcal_ros.adjust.bordered import FewEach
-from rotcal_ros.adjust.circles import ByOrder, Circular, Iterated, Turns
+from rotcal_ros.adjust.circles import ByOrder, Circular, Eliminated, Iterated, Turns
 from rotcal_ros.adjust.designs import dense
 from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.fit import fitted
@@ -319,7 +319,8 @@ def test_any_weights_are_solved_as_by_dense_least_squares(share):
     assert found.output_std[1:24] == pytest.approx(expected[1:24], rel=1e-9)
 
 
-def test_three_circles_that_are_read_at_once():
+def test_eliminated_circles_are_not_taken_where_two_are_read_at_once():
+    """Two of three circles in one row: no diagonal is left of the first two."""
     size, random = 12, np.random.default_rng(2)
     place, shift = np.tile(np.arange(size), 6), np.repeat([0, 1, 5, 2, 3, 7], size)
     other = np.repeat([0, 2, 1, 7, 5, 3], size)
@@ -327,6 +328,7 @@ def test_three_circles_that_are_read_at_once():
     begin = 3 * np.arange(len(place) + 1)
     rows = csr_array((np.tile([1.0, -1.0, 2.0], len(place)), column.T.ravel(), begin))
     design = Circular.of(rows, 3, size)
+    assert Eliminated.of(design) is None
     found = design.kernel()
     errors = random.standard_normal((len(place), 2))
     plain = rows.toarray() @ (np.linalg.pinv(rows.toarray()) @ errors)
