@@ -11,7 +11,7 @@ RUN apt-get update \
 WORKDIR /opt/rotcal
 COPY . .
 # The same set-up as `make`, without what only tests need.
-RUN ROTCAL_EXTRAS=ros,many,history,dcc,page,packages scripts/setup.sh && rm -rf build
+RUN ROTCAL_EXTRAS=ros,parquet,page,packages scripts/setup.sh && rm -rf build
 
 FROM ${BASE}
 # hadolint ignore=DL3008

@@ -10,7 +10,6 @@ NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
 MODULES = {
     "bridge": "nodes.bridge.node",
-    "calibration_status": "extensions.history.node.calibration_status",
     "capture": "nodes.capture.node",
     "dme_adapter": "extensions.ipp_dme.node",
     "instrument_driver": "extensions.instrument_plugins.node",
@@ -26,9 +25,7 @@ MODULES = {
 """Node -> its module."""
 VERBS_OF_EXTENSIONS = {
     "dme": "ipp_dme",
-    "history": "history",
     "replay": "replay",
-    "reprocess": "fleet",
     "web": "page",
 }
 METHODS = {
@@ -105,9 +102,7 @@ setup(
             "ros-trajectory-msgs",
             "ros-visualization-msgs",
         ],
-        "history": ["alembic", "psycopg[binary]", "pyarrow", "sqlalchemy"],
-        "many": ["alembic", "distributed", "fsspec", "psycopg[binary]", "pyarrow", "sqlalchemy"],
-        "dcc": ["cryptography", "lxml", "signxml"],
+        "parquet": ["pyarrow"],
         "notebook": ["ipykernel", "nbclient", "nbformat", "pandas", "xarray"],
         "page": ["sse-starlette", "starlette", "uvicorn"],
         "build": [
@@ -174,7 +169,6 @@ setup(
         ],
         "rotcal_ros.settings": [
             f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",
-            f"history = {NAME}.extensions.history.settings:HistorySettings",
             f"instrument = {NAME}.extensions.instrument_plugins.settings:InstrumentSettings",
             f"page = {NAME}.extensions.page.settings:PageSettings",
         ],
@@ -187,14 +181,7 @@ setup(
             f"{verb} = {NAME}.extensions.{extension}:VERB"
             for verb, extension in VERBS_OF_EXTENSIONS.items()
         ],
-        "rotcal_ros.functions": [
-            f"write_certificate = {NAME}.extensions.certificate.writing:write_certificate [dcc]",
-        ],
         "rotcal_ros.figures": [f"plot = {NAME}.methods.figures.curves:plot"],
-        "rotcal_ros.histories": [f"history = {NAME}.extensions.history.adding [history]"],
-        "rotcal_ros.certificates": [
-            f"dcc = {NAME}.extensions.certificate.verbs:write_certificate [dcc]"
-        ],
     },
     zip_safe=False,
 )

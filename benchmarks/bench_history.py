@@ -16,11 +16,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
-from rotcal_ros.extensions.history.adding import AT_ONCE
-from rotcal_ros.extensions.history.database import ParkHistory, packed
-from rotcal_ros.extensions.history.outlook import outlook_of, park
-from rotcal_ros.extensions.history.page import write_park
-from rotcal_ros.extensions.history.settings import HistorySettings
+from rotcal_history.adding import AT_ONCE
+from rotcal_history.database import ParkHistory, packed
+from rotcal_history.outlook import outlook_of, park
+from rotcal_history.page import write_park
+from rotcal_history.settings import HistorySettings
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result

@@ -25,11 +25,11 @@ from rosbags.typesys import Stores, get_typestore
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "bags"))
 from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate
 
+from rotcal_history.fleet.batch_solving import Job
+from rotcal_history.fleet.workers import on_all_cores
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.settings import WriterSettings
-from rotcal_ros.extensions.fleet.batch_solving import Job
-from rotcal_ros.extensions.fleet.workers import on_all_cores
 from rotcal_ros.foundation.observations import LengthStatus, TracerSample
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration

@@ -22,12 +22,12 @@ from tempfile import TemporaryDirectory
 import psutil
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "test" / "extensions" / "fleet"))
+sys.path.insert(0, str(ROOT / "packages" / "rotcal_history" / "test" / "fleet"))
 from fleet_bags import configuration_text, write_bag  # noqa: E402
 
-from rotcal_ros.extensions.fleet.batch_solving import Job  # noqa: E402
-from rotcal_ros.extensions.fleet.workers import on_all_cores  # noqa: E402
-from rotcal_ros.extensions.history.database import ParkHistory, result_of  # noqa: E402
+from rotcal_history.database import ParkHistory, result_of  # noqa: E402
+from rotcal_history.fleet.batch_solving import Job  # noqa: E402
+from rotcal_history.fleet.workers import on_all_cores  # noqa: E402
 from rotcal_ros.methods.configuration import parse_configuration  # noqa: E402
 
 TABLES = 50

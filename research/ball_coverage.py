@@ -33,13 +33,12 @@ from rotcal_ros.methods.table_balls.settings import BallsPlanSettings, BallsSolv
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "methods" / "table_balls"))
-from ball_world import COLUMN, LEVEL, NAMES, ONE, THREE, World
+from ball_world import AS_DRAWN, COLUMN, LEVEL, NAMES, ONE, THREE, World
 from test_motions import MEASURES, STATED, WORLDS, covered, planned, stated
 
 NOISE_M, PLAY_M, TIP_M = 1e-6, 1e-6, 2e-6
 ORTHOGONAL = {"measure": "bar", "bars_m": (0.1, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1)}
 SLANTED = {"measure": "bar", "bars_m": (0.06, 0.05, 0.07, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1)}
-AS_DRAWN = BallsSolverSettings(error_motion_orders="white")
 TILTS = {
     "chain": "AC", "tilts_deg": (-60.0, 0.0, 50.0, 90.0), "tilting_axis_m": (0.02, 0.01, -0.1),
     "table_step_deg": 45.0, "table_positions": 8, "runs": 1,

@@ -20,7 +20,7 @@ os.environ |= {
 import rclpy  # noqa: E402
 from ament_index_python.packages import get_package_prefix  # noqa: E402
 
-from rotcal_ros.foundation.machine_load import patient  # noqa: E402
+from rotcal_ros.foundation.machine_load import load_scaled_timeout  # noqa: E402
 
 
 def expect(good: bool, complaint: str) -> None:
@@ -31,7 +31,7 @@ def expect(good: bool, complaint: str) -> None:
 
 def is_on_graph(name: str, process: subprocess.Popen[bytes]) -> bool:
     """Wait until a node of that name can be seen."""
-    deadline = time.monotonic() + patient(APPEAR_S)
+    deadline = time.monotonic() + load_scaled_timeout(APPEAR_S)
     rclpy.init()
     try:
         observer = rclpy.create_node("check_node")
@@ -55,9 +55,12 @@ def main(install: Path, name: str) -> None:
     expect(os.access(executable, os.X_OK), f"{executable} is not an executable file")
     process = subprocess.Popen([executable])
     try:
-        expect(is_on_graph(name, process), f"{name} did not appear within {patient(APPEAR_S):g} s")
+        expect(
+            is_on_graph(name, process),
+            f"{name} did not appear within {load_scaled_timeout(APPEAR_S):g} s",
+        )
         process.send_signal(signal.SIGINT)
-        code = process.wait(timeout=patient(END_S))
+        code = process.wait(timeout=load_scaled_timeout(END_S))
     finally:
         process.kill()
     expect(code in (0, 130), f"{name} ended with {code} after Ctrl-C")

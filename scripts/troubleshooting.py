@@ -24,7 +24,7 @@ GROUPS = (
     )),
     ("Bags, tables, replay", "recording.md#checking-and-repairing", (
         "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
-        "methods/measurements", "extensions/fleet", "extensions/replay",
+        "methods/measurements", "rotcal_history/fleet", "extensions/replay",
     )),
     ("Plans", "planning.md", ("planning/", "rotcal_design/", "cli/plan")),
     ("Laser tracer", "tracer.md", ("methods/tracer/",)),
@@ -35,7 +35,7 @@ GROUPS = (
         "compensation/", "rotcal_controllers/", "cli/export",
     )),
     ("Comparing and reporting", "evaluation.md", (
-        "evaluation/", "report/", "extensions/certificate", "extensions/page", "cli/report",
+        "evaluation/", "report/", "rotcal_history/certificate", "extensions/page", "cli/report",
     )),
     ("Configuration and everything else", "settings.md", ("",)),
 )  # fmt: skip

@@ -25,11 +25,9 @@ from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.adjust.model import effect_texts
 from rotcal_ros.evaluation.budget import WHOLE
-from rotcal_ros.extensions.history.database import EVENT, RESULT, WITHDRAWAL
-from rotcal_ros.extensions.history.settings import DOCUMENTS, EVENTS
 from rotcal_ros.extensions.page.web import asked_settings
 from rotcal_ros.foundation.identity import Instruments
-from rotcal_ros.foundation.language import FOLDER, language
+from rotcal_ros.foundation.language import FOLDER, folders, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
 from rotcal_ros.methods import find_method, method_names
@@ -55,8 +53,7 @@ DATA = (
     "laser", "plate", "cmm", "rotary table",
     *(field.name.replace("_", " ") for field in fields(Instruments)),
     *effect_texts(INSTRUMENT, MOVED),
-    WORDS.elements, WORDS.contradicts, REFERENCE, AGAIN, RESULT, EVENT, WITHDRAWAL, *DOCUMENTS,
-    *EVENTS,
+    WORDS.elements, WORDS.contradicts, REFERENCE, AGAIN,
 )  # fmt: skip
 """Words that come as data."""
 
@@ -80,7 +77,7 @@ class Shown(HTMLParser):
 def used() -> dict[str, str]:
     """Return every text that a catalogue has to know, and where it is first used."""
     found: dict[str, str] = {}
-    for name, message in marked():
+    for name, message in marked(PACKAGE):
         found.setdefault(message, name)
     page = Shown()
     for path in sorted(PAGES.glob("*.html")):
@@ -97,15 +94,15 @@ def used() -> dict[str, str]:
     return {text: where for text, where in found.items() if any(map(str.isalpha, text))}
 
 
-def marked() -> Iterator[tuple[str, str]]:
-    """Yield the file of every marked text, and the text."""
+def marked(package: Path) -> Iterator[tuple[str, str]]:
+    """Yield the file of every marked text of a package, and the text."""
     for pattern, kind in READ:
-        for path in sorted(PACKAGE.glob(pattern)):
+        for path in sorted(package.glob(pattern)):
             if MARKED.search(path.read_text(encoding="utf-8")):  # most have none
                 options = OPTIONS.get(kind)
                 for _, message, _, _ in extract_from_file(kind, path, MARKS, options=options):
                     text = message if isinstance(message, str) else message[0]
-                    yield str(path.relative_to(PACKAGE)), text
+                    yield str(path.relative_to(package)), text
 
 
 def written() -> dict[str, str]:
@@ -163,28 +160,37 @@ def texts_of(node: ast.AST) -> Iterator[str]:
         yield UNIT.sub("", text).removeprefix("U_").replace("_", " ")
 
 
-def wanted() -> dict[str, str]:
-    """Return what every catalogue has to have: what is used, and what another one has."""
+def wanted(folder: Path = FOLDER) -> dict[str, str]:
+    """Return what a catalogue has to have: what is used, and what another one has.
+
+    That of a package beside the core has what is marked there and not in the core's.
+    """
+    if folder != FOLDER:
+        ours, theirs = wanted(), marked(folder.parent)
+        found = {message: name for name, message in theirs if message not in ours}
+        return {text: name for text, name in found.items() if any(map(str.isalpha, text))}
     known = {text for path in FOLDER.glob("*.po") for text in language(path.stem).texts or ()}
     return used() | {text: where for text, where in written().items() if text in known}
 
 
-def update(code: str) -> None:
+def update(folder: Path, code: str) -> None:
     """Write the catalogue of a language with the texts that are used now."""
-    path = FOLDER / f"{code}.po"
-    catalogue = Catalog(locale=code, project="rotcal_ros", fuzzy=False)
+    path, project = folder / f"{code}.po", "rotcal_ros" if folder == FOLDER else folder.parent.name
+    catalogue = Catalog(locale=code, project=project, fuzzy=False)
     if path.exists():
         with path.open("rb") as file:
             catalogue = read_po(file, locale=code)
-    template = Catalog(project="rotcal_ros", fuzzy=False)
-    for text, where in wanted().items():
+    template = Catalog(project=project, fuzzy=False)
+    for text, where in wanted(folder).items():
         template.add(text, locations=[(where, 0)])
     catalogue.update(template, no_fuzzy_matching=True)
     catalogue.obsolete.clear()
+    folder.mkdir(exist_ok=True)
     with path.open("wb") as file:
         write_po(file, catalogue, width=0, omit_header=True, include_lineno=False)
 
 
 if __name__ == "__main__":
     for code in sys.argv[1:] or [path.stem for path in FOLDER.glob("*.po")]:
-        update(code)
+        for folder in folders():
+            update(folder, code)

@@ -12,7 +12,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from rotcal_ros.bags.reader import bag_files, check_files
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 PROGRAM = Path(__file__).parent / "bags" / "node" / "read_bag.mjs"
 CONVERT = Path(sys.executable).with_name("rosbags-convert")
@@ -39,7 +39,7 @@ def on_node_js(path):
     """Return the messages of a file by topic, as @mcap/core and Foxglove's packages read them."""
     command = ["node", str(on_node(PROGRAM)), str(path)]
     read = subprocess.run(
-        command, check=True, timeout=patient(120), capture_output=True, text=True
+        command, check=True, timeout=load_scaled_timeout(120), capture_output=True, text=True
     )
     found = {}
     for line in read.stdout.splitlines():

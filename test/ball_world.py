@@ -13,6 +13,8 @@ ONE = (0.14, 0.03, 0.06)
 LEVEL = (*ONE, -0.1, 0.05, 0.06)
 COLUMN = (*ONE, 0.14, 0.03, 0.21)
 THREE = (*ONE, -0.1, 0.08, 0.02, -0.02, -0.13, 0.11)
+AS_DRAWN = BallsSolverSettings(error_motion_orders="white")
+"""The statement of which :meth:`World.drawn` draws: each motion at each angle for itself."""
 
 
 def shifted(vector):

@@ -25,7 +25,7 @@ def measured(name, changes, values):
 
 def instrument(name, measurements):
     """Return measurements as an instrument: its result and its model."""
-    model = measurements.calibration.of_curves(measurements.observations)
+    model = measurements.calibration.model_of_curves(measurements.observations)
     return JointInput(name, measurements.solve(), model)
 
 

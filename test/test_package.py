@@ -44,6 +44,8 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }
+WITHOUT_KEYS = {"alembic", "pyarrow", "sqlalchemy"}
+"""What pip alone brings: verbs that need it say so."""
 OF_PIP_ALONE = {"mcap-ros2-support", "python3-rosbags-pip"}
 OF_THE_CONTROLLER = {"hal", "linuxcnc"}
 RECORDED_BY_NAME = {"lifecycle_msgs"}  # types that the recorder meets as text
@@ -302,7 +304,7 @@ def test_the_manifest_names_what_is_imported_and_nothing_else(name, code, monkey
     place = ROOT if name == "rotcal_ros" else ROOT / "packages" / name
     below = ("rotcal_ros/", "launch/") if place == ROOT else (f"packages/{name}/",)
     extras = given_to_setup(monkeypatch, place).get("extras_require", {})
-    with_own_errors = ("many", "history", "opcua", "ads", "dcc", "page")
+    with_own_errors = ("parquet", "many", "opcua", "ads", "dcc", "page")
     names = (name for extra in with_own_errors for name in extras.get(extra, ()))
     optional = {*(name.replace("-", "_") for name in names), *OF_THE_CONTROLLER} - {"uvicorn"}
     imported = {
@@ -318,7 +320,7 @@ def test_the_manifest_names_what_is_imported_and_nothing_else(name, code, monkey
             else []
         )
     }
-    foreign = imported - set(sys.stdlib_module_names) - optional - {name}
+    foreign = imported - set(sys.stdlib_module_names) - optional - WITHOUT_KEYS - {name}
     needed = {ROSDEP_KEYS.get(name, name) for name in foreign}
     assert needed & RECORDED_BY_NAME == set()
     named = {dependency.name for dependency in parse_package(place / "package.xml").exec_depends}

@@ -11,7 +11,7 @@ import yaml
 from snippets import PAGES, PYTHON, ROOT, SHELL, YAML, Block, blocks
 
 import rotcal_ros as rc
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.methods.configuration import GROUPS
 from rotcal_ros.methods.settings_reference import all_sections
 
@@ -88,7 +88,7 @@ def reader(tmp_path, program, made):
     def run(text):
         return subprocess.run(
             ["bash", "-euo", "pipefail", "-c", text], cwd=tmp_path, env=env,
-            capture_output=True, text=True, timeout=patient(DEADLINE_S),
+            capture_output=True, text=True, timeout=load_scaled_timeout(DEADLINE_S),
         )  # fmt: skip
 
     return run

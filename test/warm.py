@@ -33,9 +33,10 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, NoReturn
 
-PACKAGE = "rotcal_ros."
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("rotcal_ros", *(path.parent.name for path in ROOT.glob("packages/*/setup.py")))
 ROTCAL = ("-m", "rotcal_ros.cli.main")
-WITH_ROS = re.compile(r"rotcal_ros\.(nodes|ros|extensions\.\w+\.node)\b")
+WITH_ROS = re.compile(r"rotcal_ros\.(nodes|ros|extensions\.\w+\.node)\b|rotcal_\w+\.node\b")
 """What needs ROS, or starts it."""
 START_NODES = ("run", "verify", "doctor")
 """Commands whose own processes begin as copies, too."""
@@ -140,7 +141,7 @@ def popen(command: Sequence[Any], **options: Any) -> subprocess.Popen[Any]:
     """Start a process as subprocess.Popen does; one of the suite, or a script, as a copy."""
     environment = options.get("env") or os.environ
     first, second, third = [*map(str, command), "", ""][:3]
-    ours = (second == "-m" and third.startswith(PACKAGE)) or second.endswith(".py")
+    ours = (second == "-m" and third.partition(".")[0] in PACKAGES) or second.endswith(".py")
     other = any(environment.get(name) != os.environ.get(name) for name in NOT_COPIED)
     if first != sys.executable or not ours or other:
         return subprocess.Popen(command, **options)
@@ -341,13 +342,14 @@ def import_all(ros: bool) -> None:
     import pkgutil
     from importlib import import_module
 
-    import rotcal_ros
-
-    for module in pkgutil.walk_packages(rotcal_ros.__path__, PACKAGE):
-        if module.name.endswith("__main__") or (not ros and WITH_ROS.match(module.name)):
-            continue
+    for package in PACKAGES:
         with suppress(ImportError):
-            import_module(module.name)
+            place = import_module(package).__path__
+            for module in pkgutil.walk_packages(place, f"{package}."):
+                if module.name.endswith("__main__") or (not ros and WITH_ROS.match(module.name)):
+                    continue
+                with suppress(ImportError):
+                    import_module(module.name)
     if ros:
         for name in LOADED_LATE:
             import_module(name)

@@ -314,6 +314,7 @@ def _settled_noise(diagnosis: Diagnosis, stated: Fit, bent: bool) -> tuple[Noise
         return Noise(ones), stated
     evidence = _evidence(stated, bent)
     checked = (evidence.redundancy > LEAST_REDUNDANCY) & evidence.present
+    read = np.isin(np.arange(len(ones)), model.of_component[model.rejectable])
     held, fit, factors = np.zeros(len(ones), dtype=np.bool_), stated, diagnosis.noise.factors
     if diagnosis.noise.estimated is not None:  # what was exact is so still
         held = evidence.present & np.isnan(diagnosis.noise.estimated.log_std)
@@ -325,7 +326,7 @@ def _settled_noise(diagnosis: Diagnosis, stated: Fit, bent: bool) -> tuple[Noise
         if not exact.any():
             return Noise(found.factors, found), fit
         held, factors = held | exact, found.factors
-        if held[checked].all():
+        if held[checked & read].all():  # what is stated beside made-up data stays, too
             return Noise(least), diagnosis.fitted(least, stated.x) if model.unstated else stated
 
 

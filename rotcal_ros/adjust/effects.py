@@ -344,8 +344,8 @@ def undetected_family(
     needed = {r: noncentrality(chance, power, r, dof - r) for r in set(seen.rank.tolist()) if r}
     root, silent = seen.roots
     found_from = np.sqrt([needed.get(r, 0.0) for r in seen.rank.tolist()])[:, None, None] * root
-    length = np.linalg.norm(silent, axis=1, keepdims=True)
-    hidden = largest * np.where(length > 0.0, silent / np.where(length > 0.0, length, 1.0), 0.0)
+    ways, size, _ = np.linalg.svd(silent)
+    hidden = largest * ways * (size > UNSEEN * size.max(axis=1, keepdims=True))[:, None]
     shown, more, bound = worst_of(seen.moved, std, found_from, hidden, whole)
     error = np.minimum(shown + more, bound)
     worst = int(np.argsort(-error, kind="stable")[k - max(int(np.ceil(usual * k)), 1)])

@@ -224,6 +224,6 @@ def arrow() -> tuple[Any, Any]:
         import pyarrow.parquet as parquet
     except ImportError as error:
         raise ConfigurationError(
-            "Parquet needs pyarrow: pip install 'rotcal_ros[many]'"
+            "Parquet needs pyarrow: pip install 'rotcal_ros[parquet]'"
         ) from error
     return pa, parquet

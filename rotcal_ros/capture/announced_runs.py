@@ -16,7 +16,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
-from rotcal_ros.capture.heard import RUN
+from rotcal_ros.capture.publishers import RUN
 from rotcal_ros.foundation.errors import BagError
 
 PLANNER: Final = "planner"

@@ -26,7 +26,7 @@ def kind_of(reason: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Commonest:
+class MostFrequentReason:
     """The commonest kind of ``total`` reasons: ``count`` of them are like ``example``."""
 
     example: str
@@ -34,7 +34,7 @@ class Commonest:
     total: int
 
     @classmethod
-    def of(cls, reasons: Iterable[str]) -> Commonest | None:
+    def of(cls, reasons: Iterable[str]) -> MostFrequentReason | None:
         """Return the commonest kind, with its latest example; None if there is no reason."""
         examples = {}
         kinds: Counter[str] = Counter()
@@ -86,11 +86,11 @@ class Rejections:
 
     def describe(self) -> str | None:
         """Return what was rejected since the last accepted attempt."""
-        commonest = Commonest.of(self.running)
-        if commonest is None:
+        most_frequent = MostFrequentReason.of(self.running)
+        if most_frequent is None:
             return None
-        attempts = f"{commonest.total} attempts" if commonest.total > 1 else "an attempt"
-        return f"{attempts} rejected in a row, {commonest.describe()}"
+        attempts = f"{most_frequent.total} attempts" if most_frequent.total > 1 else "an attempt"
+        return f"{attempts} rejected in a row, {most_frequent.describe()}"
 
 
 HIDDEN: Final = 10
@@ -126,11 +126,11 @@ class FailedSteps:
         failed = len(self._steps)
         if not self.limit or max(failed - len(hidden), failed / HIDDEN) < self.limit:
             return
-        commonest = Commonest.of(r for _, reasons in self._steps for r in reasons)
-        assert commonest is not None
+        most_frequent = MostFrequentReason.of(r for _, reasons in self._steps for r in reasons)
+        assert most_frequent is not None
         steps = f"{failed} steps running" if failed > 1 else "a step"
         raise TooManyFailedError(
-            f"given up: {steps} failed; of their attempts {commonest.describe()}. Correct that, "
-            "then go on with 'rotcal run --resume', which measures these steps again "
+            f"given up: {steps} failed; of their attempts {most_frequent.describe()}. Correct "
+            "that, then go on with 'rotcal run --resume', which measures these steps again "
             f"(planner.max_failed_steps = {self.limit} says how many may fail in a row)"
         )

@@ -20,7 +20,7 @@ import click
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.middleware import SUPPORTED, distribution, middleware, rclpy_version
 from rotcal_ros.sessions.domains import free_domain
 
@@ -181,7 +181,7 @@ def _try(module: str, *arguments: str) -> tuple[bool, str]:
             env=os.environ | private,
             capture_output=True,
             text=True,
-            timeout=patient(TRIAL_DEADLINE_S),
+            timeout=load_scaled_timeout(TRIAL_DEADLINE_S),
             check=False,
         )
         ok, lines = run.returncode == 0, (run.stdout or run.stderr).strip().splitlines()

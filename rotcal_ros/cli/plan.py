@@ -284,7 +284,7 @@ def _expected(name: str, calibration: Calibration, seed: int) -> JointInput:
 
     alone = calibration.of_distances
     observations = _predicted_observations(alone, seed)
-    model = alone.of_curves(observations)
+    model = alone.model_of_curves(observations)
     if model is None:
         return JointInput(name, alone.solve(observations))
     return JointInput(name, alone.unsolved(observations, model), model)

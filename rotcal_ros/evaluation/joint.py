@@ -725,7 +725,7 @@ def _result(
     )
     if found.verdict == "failed":
         return replace(joint, verdict="failed", zeros=replace(joint.zeros, within="failed"))
-    return joint if found.verdict == "ok" else joint.doubted()
+    return joint if found.verdict == "ok" else joint.as_suspect()
 
 
 @dataclass(frozen=True, eq=False)

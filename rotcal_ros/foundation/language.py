@@ -1,7 +1,8 @@
 """Texts that people read, in their language: English in the code, others in catalogues.
 
 A text has places ``{0}``, ``{1}`` ... for what differs. Catalogues are files of gettext,
-``translations/LANGUAGE.po``; what a catalogue lacks stays English.
+``translations/LANGUAGE.po``; what a catalogue lacks stays English. Packages beside the core have
+catalogues of their own.
 
 Results, bags and logs hold finished English texts. One of these is understood again by the entry
 that could have made it, and what fills its places by other entries: so a stored result speaks
@@ -17,12 +18,16 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
 
 FOLDER: Final = Path(__file__).with_name("translations")
+PACKAGES: Final = "rotcal_ros.translations"
+"""Entry points of packages that have a folder ``translations``: any name -> the package."""
 JOINTS: Final = ("; ", ": ", ", ")
 """What stands between texts that were made one by one."""
 LONGEST: Final = 4000
@@ -200,6 +205,14 @@ def codes() -> tuple[str, ...]:
 
 
 @cache
+def folders() -> tuple[Path, ...]:
+    """Return the folders of catalogues: ours, and those of installed packages."""
+    places = (find_spec(point.module) for point in entry_points(group=PACKAGES))
+    origins = (Path(place.origin) for place in places if place and place.origin)
+    return (FOLDER, *sorted(origin.with_name("translations") for origin in origins))
+
+
+@cache
 def language(code: str) -> Language:
     """Return a language; raises ConfigurationError where there is no catalogue of it."""
     if code == ENGLISH.code:
@@ -208,7 +221,8 @@ def language(code: str) -> Language:
         raise ConfigurationError(
             f"there is no catalogue for the language {code!r}: choose {' or '.join(codes())}"
         )
-    entries = _ENTRY.findall((FOLDER / f"{code}.po").read_text(encoding="utf-8") + "\n")
+    files = [path for folder in folders() if (path := folder / f"{code}.po").exists()]
+    entries = [e for f in files for e in _ENTRY.findall(f.read_text(encoding="utf-8") + "\n")]
     texts = {_joined(english): _joined(translated) for english, translated in entries}
     texts = {english: text for english, text in texts.items() if english and text}
     templates = [Template.of(*entry) for entry in texts.items() if _PLACE.search(entry[0])]

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from math import inf
 from typing import Final
 
-MOST_CROWDED: Final = 10.0
+LARGEST_LOAD_FACTOR: Final = 10.0
 """Time-outs become at most this many times as long."""
 LONGEST_TURN_S: Final = 0.5
 """A longer time between two looks is a standstill of this process; only this much counts."""
@@ -41,8 +41,8 @@ def describe() -> str:
     return f"load {load():.1f} on {number} core{'s' * (number != 1)}"
 
 
-class Crowding:
-    """Processes that want each core, from 1 to ``MOST_CROWDED``; updated once a second."""
+class LoadFactor:
+    """Processes that want each core, from 1 to ``LARGEST_LOAD_FACTOR``; updated once a second."""
 
     def __init__(self, read: Callable[[], float] | None = None) -> None:
         self._read = read or (lambda: load() / cores())
@@ -53,16 +53,16 @@ class Crowding:
         now_s = time.monotonic()
         if now_s > self._until_s:
             self._until_s = now_s + _KNOWN_S
-            self._known = min(max(1.0, self._read()), MOST_CROWDED)
+            self._known = min(max(1.0, self._read()), LARGEST_LOAD_FACTOR)
         return self._known
 
 
-crowding: Final = Crowding()
+load_factor: Final = LoadFactor()
 
 
-def patient(seconds: float) -> float:
+def load_scaled_timeout(seconds: float) -> float:
     """Return a time-out adapted to the present load of this machine."""
-    return seconds * crowding()
+    return seconds * load_factor()
 
 
 class AwakeClock:
@@ -89,13 +89,13 @@ class AwakeClock:
         return self._last_s - self._woke_s
 
 
-class Patience:
+class WaitBudget:
     """The remaining time to wait: standstills, a busy machine and pauses do not use it up."""
 
     def __init__(
         self,
         seconds: float,
-        crowd: Callable[[], float] = crowding,
+        crowd: Callable[[], float] = load_factor,
         read: Callable[[], float] = time.monotonic,
     ) -> None:
         self._left_s, self._crowd = seconds, crowd

@@ -20,10 +20,8 @@ VIEWERS: Final[Mapping[str, str]] = {PAGE: "operator_page", "scene": "scene"}
 """Nodes for people: option -> node. No calibration needs one or ends with it."""
 DRIVERS: Final = ("linuxcnc_driver",)
 """Nodes that are started by hand, for the user's machine."""
-STANDING: Final = ("calibration_status",)
-"""Nodes that outlive calibrations, started by hand or with the machine."""
-EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS, *STANDING)
-"""All nodes; each is a command of the package, and setup.py names its module."""
+EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS)
+"""All nodes of the core; each is a command of the package, and setup.py names its module."""
 PREFLIGHT_NODES: Final = tuple(name for name in NODES if name != "planner")
 """Nodes that must beat before anything moves; the planner checks this."""
 

@@ -33,6 +33,8 @@ DRIVER_CHECKS: Final = "rotcal_ros.driver_checks"
 """Group of a configuration -> what a check of a cell reports about its driver."""
 VERBS: Final = "rotcal_ros.verbs"
 """A :class:`Verb` each, which describes a command without loading it."""
+NODES: Final = "rotcal_ros.nodes"
+"""Nodes of packages beside the core: the command of one -> its function."""
 PLANS: Final = "rotcal_ros.plans"
 """Commands of click below ``rotcal plan``."""
 GOALS: Final = "rotcal_ros.goals"
@@ -123,21 +125,22 @@ def extension(group: str, name: str, what: str) -> Any:
         return point.load()
     except ImportError as error:
         owner = point.dist.metadata["Name"] if point.dist else point.module
+        wanted = f"'{owner}[{','.join(point.extras)}]'" if point.extras else owner
         raise ConfigurationError(
-            f"{what} needs the package {str(error.name).partition('.')[0]}: "
-            f"pip install '{owner}[{','.join(point.extras)}]'"
+            f"{what} needs the package {str(error.name).partition('.')[0]}: pip install {wanted}"
         ) from error
 
 
 def node_module(name: str) -> str:
-    """Return the module of a node, which is a command of this package.
+    """Return the module of a node, which is a command of this package or of one beside it.
 
-    Raises ConfigurationError if the extension that provides it is not installed.
+    Raises ConfigurationError if the package that provides it is not installed.
     """
     scripts = distribution(_OWN).entry_points.select(group="console_scripts", name=name)
-    for script in scripts:
-        return script.module
-    raise ConfigurationError(f"the node {name!r} is not installed: pip install '{_OWN}[ros]'")
+    found: tuple[EntryPoint, ...] = (*scripts, *filter(None, [_found(NODES).get(name)]))
+    if found:
+        return found[0].module
+    raise ConfigurationError(f"no node {name!r}{package_hint(name, NODES)}")
 
 
 def culprit(error: BaseException) -> str | None:

@@ -405,7 +405,7 @@ class Result:
         """The verdict within each part that has its own zero, else the verdict itself."""
         return self.zeros.within if self.zeros.free else self.verdict
 
-    def doubted(self) -> Result:
+    def as_suspect(self) -> Result:
         """Return the result suspect at best, within its parts too."""
         within, verdict = _at_best_suspect(self.zeros.within), _at_best_suspect(self.verdict)
         return replace(self, verdict=verdict, zeros=replace(self.zeros, within=within))

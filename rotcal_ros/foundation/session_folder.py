@@ -60,7 +60,7 @@ class SessionFolder:
         return self.path / "compensation"
 
     @property
-    def meeting_point(self) -> Path:
+    def socket_file(self) -> Path:
         """Where others can attach to the calibration while it runs."""
         return self.path / MEETING_POINT
 

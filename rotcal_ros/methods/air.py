@@ -89,7 +89,7 @@ class Refraction:
         result = solve(self.corrected(observations))
         return with_common(result, solve(self._over(observations, 1.0)))
 
-    def of_curves(
+    def model_of_curves(
         self, observations: Observations, find: Callable[[Any], CurveModel | None]
     ) -> CurveModel | None:
         """Return the model of corrected observations; the error of the index is theirs in common.

@@ -154,7 +154,7 @@ class ByModel:
             )
         return result if arrivals is None else mean_of_runs(result, arrivals)
 
-    def of_curves(
+    def model_of_curves(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
     ) -> CurveModel:
         """Return what accepted observations determine of the curves, to be solved with others.
@@ -256,7 +256,7 @@ class ByModel:
         return Method(
             name=self.name,
             solve=self.solve,
-            of_curves=self.of_curves,
+            model_of_curves=self.model_of_curves,
             trials=self.trials,
             disturbances=Disturbances(tuple(disturbances), self.measure),
             **{**usual, **more},

@@ -216,17 +216,17 @@ class Calibration:
         used = self.refraction.corrected(self._that_count(observations))
         return self.method.trials(self.configuration, self.plan, used)
 
-    def of_curves(self, observations: Iterable[Observation]) -> CurveModel | None:
+    def model_of_curves(self, observations: Iterable[Observation]) -> CurveModel | None:
         """Return the observations that count as a model, to be solved with other instruments.
 
         None where only the result tells all: where the method says so, and where clocks add to its
         uncertainty. What the index of the air is uncertain by is an error that lengths share.
         """
-        find = self.method.of_curves
+        find = self.method.model_of_curves
         if find is None or self.arrival_std():
             return None
         used = self._that_count(observations)
-        return self.refraction.of_curves(used, partial(find, self.configuration, self.plan))
+        return self.refraction.model_of_curves(used, partial(find, self.configuration, self.plan))
 
     def unsolved(self, observations: Iterable[Observation], model: CurveModel) -> Result:
         """Return a result that says nothing: of observations that need those of others.

@@ -67,9 +67,9 @@ class PlannedMeasurements:
         """Return the result."""
         return self.calibration.solve(self.observations)
 
-    def of_curves(self) -> CurveModel | None:
-        """Return the observations as a model; see :meth:`~.calibration.Calibration.of_curves`."""
-        return self.calibration.of_curves(self.observations)
+    def model_of_curves(self) -> CurveModel | None:
+        """Return the observations as a model, see :class:`~.calibration.Calibration`."""
+        return self.calibration.model_of_curves(self.observations)
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""

@@ -75,7 +75,7 @@ class Measurements(Protocol):
     def solve(self) -> Result:
         """Return the result."""
 
-    def of_curves(self) -> CurveModel | None:
+    def model_of_curves(self) -> CurveModel | None:
         """Return it as a model, to be solved with others; None: the result stands for it."""
 
     def trials(self) -> Trials:
@@ -147,8 +147,8 @@ class Method:
     measured. ``plan_files`` are files that stand for lists of the group ``plan``, by the settings
     that name them.
 
-    ``of_curves`` returns accepted observations as the model of a solution with other instruments;
-    without it, or for None, the result stands for them.
+    ``model_of_curves`` returns accepted observations as the model of a solution with other
+    instruments; without it, or for None, the result stands for them.
 
     ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
@@ -177,7 +177,7 @@ class Method:
     stations: Callable[[Configuration], Stations] | None = None
     gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
     joins_runs: bool = False
-    of_curves: Callable[[Configuration, Plan, Observed], CurveModel | None] | None = None
+    model_of_curves: Callable[[Configuration, Plan, Observed], CurveModel | None] | None = None
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
     adaptive: Callable[[Configuration, Plan], Adaptive] | None = None

@@ -17,7 +17,7 @@ from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.capture import messages as records
-from rotcal_ros.capture.rejections import Commonest
+from rotcal_ros.capture.rejections import MostFrequentReason
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import Observation
 
@@ -170,9 +170,9 @@ def require_accepted(
 
 def _rejections(observations: Sequence[Observation]) -> str:
     """Return how many were rejected, and the commonest reason."""
-    commonest = Commonest.of(o.reason for o in observations)
-    assert commonest is not None
-    return f"all {commonest.total} were rejected, {commonest.describe()}"
+    most_frequent = MostFrequentReason.of(o.reason for o in observations)
+    assert most_frequent is not None
+    return f"all {most_frequent.total} were rejected, {most_frequent.describe()}"
 
 
 def doubtful(
@@ -184,11 +184,11 @@ def doubtful(
     """
     texts = []
     rejected = [o.reason for o in observations if not o.accepted]
-    commonest = Commonest.of(rejected)
-    if commonest and 2 * commonest.total > len(observations):
+    most_frequent = MostFrequentReason.of(rejected)
+    if most_frequent and 2 * most_frequent.total > len(observations):
         texts.append(
-            f"{commonest.total} of {len(observations)} attempts were rejected, "
-            f"{commonest.describe()}"
+            f"{most_frequent.total} of {len(observations)} attempts were rejected, "
+            f"{most_frequent.describe()}"
         )
     elif failed := _failed_steps(observations):
         texts.append(failed)
@@ -208,10 +208,11 @@ def _failed_steps(observations: Sequence[Observation]) -> str | None:
     """Return how many steps were tried in vain, and why; None for few, as after a blocked beam."""
     done = {o.step for o in observations if o.accepted}
     failed = [o for o in observations if o.step not in done]
-    commonest, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
-    if commonest is None or steps <= _FEW * (len(done) + steps):
+    most_frequent = MostFrequentReason.of(o.reason for o in failed)
+    steps = len({o.step for o in failed})
+    if most_frequent is None or steps <= _FEW * (len(done) + steps):
         return None
-    return f"{steps} of {len(done) + steps} steps were tried in vain, {commonest.describe()}"
+    return f"{steps} of {len(done) + steps} steps were tried in vain, {most_frequent.describe()}"
 
 
 def unanswered(commands: Mapping[str, int]) -> str:

@@ -36,8 +36,8 @@ from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.announced_runs import strangers
 from rotcal_ros.capture.attempt import nanoseconds
-from rotcal_ros.capture.heard import run_name
 from rotcal_ros.capture.instruments.steps import StepFinder
+from rotcal_ros.capture.publishers import run_name
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
 from rotcal_ros.foundation.clock_jumps import read_note
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
@@ -130,12 +130,12 @@ class Recording:
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         warned = replace(result, warnings=(*result.warnings, *further))
         short = self.session.missing or any(v.proves_loss for v in self.verdicts)
-        return warned.doubted() if short else warned
+        return warned.as_suspect() if short else warned
 
-    def of_curves(self) -> CurveModel | None:
+    def model_of_curves(self) -> CurveModel | None:
         """Return the observations as a model, to be solved with those of other instruments."""
         self._require_observations()
-        return self.calibration.of_curves(self.observations)
+        return self.calibration.model_of_curves(self.observations)
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""

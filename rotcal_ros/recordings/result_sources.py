@@ -136,18 +136,18 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
     to it. Where its data contradict each other the result says so, and is suspect at best.
     """
     try:
-        return JointInput(name, measured.solve(), measured.of_curves())
+        return JointInput(name, measured.solve(), measured.model_of_curves())
     except DataError as refused:
         if not isinstance(measured, Recording | PlannedMeasurements):
             raise
-        model = measured.of_curves()
+        model = measured.model_of_curves()
         if model is None:
             raise
         untold = measured.calibration.unsolved(measured.observations, model)
         if isinstance(measured, Recording):
             untold = measured.with_warnings(untold)
         if not isinstance(refused, ObservabilityError | GeometryError):
-            untold = replace(untold, warnings=(f"alone: {refused}", *untold.warnings)).doubted()
+            untold = replace(untold, warnings=(f"alone: {refused}", *untold.warnings)).as_suspect()
         return JointInput(name, untold, model)
 
 

@@ -25,7 +25,7 @@ from typing import Any, Final, NoReturn
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import PAUSES
 from rotcal_ros.foundation.session_folder import MEETING_POINT, SessionFolder, resume_command
 from rotcal_ros.foundation.untrusted import NotAFileError, load_json, read_text
@@ -77,7 +77,7 @@ class Viewers:
         self._history.remember({"event": "session", "at_once": at_once})
         self._writers: set[asyncio.StreamWriter] = set()
         self._orders: SimpleQueue[Event] = SimpleQueue()
-        self._meeting_point = session.folder.meeting_point
+        self._meeting_point = session.folder.socket_file
         self._socket: socket.socket | None = None
         try:
             self._socket = _listening()
@@ -268,7 +268,7 @@ def _show(event: Event, display: Display, person: Person, folder: SessionFolder)
 
 
 def _raise_gone(folder: SessionFolder) -> NoReturn:
-    if not folder.meeting_point.exists():  # it ended while we came
+    if not folder.socket_file.exists():  # it ended while we came
         raise _nothing_runs(folder)
     raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
 
@@ -276,7 +276,7 @@ def _raise_gone(folder: SessionFolder) -> NoReturn:
 def _person(folder: SessionFolder, session: Attachment) -> Person:
     """Return the person who watches; the first event says how their work counts as done."""
     try:
-        greeting = session.events.get(timeout=patient(GREETING_TIMEOUT_S))
+        greeting = session.events.get(timeout=load_scaled_timeout(GREETING_TIMEOUT_S))
     except Empty:
         raise DataError(
             f"the calibration in {folder.path} does not answer; look at its logs there, and "
@@ -317,9 +317,9 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
 def _address(folder: SessionFolder) -> str:
     """Return the address of the socket; FileNotFoundError if there is none."""
     try:
-        return str(load_json(read_text(folder.meeting_point))["socket"])
+        return str(load_json(read_text(folder.socket_file))["socket"])
     except (ValueError, TypeError, KeyError, NotAFileError):
-        raise ConfigurationError(f"{folder.meeting_point} names no socket: remove it") from None
+        raise ConfigurationError(f"{folder.socket_file} names no socket: remove it") from None
 
 
 def _runs(folder: SessionFolder) -> bool:

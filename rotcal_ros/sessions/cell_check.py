@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.settings import check_ros_name
@@ -75,7 +75,7 @@ def move_cell(path: Path, report: CellReport) -> CellReport:
             "-p", f"output:={json.dumps(str(output))}",
         ]  # fmt: skip
         processes.start("trial_motion", trial)
-        deadline = time.monotonic() + patient(_TRIAL_S)
+        deadline = time.monotonic() + load_scaled_timeout(_TRIAL_S)
         while "trial_motion" not in processes.ended() and time.monotonic() < deadline:
             time.sleep(_POLL_S)
         if not output.exists():
@@ -87,7 +87,7 @@ def move_cell(path: Path, report: CellReport) -> CellReport:
 def _answer(command: list[str], seconds: float) -> CellReport:
     """Return what the process found; end it in any case."""
     environment, late = {**os.environ, **node_environment(alone=False)}, False
-    limit_s = seconds + min(patient(seconds), LONGER_S) + patient(_GRACE_S)
+    limit_s = seconds + min(load_scaled_timeout(seconds), LONGER_S) + load_scaled_timeout(_GRACE_S)
     with tempfile.TemporaryFile("w+", errors="replace") as log:
         child = subprocess.Popen(
             command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log,

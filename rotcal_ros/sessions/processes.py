@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.middleware import middleware
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, free_domain
@@ -122,7 +122,7 @@ class Processes:
         """Ask all children to end, wait for them, and kill those that hang."""
         for name in self.children:
             self.signal(name, signal.SIGTERM)
-        deadline = time.monotonic() + patient(TERMINATE_TIMEOUT_S)
+        deadline = time.monotonic() + load_scaled_timeout(TERMINATE_TIMEOUT_S)
         while len(self.ended()) < len(self.children) and time.monotonic() < deadline:
             time.sleep(_POLL_S)
         for child in self.children.values():

@@ -18,7 +18,7 @@ from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_names import NODES, PAGE, VIEWERS, further_nodes
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.methods.configuration import node_parameters
@@ -122,7 +122,7 @@ def _solve_bag(session: Session) -> dict[str, Any]:
 
 def _result_of_cancelling(nodes: RunningSession) -> Event:
     """Return the result of a canceled goal; empty when none arrives."""
-    deadline = time.monotonic() + patient(CANCEL_TIMEOUT_S)
+    deadline = time.monotonic() + load_scaled_timeout(CANCEL_TIMEOUT_S)
     while time.monotonic() < deadline:
         try:
             event = nodes.events.get(timeout=_POLL_S)
@@ -199,7 +199,7 @@ def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
         raise ConfigurationError(
             f"node {name} ended at its start (exit code {code})", nodes.log_tail(name)
         )
-    if silence_s > patient(SILENCE_TIMEOUT_S):
+    if silence_s > load_scaled_timeout(SILENCE_TIMEOUT_S):
         raise DataError(
             f"the client has been silent for {silence_s:.0f} s: it hangs; go on with --resume"
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 KEY_FIGURES = {
@@ -35,7 +35,7 @@ def folder(tmp_path, monkeypatch):
 
 def ran(name, folder):
     """Return the outputs of a notebook."""
-    extra = "needs the extra: pip install 'rotcal_ros[notebook,dcc]'"
+    extra = "needs what the notebook names in its first lines"
     nbclient, nbformat, *_ = (
         pytest.importorskip(module, reason=extra)
         for module in ("nbclient", "nbformat", "ipykernel", "pandas", "lxml", "signxml")
@@ -43,7 +43,9 @@ def ran(name, folder):
     notebook = nbformat.read(EXAMPLES / f"{name}.ipynb", as_version=4)
     nbformat.validate(notebook)
     where = {"metadata": {"path": str(folder)}}
-    nbclient.NotebookClient(notebook, timeout=int(patient(DEADLINE_S)), resources=where).execute()
+    nbclient.NotebookClient(
+        notebook, timeout=int(load_scaled_timeout(DEADLINE_S)), resources=where
+    ).execute()
     return [output for cell in notebook.cells for output in cell.get("outputs", ())]
 
 

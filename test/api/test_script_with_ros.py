@@ -9,7 +9,7 @@ import pytest
 import warm
 
 import rotcal_ros as rc
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -30,7 +30,7 @@ def cell(tmp_path, monkeypatch):
 def test_the_script_calibrates_the_simulated_cell(cell):
     cell.start("planner", "capture", "solver", "recorder", "simulated_cell")
     script = ROOT / "examples" / "11_calibrate_from_a_script.py"
-    done = warm.run([sys.executable, script, cell.file], timeout=patient(120))
+    done = warm.run([sys.executable, script, cell.file], timeout=load_scaled_timeout(120))
     assert done.returncode == 0, done.stderr
     assert "verdict ok" in done.stdout
     assert float(re.search(r"truth: (\S+) standard", done.stdout)[1]) < 3.5

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 AT_ONCE = 4
 KILLS = 16
@@ -66,7 +66,7 @@ def live(processes, folder, seed, number, **how):
                 number = None
     except EOFError:
         pass
-    process.join(patient(DEADLINE_S))
+    process.join(load_scaled_timeout(DEADLINE_S))
     return death
 
 

@@ -6,8 +6,8 @@ import pytest
 from capture_scenes import make_plan
 
 from rotcal_ros.capture.rejections import (
-    Commonest,
     FailedSteps,
+    MostFrequentReason,
     Rejections,
     TooManyFailedError,
     kind_of,
@@ -38,10 +38,10 @@ def test_a_kind_is_a_reason_without_its_numbers(one, other):
 
 
 def test_the_commonest_reason_with_its_latest_example():
-    found = Commonest.of(["table 3 off", "beam broken", "table 4 off"])
-    assert found == Commonest("table 4 off", 2, 3)
+    found = MostFrequentReason.of(["table 3 off", "beam broken", "table 4 off"])
+    assert found == MostFrequentReason("table 4 off", 2, 3)
     assert found.describe() == "2 of 3 like this: table 4 off"
-    assert Commonest.of([]) is None
+    assert MostFrequentReason.of([]) is None
 
 
 def test_a_new_kind_is_told_at_once_and_a_known_one_now_and_then():

@@ -8,7 +8,6 @@ import click
 from click.testing import CliRunner
 
 from rotcal_ros.cli import main
-from rotcal_ros.extensions.fleet.bag_search import find_bags
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.recordings.replay import read_recording
 
@@ -28,4 +27,3 @@ try:
     read_recording(Path(locked))
 except BagError as error:
     click.echo(f"{error.exit_code} {error}")
-click.echo("\n".join(find_bags([locked])))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "examples" / "data"
@@ -29,7 +29,7 @@ def must_answer() -> Iterator[None]:
         raise TimeoutError("it blocks")
 
     previous = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, patient(LATEST_S))
+    signal.setitimer(signal.ITIMER_REAL, load_scaled_timeout(LATEST_S))
     try:
         yield
     finally:

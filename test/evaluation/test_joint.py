@@ -273,7 +273,7 @@ def test_data_that_contradict_each_other_alone_join_and_are_doubted(monkeypatch)
     np.testing.assert_allclose(found.deviations["ECC"], expected.deviations["ECC"], atol=1e-15)
     np.testing.assert_allclose(found.std["ECC"], expected.std["ECC"], rtol=1e-9)
     monkeypatch.setattr(
-        "rotcal_ros.methods.calibration.Calibration.of_curves", lambda *_arguments: None
+        "rotcal_ros.methods.calibration.Calibration.model_of_curves", lambda *_arguments: None
     )
     with pytest.raises(DataError, match="contradict each other"):
         instrument_of("first", measured[0])

@@ -119,7 +119,7 @@ def test_the_error_of_the_air_is_one_that_all_lengths_share():
     known = changed(configuration, ("air.temperature_std_k=0.0",))
 
     def model(stated):
-        return prepare(stated).of_curves(seen).model
+        return prepare(stated).model_of_curves(seen).model
 
     first, second = model(configuration), model(known)
     with_it, without = (m.equations(m.first)[1] / m.std[:, None] for m in (first, second))

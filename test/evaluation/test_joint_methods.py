@@ -36,7 +36,7 @@ MEAN = np.eye(GRID) - 1.0 / GRID
 
 
 def plate_of(problem, name="plate"):
-    model, _ = ball_plate.of_curves(problem, problem.angles)
+    model, _ = ball_plate.model_of_curves(problem, problem.angles)
     try:
         return JointInput(name, ball_plate.solve(problem), model)
     except DataError:

@@ -150,7 +150,7 @@ def test_two_results_with_the_same_groups_stay_two_groups():
 
 
 def test_a_doubtful_input_stays_doubtful_however_it_is_joined():
-    assert combined(SIX.doubted(), TWELVE).verdict == "suspect"
+    assert combined(SIX.as_suspect(), TWELVE).verdict == "suspect"
 
 
 def test_a_link_that_one_input_alone_determines_is_named():

@@ -19,7 +19,7 @@ from warm import WarmServer
 
 from rotcal_level.settings import LevelSimulationSettings
 from rotcal_level.simulation import SimulatedLevels
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate
@@ -70,7 +70,7 @@ def rotcal(environment, warm_stranger):
             [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)],
             capture_output=True,
             text=True,
-            timeout=patient(DEADLINE_S),
+            timeout=load_scaled_timeout(DEADLINE_S),
             cwd=ROOT,
             env={**environment, "ROS_DOMAIN_ID": str(free_domain())},
         )
@@ -188,7 +188,7 @@ def test_an_interrupted_plan_goes_on_in_the_same_setting(rotcal, environment, tm
                 break
         first.send_signal(signal.SIGINT)
         assert "interrupted; the bag is closed" in first.stderr.read()
-        assert first.wait(patient(DEADLINE_S)) == 130
+        assert first.wait(load_scaled_timeout(DEADLINE_S)) == 130
     done = rotcal("run", DEMO, *slowly, "--resume", folder, "--json")
     assert json.loads(done.stdout)["verdict"] == "ok"
     assert "setting 0 of 2" not in done.stderr
@@ -225,7 +225,7 @@ def test_work_that_no_step_shows_is_asked_for_once(environment, tmp_path):
         [sys.executable, "-m", "rotcal_ros.cli.main", "run", demo, "--output", tmp_path / "out"],
         capture_output=True,
         text=True,
-        timeout=patient(DEADLINE_S),
+        timeout=load_scaled_timeout(DEADLINE_S),
         cwd=ROOT,
         env={**environment, "PYTHONPATH": path, "ROS_DOMAIN_ID": str(free_domain())},
     )

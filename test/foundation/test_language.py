@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.language import FOLDER, Phrase, codes, language, listed, phrase
+from rotcal_ros.foundation.language import Phrase, codes, folders, language, listed, phrase
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 OTHERS = codes()[1:]
@@ -106,6 +106,8 @@ def test_a_catalogue_has_every_text_that_is_used_and_none_that_the_code_does_not
 ):
     known, wanted = language(code).texts, words.wanted()
     assert len(wanted) > 900
+    for folder in words.folders():
+        wanted |= words.wanted(folder)
     assert {text: where for text, where in wanted.items() if text not in known} == {}
     assert [text for text in known if text not in wanted] == []
 
@@ -122,7 +124,11 @@ def test_places_agree(code):
 @pytest.mark.parametrize("code", OTHERS)
 def test_the_file_is_read_as_gettext_reads_it(code):
     pofile = pytest.importorskip("babel.messages.pofile")
-    with (FOLDER / f"{code}.po").open("rb") as file:
-        catalogue = pofile.read_po(file)
-    assert {m.id: m.string for m in catalogue if m.id} == language(code).texts
-    assert not any(message.fuzzy for message in catalogue if message.id)
+    found = {}
+    for folder in folders():
+        with (folder / f"{code}.po").open("rb") as file:
+            messages = [message for message in pofile.read_po(file) if message.id]
+        assert not any(message.fuzzy for message in messages)
+        assert not found.keys() & {message.id for message in messages}
+        found |= {message.id: message.string for message in messages}
+    assert found == language(code).texts

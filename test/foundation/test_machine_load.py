@@ -6,7 +6,12 @@ import re
 import pytest
 
 from rotcal_ros.foundation import machine_load
-from rotcal_ros.foundation.machine_load import MOST_CROWDED, AwakeClock, Crowding, Patience
+from rotcal_ros.foundation.machine_load import (
+    LARGEST_LOAD_FACTOR,
+    AwakeClock,
+    LoadFactor,
+    WaitBudget,
+)
 
 
 class Clock:
@@ -51,12 +56,12 @@ def test_a_process_that_never_stood_has_been_awake_for_ever():
 
 def test_a_time_out_is_what_it_says_on_a_quiet_machine():
     clock = Clock()
-    assert waited(Patience(5.0, alone, clock), clock, 0.2) == pytest.approx(5.0, abs=0.25)
+    assert waited(WaitBudget(5.0, alone, clock), clock, 0.2) == pytest.approx(5.0, abs=0.25)
 
 
 def test_a_standstill_does_not_use_it_up():
     clock = Clock()
-    patience = Patience(5.0, alone, clock)
+    patience = WaitBudget(5.0, alone, clock)
     clock.now_s += 600.0
     assert not patience.is_over()
     assert waited(patience, clock, 0.2) == pytest.approx(4.5, abs=0.25)
@@ -64,24 +69,24 @@ def test_a_standstill_does_not_use_it_up():
 
 def test_on_a_crowded_machine_it_is_longer_by_as_much():
     clock = Clock()
-    assert waited(Patience(5.0, lambda: 4.0, clock), clock, 0.2) == pytest.approx(20.0, abs=0.25)
+    assert waited(WaitBudget(5.0, lambda: 4.0, clock), clock, 0.2) == pytest.approx(20.0, abs=0.25)
 
 
 def test_while_somebody_is_waited_for_it_does_not_run():
     clock = Clock()
-    patience = Patience(5.0, alone, clock)
+    patience = WaitBudget(5.0, alone, clock)
     assert waited(patience, clock, 0.2, pausing=True, most=1000) is None
     assert waited(patience, clock, 0.2) == pytest.approx(5.0, abs=0.25)
 
 
 def test_no_end_is_no_end():
     clock = Clock()
-    assert waited(Patience(math.inf, alone, clock), clock, 0.5, most=1000) is None
+    assert waited(WaitBudget(math.inf, alone, clock), clock, 0.5, most=1000) is None
 
 
-@pytest.mark.parametrize(("found", "told"), [(0.0, 1.0), (3.5, 3.5), (1e6, MOST_CROWDED)])
+@pytest.mark.parametrize(("found", "told"), [(0.0, 1.0), (3.5, 3.5), (1e6, LARGEST_LOAD_FACTOR)])
 def test_a_machine_is_crowded_within_bounds(found, told):
-    assert Crowding(lambda: found)() == told
+    assert LoadFactor(lambda: found)() == told
 
 
 def test_the_load_is_told_with_the_cores():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.compensation.linuxcnc_machine import Ini, agent_command
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 HERE = Path(__file__).parent
 DEADLINE_S = 60.0
@@ -212,7 +212,7 @@ class Running:
                 return False
             recent.append((line["angle_deg"], line["motor_deg"]))
             # On a busy machine LinuxCNC itself may not have moved between two looks.
-            looks = int(patient(15))
+            looks = int(load_scaled_timeout(15))
             (a0, m0), (a1, m1) = recent[-min(len(recent), looks)], recent[-1]
             there = abs(line["angle_deg"] - angle_deg) < 1e-7 and len(recent) > looks
             return there and abs(a1 - a0) < 1e-10 and abs(m1 - m0) < 1e-10
@@ -222,7 +222,7 @@ class Running:
     def _next(self, wanted):
         begun, line = time.monotonic(), None
         # the load may grow while we wait, and LinuxCNC's own time goes slower then
-        while time.monotonic() - begun < patient(DEADLINE_S):
+        while time.monotonic() - begun < load_scaled_timeout(DEADLINE_S):
             try:
                 line = self._lines.get(timeout=1.0)
             except Empty:
@@ -248,7 +248,7 @@ class Running:
     def __exit__(self, *_):
         self._process.stdin.close()
         try:
-            self._process.wait(patient(30.0))
+            self._process.wait(load_scaled_timeout(30.0))
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -9,7 +9,7 @@ from real_linuxcnc import HERE
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.feed import ask_busy
 from rotcal_ros.compensation.linuxcnc_machine import AGENT
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 
 @pytest.mark.linuxcnc
@@ -21,7 +21,7 @@ def test_the_agent_tells_whether_the_machine_moves_or_a_program_runs(axis):
         ["unshare", "--ipc", *inside],
         capture_output=True,
         text=True,
-        timeout=patient(120),
+        timeout=load_scaled_timeout(120),
         check=False,
     )
     assert run.returncode == 0, run.stderr

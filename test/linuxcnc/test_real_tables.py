@@ -13,7 +13,7 @@ from real_linuxcnc import Axis, Running
 from rotcal_ros.compensation import linuxcnc
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -151,7 +151,7 @@ def test_a_machine_that_is_off_is_not_switched_on_by_the_driver(axis):
         input="",
         capture_output=True,
         text=True,
-        timeout=patient(60),
+        timeout=load_scaled_timeout(60),
         check=False,
     )
     assert run.returncode == 1

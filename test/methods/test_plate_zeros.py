@@ -164,10 +164,10 @@ def test_the_table_of_values_shows_what_is_open():
 
 def test_a_doubt_stays_a_doubt_within_the_groups():
     result = solve(plate_problem())
-    assert result.doubted().verdict_within == "suspect"
+    assert result.as_suspect().verdict_within == "suspect"
     whole = solve(plate_problem(range(GRID)))
-    assert whole.doubted().verdict == "suspect"
-    assert replace(whole, verdict="failed").doubted().verdict == "failed"
+    assert whole.as_suspect().verdict == "suspect"
+    assert replace(whole, verdict="failed").as_suspect().verdict == "failed"
 
 
 def test_zeros_are_stated_in_known_words_and_shapes():

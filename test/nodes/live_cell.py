@@ -15,9 +15,10 @@ import warm
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from rotcal_ros.foundation.machine_load import Patience, describe, patient
+from rotcal_ros.foundation.machine_load import WaitBudget, describe, load_scaled_timeout
 from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
-from rotcal_ros.foundation.plugins import node_module
+from rotcal_ros.foundation.plugins import NODES as NODES_BESIDE
+from rotcal_ros.foundation.plugins import names, node_module
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
@@ -130,7 +131,8 @@ class LiveCell:
 
     def _python(self, node):
         client = "rotcal_ros.nodes.client.json_client"
-        module = node_module(node) if node in EXECUTABLES else client
+        ours = node in (*EXECUTABLES, *names(NODES_BESIDE))
+        module = node_module(node) if ours else client
         return [sys.executable, "-m", module, "--ros-args", "-r", "__ns:=/cell"]
 
 
@@ -144,7 +146,7 @@ class Client:
 
     def wait_for(self, *kinds, where=lambda event: True):
         """Return the next event of one of the kinds; fail after the deadline."""
-        patience = Patience(DEADLINE_S)
+        patience = WaitBudget(DEADLINE_S)
         outcome = "no result"
         while not patience.is_over():
             try:
@@ -187,7 +189,7 @@ def published(bag, topic):
 
 
 def wait_until(condition, what):
-    patience = Patience(DEADLINE_S)
+    patience = WaitBudget(DEADLINE_S)
     while not condition():
         if patience.is_over():
             pytest.fail(f"not within {DEADLINE_S} s of an idle machine: {what}; {describe()}")
@@ -248,4 +250,4 @@ def rotcal(monkeypatch):
     for process in started:
         if process.poll() is None:
             process.terminate()
-            process.wait(patient(60))
+            process.wait(load_scaled_timeout(60))

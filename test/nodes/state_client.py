@@ -6,7 +6,7 @@ from live_cell import DEADLINE_S
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.nodes.runtime.running import Peer
 
 
@@ -28,12 +28,16 @@ class StateClient:
         client = self._clients.get(name)
         if client is None:
             client = self._clients[name] = self.peer.node.create_client(kind, name)
-        assert self.peer.work_until(client.service_is_ready, patient(DEADLINE_S)), f"no {name}"
+        assert self.peer.work_until(client.service_is_ready, load_scaled_timeout(DEADLINE_S)), (
+            f"no {name}"
+        )
         request = kind.Request()
         for field, value in fields.items():
             setattr(request, field, value)
         future = client.call_async(request)
-        assert self.peer.work_until(future.done, patient(DEADLINE_S)), f"no answer of {name}"
+        assert self.peer.work_until(future.done, load_scaled_timeout(DEADLINE_S)), (
+            f"no answer of {name}"
+        )
         return future.result()
 
     def state(self, node):

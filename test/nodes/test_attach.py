@@ -14,7 +14,7 @@ import yaml
 from live_cell import DEADLINE_S, DEMO, SHORT, LiveCell, process_of, wait_until
 from pseudo_terminal import PseudoTerminal
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import read_source
@@ -56,7 +56,7 @@ def terminal():
         if made.process.poll() is None:
             made.process.send_signal(signal.SIGCONT)
             made.process.terminate()
-            made.process.wait(patient(DEADLINE_S))
+            made.process.wait(load_scaled_timeout(DEADLINE_S))
         made.hang_up()
 
 
@@ -68,7 +68,9 @@ def running(folder, *changes):
 def rotcal(*arguments, code=0):
     """Run a verb without a terminal and return what it printed."""
     done = warm.run(
-        [*ROTCAL, *arguments], timeout=patient(2 * DEADLINE_S), stdin=subprocess.DEVNULL
+        [*ROTCAL, *arguments],
+        timeout=load_scaled_timeout(2 * DEADLINE_S),
+        stdin=subprocess.DEVNULL,
     )
     assert done.returncode == code, done.stderr
     return done
@@ -82,7 +84,7 @@ def test_a_lost_terminal_does_not_end_a_calibration_and_attach_shows_it_again(tm
     run.hang_up()
     attached = rotcal("attach", folder)
     assert "of 60 steps, " in attached.stderr
-    assert run.process.wait(patient(DEADLINE_S)) == 0
+    assert run.process.wait(load_scaled_timeout(DEADLINE_S)) == 0
 
     result = read_source(folder / "result.json").result
     assert attached.stdout.startswith(
@@ -121,9 +123,9 @@ def test_a_pause_is_answered_by_one_of_two_who_are_attached(tmp_path, terminal):
             viewer.wait_for("put the tracker at place 2")
         first.press(ENTER)
         for viewer in (first, second):
-            assert viewer.process.wait(patient(DEADLINE_S)) == 0
+            assert viewer.process.wait(load_scaled_timeout(DEADLINE_S)) == 0
             viewer.wait_for("measurement: ok")
-        assert run.process.wait(patient(DEADLINE_S)) == 0
+        assert run.process.wait(load_scaled_timeout(DEADLINE_S)) == 0
     finally:
         instruments.processes.end()
 
@@ -143,15 +145,15 @@ def test_viewers_come_and_go_and_one_of_them_stops_it(tmp_path, terminal):
     killed.process.kill()
     stuck.process.send_signal(signal.SIGSTOP)
     leaving.press(CTRL_C)
-    assert leaving.process.wait(patient(DEADLINE_S)) == 130
+    assert leaving.process.wait(load_scaled_timeout(DEADLINE_S)) == 130
     leaving.wait_for("left; the calibration goes on")
     leaving.wait_for(f"rotcal attach {folder} --stop")
     steps = run.text.count("/60")
     wait_until(lambda: run.text.count("/60") > steps + 20, "the calibration goes on")
 
     rotcal("attach", folder, "--stop")
-    assert run.process.wait(patient(DEADLINE_S)) == 130
-    assert waiting.process.wait(patient(DEADLINE_S)) == 130
+    assert run.process.wait(load_scaled_timeout(DEADLINE_S)) == 130
+    assert waiting.process.wait(load_scaled_timeout(DEADLINE_S)) == 130
     for shown in (run, waiting):
         shown.wait_for("interrupted; the bag is closed")
         shown.wait_for(f"--resume {folder}")
@@ -188,7 +190,7 @@ def test_an_ignored_hangup_stays_ignored_and_the_dead_terminal_kills_nothing(tmp
     )
     run.wait_for("/60")
     run.hang_up()
-    assert run.process.wait(patient(DEADLINE_S)) == 0
+    assert run.process.wait(load_scaled_timeout(DEADLINE_S)) == 0
     assert "measurement: ok" in (folder / "log" / "run.log").read_text()
 
 
@@ -200,7 +202,11 @@ def test_an_error_is_told_to_those_who_are_attached_with_its_exit_code(tmp_path,
     viewer = terminal("attach", folder)
     viewer.wait_for("/60")
     os.kill(process_of(run.process.pid, "capture"), signal.SIGKILL)
-    assert run.process.wait(patient(DEADLINE_S)) == viewer.process.wait(patient(DEADLINE_S)) == 3
+    assert (
+        run.process.wait(load_scaled_timeout(DEADLINE_S))
+        == viewer.process.wait(load_scaled_timeout(DEADLINE_S))
+        == 3
+    )
     for shown in (run, viewer):
         shown.wait_for("capture")
         shown.wait_for("go on with: rotcal run")

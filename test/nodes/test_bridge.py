@@ -13,7 +13,7 @@ import yaml
 from live_cell import DEADLINE_S
 
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -135,7 +135,7 @@ class Bench:
         return self.status
 
     def wait(self, condition, what):
-        deadline = time.monotonic() + patient(DEADLINE_S)
+        deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
         while not condition():
             if time.monotonic() > deadline:
                 pytest.fail(f"not within {DEADLINE_S} s: {what}; status {self.status}")
@@ -346,7 +346,7 @@ def test_a_change_that_was_never_finished_is_reported_and_undone(bench):
     bench.wait_for_state("written")
     assert bench.apply().success
     bench.live.kill("bridge")
-    bench.live.processes.children["bridge"].wait(patient(30))
+    bench.live.processes.children["bridge"].wait(load_scaled_timeout(30))
     held = {p.name: p.read_bytes() for p in bench.controller.iterdir() if p.is_file()}
     journal = bench.controller / ".rotcal" / "journal.jsonl"
     (bench.controller / "c_linuxcnc.comp").write_text("half")

@@ -11,7 +11,7 @@ import pytest
 from live_cell import DEADLINE_S
 from test_bridge import SECRET, Bench, table
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.middleware import middleware
 
 rclpy = pytest.importorskip("rclpy")
@@ -48,7 +48,7 @@ def test_started_by_hand_the_bridge_alone_keeps_to_this_machine(cell, monkeypatc
                  "FASTRTPS_DEFAULT_PROFILES_FILE"):  # fmt: skip
         monkeypatch.delenv(name, raising=False)
     live.start(node)
-    deadline = time.monotonic() + patient(DEADLINE_S)
+    deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
     process = live.processes.children[node]
     while len(found := addresses(process)) == 0 or (ANYWHERE not in found and not alone):
         assert time.monotonic() < deadline, found
@@ -112,7 +112,7 @@ def test_the_wheels_have_no_security_plugin(tmp_path, strategy):
         env={**os.environ, **middleware(os.environ), **secured, "AMENT_PREFIX_PATH": sys.prefix},
         capture_output=True,
         text=True,
-        timeout=patient(DEADLINE_S),
+        timeout=load_scaled_timeout(DEADLINE_S),
         check=False,
     )
     assert run.returncode == 1

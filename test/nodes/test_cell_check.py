@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import warm
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.sessions.domains import domains_in_use, free_domain
 
 pytest.importorskip("rclpy")
@@ -34,7 +34,7 @@ def checking(*options, **environment):
 
 
 def answer(process):
-    out, error = process.communicate(timeout=patient(DEADLINE_S))
+    out, error = process.communicate(timeout=load_scaled_timeout(DEADLINE_S))
     assert "Traceback" not in error
     return process.returncode, out, error
 
@@ -54,7 +54,7 @@ def cells(tmp_path, monkeypatch):
     for process in running:
         process.kill()  # nothing of theirs is to be kept
     for process in running:
-        process.wait(patient(10))
+        process.wait(load_scaled_timeout(10))
 
 
 @pytest.mark.slow
@@ -126,7 +126,7 @@ def _astray(code, out, _error):
 def test_ctrl_c_ends_it_at_once_and_leaves_nothing_behind():
     process = checking(CONFIGURATION, "--time", 600)
     domain = int(os.environ["ROS_DOMAIN_ID"])
-    deadline = time.monotonic() + patient(DEADLINE_S)
+    deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
     while domain not in domains_in_use() and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import warm
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -114,13 +114,17 @@ def checked(folder, mistake, *options):
     command = [sys.executable, "-m", "rotcal_ros.cli.main", "cell", "check", str(file), "--json"]
     try:
         process = warm.popen(
-            [*command, "--time", str(max(6.0, patient(4.0))), *options], env=environment,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        out, error = process.communicate("y\n", timeout=patient(120.0))
+            [*command, "--time", str(max(6.0, load_scaled_timeout(4.0))), *options],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        out, error = process.communicate("y\n", timeout=load_scaled_timeout(120.0))
     finally:
         cell.kill()
-        cell.wait(patient(10))
+        cell.wait(load_scaled_timeout(10))
     assert out, error
     return json.loads(out)
 

@@ -13,7 +13,7 @@ import pytest
 import warm
 from live_cell import process_of, wait_until
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -53,7 +53,7 @@ def test_a_lost_node_ends_the_run_with_the_reason_and_a_slow_one_does_not(
         os.kill(pid, signal.SIGCONT)
     else:
         starve(pid)
-    code, text = process.wait(patient(90)), log.read_text()
+    code, text = process.wait(load_scaled_timeout(90)), log.read_text()
     assert "Traceback" not in text
     if code == 0:  # it could wait
         return
@@ -68,7 +68,7 @@ def test_a_lost_node_ends_the_run_with_the_reason_and_a_slow_one_does_not(
     (command,) = re.findall(r"go on with: rotcal (run .*?);", text)
     again = warm.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", *command.split(), *quiet],
-        timeout=patient(120),
+        timeout=load_scaled_timeout(120),
     )
     assert again.returncode == 0, again.stderr
     assert json.loads((folder / "result.json").read_text())["n_observations"] == 59

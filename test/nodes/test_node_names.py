@@ -18,7 +18,6 @@ from rotcal_ros.foundation.node_names import (
     FURTHER_NODES,
     NODES,
     PREFLIGHT_NODES,
-    STANDING,
     VIEWERS,
     further_nodes,
 )
@@ -68,7 +67,7 @@ def test_every_node_reports_its_state(name):
 
 def test_the_lists_fit_each_other():
     assert len(set(EXECUTABLES)) == len(EXECUTABLES)
-    elsewhere = {*FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS, *STANDING}
+    elsewhere = {*FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS}
     assert set(EXECUTABLES) == {*NODES, *elsewhere}
     assert set(PREFLIGHT_NODES) == set(NODES) - {"planner"}
     assert set(FURTHER_NODES) <= set(GROUPS)

@@ -12,7 +12,7 @@ import warm
 from known_truth import require_truth
 
 from rotcal_ros.api.reading import read_result
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -35,11 +35,11 @@ def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch
         done = warm.run(
             [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(OWN / "own_cell.yaml"),
              "--output", str(tmp_path / "out"), "--no-page", "--json"],
-            timeout=patient(DEADLINE_S),
+            timeout=load_scaled_timeout(DEADLINE_S),
         )  # fmt: skip
     finally:
         own.terminate()
-        own.wait(patient(10))
+        own.wait(load_scaled_timeout(10))
     outcome = json.loads(done.stdout)
     result = read_result(tmp_path / "out" / "result.json")
     by_chance = any(BY_CHANCE in warning for warning in result.warnings)

@@ -11,7 +11,7 @@ from mcap.reader import SeekingReader
 from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags.session_identity import session_of
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -28,11 +28,11 @@ def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
     told = re.compile(r"(\d+) of 60 steps")
     wait_until(lambda: max(map(int, told.findall(log.read_text())), default=0) >= 24, "24 steps")
     first.send_signal(signal.SIGKILL)
-    first.wait(patient(10))
+    first.wait(load_scaled_timeout(10))
 
     log = tmp_path / "second.log"
     second = rotcal("--resume", folder, "--json", log=log, changes=shifts)
-    assert second.wait(patient(120)) == 0, log.read_text()
+    assert second.wait(load_scaled_timeout(120)) == 0, log.read_text()
     outcome = json.loads(log.with_suffix(".json").read_text())
     assert outcome["n_used"] == 59
     assert set(outcome["files"]) >= {"bag", "result", "truth", "report", "compensation"}
@@ -67,5 +67,5 @@ def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
     np.testing.assert_allclose(scatter.std(axis=0)[1:], result["std"]["ECC"][1:], rtol=0.2)
 
     third = rotcal("--resume", folder, log=tmp_path / "third.log")
-    assert third.wait(patient(60)) == 2
+    assert third.wait(load_scaled_timeout(60)) == 2
     assert "is finished" in (tmp_path / "third.log").read_text()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from live_cell import DEADLINE_S, DEMO, SHORT, wait_until
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import read_source
 
@@ -51,7 +51,7 @@ def test_run_ends_with_a_verdict_and_all_files(tmp_path):
         arguments(tmp_path / "out", "--json"),
         capture_output=True,
         text=True,
-        timeout=patient(DEADLINE_S),
+        timeout=load_scaled_timeout(DEADLINE_S),
     )
     assert done.returncode == 0, done.stderr
     outcome = json.loads(done.stdout)
@@ -67,7 +67,10 @@ def test_run_ends_with_a_verdict_and_all_files(tmp_path):
     assert "60 of 60 steps" in done.stderr
 
     again = subprocess.run(
-        arguments(tmp_path / "out"), capture_output=True, text=True, timeout=patient(60)
+        arguments(tmp_path / "out"),
+        capture_output=True,
+        text=True,
+        timeout=load_scaled_timeout(60),
     )
     assert again.returncode == 2
     assert "exists already" in again.stderr
@@ -88,7 +91,7 @@ def test_ctrl_c_leaves_a_valid_bag_and_no_process(tmp_path):
         assert len(children) == 7, "".join(said)
         run.send_signal(signal.SIGINT)
         rest = run.stderr.read()
-        assert run.wait(patient(DEADLINE_S)) == 130
+        assert run.wait(load_scaled_timeout(DEADLINE_S)) == 130
     assert "interrupted; the bag is closed" in rest
     assert "Traceback" not in rest
     assert not any(Path(f"/proc/{pid}").exists() for pid in children)
@@ -102,7 +105,7 @@ def test_nodes_do_not_outlive_a_killed_supervisor(tmp_path):
         wait_until((tmp_path / "out" / "bag").exists, "the recording begins")
         children = children_of(run.pid)
         run.kill()
-        run.wait(patient(DEADLINE_S))
+        run.wait(load_scaled_timeout(DEADLINE_S))
     started = time.monotonic()
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in children), "all end")
     assert time.monotonic() - started < DEADLINE_S
@@ -113,7 +116,7 @@ def test_a_node_that_cannot_start_is_told_with_its_reason(tmp_path):
         arguments(tmp_path / "out"),
         capture_output=True,
         text=True,
-        timeout=patient(DEADLINE_S),
+        timeout=load_scaled_timeout(DEADLINE_S),
         env={**os.environ, "RMW_IMPLEMENTATION": "rmw_of_no_vendor"},
     )
     assert done.returncode == 2

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from live_cell import wait_until
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -34,4 +34,4 @@ def test_a_node_that_is_started_alone_talks_over_udp_only():
         assert not threads("dds.tls", node.pid)
     finally:
         node.terminate()
-        node.wait(patient(30))
+        node.wait(load_scaled_timeout(30))

@@ -19,7 +19,7 @@ from live_cell import DEADLINE_S, wait_until
 
 from rotcal_ros.api.reading import read_result
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.recordings.replay import read_recording
@@ -90,7 +90,7 @@ def outcome_of(folder, name, steps):
     outcome = json.loads(text[text.index("\n{") : text.rindex("}") + 1])
     told = (outcome["verdict"], outcome["n_used"], outcome["skipped_steps"])
     assert told == ("ok", steps, []), text
-    assert outcome["n_rejected"] <= patient(steps // 20), text
+    assert outcome["n_rejected"] <= load_scaled_timeout(steps // 20), text
     recording = read_recording(folder / f"out_{name}" / "bag")
     assert recording.same_as_recorded
     topics = [topic.split("/")[1] for topic in recording.verdicts[0].topics]
@@ -112,7 +112,9 @@ def test_two_cells_in_one_domain_find_their_own_truth(cells, tmp_path):
     changes = {"cell.namespace": "/right", "dme.port": port}
     cells.start("right", run(RIGHT, tmp_path / "out_right", changes))
     for name in ("left", "right"):
-        assert cells.children[name].wait(patient(2 * DEADLINE_S)) == 0, cells.log_tail(name, 50)
+        assert cells.children[name].wait(load_scaled_timeout(2 * DEADLINE_S)) == 0, cells.log_tail(
+            name, 50
+        )
 
     left = outcome_of(tmp_path, "left", 8 * POSITIONS)
     right = outcome_of(tmp_path, "right", 78)

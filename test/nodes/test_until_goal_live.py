@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from live_cell import wait_until
 
 from rotcal_ros.cli.main import rotcal as rotcal_verbs
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -33,12 +33,12 @@ def test_a_killed_run_is_resumed_to_its_goal_and_the_bag_says_why(rotcal, tmp_pa
     done = re.compile(r"(\d+) of \d+ steps")
     wait_until(lambda: max(map(int, done.findall(log.read_text())), default=0) >= 9, "9 steps")
     first.send_signal(signal.SIGKILL)
-    first.wait(patient(10))
+    first.wait(load_scaled_timeout(10))
 
     log = tmp_path / "second.log"
     second = rotcal("--resume", folder, "--json", log=log, changes=GOAL)
     # the noise goes by the clock: sound lengths look suspect (1) in one or two runs of a hundred
-    assert second.wait(patient(120)) in (0, 1), log.read_text()
+    assert second.wait(load_scaled_timeout(120)) in (0, 1), log.read_text()
     assert "the policy goes on choosing" in log.read_text()
     outcome = json.loads(log.with_suffix(".json").read_text())
     assert outcome["n_used"] >= 25  # five at each of five stations

@@ -10,7 +10,7 @@ import pytest
 import warm
 from live_cell import wait_until
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.recordings.result_sources import read_source
 
 pytest.importorskip("rclpy")
@@ -51,7 +51,7 @@ def test_an_interrupted_verification_ends_with_everything(verify, tmp_path, inte
     told = re.compile(rf"measuring {half} compensation.*?([3-9]\d) of 96 steps", re.DOTALL)
     wait_until(lambda: told.search(log.read_text()), f"some steps {half} compensation")
     first.send_signal(interrupt)
-    first.wait(patient(60))
+    first.wait(load_scaled_timeout(60))
     assert not (folder / "verification.json").exists()
     if interrupt == signal.SIGINT:
         assert first.returncode == 130
@@ -60,7 +60,7 @@ def test_an_interrupted_verification_ends_with_everything(verify, tmp_path, inte
 
     log = tmp_path / "second.log"
     second = verify("--resume", folder, log=log)
-    assert second.wait(patient(180)) == 0, log.read_text()
+    assert second.wait(load_scaled_timeout(180)) == 0, log.read_text()
     assert "verdict ok (SIMULATED)" in log.read_text()
     for name in ("result.json", "truth.json", "report.html", "verification.json", "bag",
                  "compensation/c_csv_simulated.csv", "after/result.json"):  # fmt: skip
@@ -77,14 +77,16 @@ def test_an_interrupted_verification_ends_with_everything(verify, tmp_path, inte
     assert "Before and after compensation" in (folder / "report.html").read_text()
 
     third = verify("--resume", folder, log=tmp_path / "third.log")
-    assert third.wait(patient(60)) == 0  # nothing is left to do: the same figures again
+    assert (
+        third.wait(load_scaled_timeout(60)) == 0
+    )  # nothing is left to do: the same figures again
     assert json.loads((folder / "verification.json").read_text()) == data
 
 
 def test_a_folder_without_a_verification_is_named(verify, tmp_path):
     (tmp_path / "empty").mkdir()
     log = tmp_path / "log"
-    assert verify("--resume", tmp_path / "empty", log=log).wait(patient(60)) == 2
+    assert verify("--resume", tmp_path / "empty", log=log).wait(load_scaled_timeout(60)) == 2
     assert "holds no verification: its verify.json is missing" in log.read_text()
-    assert verify(log=log).wait(patient(60)) == 2
+    assert verify(log=log).wait(load_scaled_timeout(60)) == 2
     assert "give a CONFIG, or --resume FOLDER" in log.read_text()

@@ -6,7 +6,7 @@ import pytest
 from bag_samples import CONFIGURATION, START_NS, STORE, encode, open_writer, serialised
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.heard import RUN
+from rotcal_ros.capture.publishers import RUN
 from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.recordings.replay import read_recording

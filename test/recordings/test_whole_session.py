@@ -17,7 +17,6 @@ from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
 from rotcal_ros.recordings.replay import read_recording
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -63,10 +62,6 @@ def test_whole_it_is_ok_and_a_part_is_suspect_whoever_asks(
     assert json.loads(solved.stdout) == result
     assert result["verdict"] == "suspect"
     assert any(MISSING in text for text in result["warnings"])
-    job = Job(str(part), recording.configuration, str(tmp_path))
-    row = solve_bag(job).result
-    assert row is not None
-    assert (row["verdict"], row["warnings"]) == ("suspect", result["warnings"])
     page = tmp_path / "page.html"
     assert run("report", part, "-o", page).exit_code == 1
     assert MISSING in page.read_text()

@@ -11,7 +11,7 @@ import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.folder_lock import FolderLock
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.sessions import attaching as module
@@ -37,20 +37,20 @@ def session(tmp_path):
 
 def connect(session):
     connection = socket.socket(socket.AF_UNIX)
-    connection.connect(json.loads(session.folder.meeting_point.read_text())["socket"])
+    connection.connect(json.loads(session.folder.socket_file.read_text())["socket"])
     return connection
 
 
 def heard(attachment, last):
     """Return all events up to one of the kind ``last``."""
-    events = [attachment.events.get(timeout=patient(DEADLINE_S))]
+    events = [attachment.events.get(timeout=load_scaled_timeout(DEADLINE_S))]
     while events[-1]["event"] != last:
-        events.append(attachment.events.get(timeout=patient(DEADLINE_S)))
+        events.append(attachment.events.get(timeout=load_scaled_timeout(DEADLINE_S)))
     return events
 
 
 def order_of(viewers):
-    deadline = time.monotonic() + patient(DEADLINE_S)
+    deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
     while not (orders := list(viewers.orders())):
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -87,7 +87,7 @@ def test_all_viewers_hear_all_and_one_of_them_answers(session):
         "feedback", "paused", "line", "ended", "gone",
     ]  # fmt: skip
     assert heard(second, "ended")[-1]["outcome"] == OUTCOME
-    assert not session.folder.meeting_point.exists()
+    assert not session.folder.socket_file.exists()
 
 
 def test_an_error_is_heard_with_its_exit_code(session):
@@ -156,7 +156,7 @@ def test_the_running_sessions_below_a_folder_are_found_and_killed_ones_told(sess
     stale = tmp_path / "stale"
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(str(stale))
-    session.folder.meeting_point.write_text(json.dumps({"socket": str(stale)}))
+    session.folder.socket_file.write_text(json.dumps({"socket": str(stale)}))
     assert running_sessions(tmp_path / "out") == []
     with pytest.raises(ConfigurationError, match="was interrupted; go on with: rotcal run"):
         watch(session.folder)
@@ -174,17 +174,17 @@ def test_a_session_that_still_writes_is_not_called_interrupted(session):
 def test_a_socket_does_not_lie_where_the_last_login_takes_it_away(session, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with Viewers(session):
-        address = json.loads(session.folder.meeting_point.read_text())["socket"]
+        address = json.loads(session.folder.socket_file.read_text())["socket"]
     assert not address.startswith(str(tmp_path))
 
 
 def test_what_cannot_be_attached_to_is_told_with_its_reason(session):
     with pytest.raises(ConfigurationError, match="no calibration runs in"):
         watch(session.folder)
-    session.folder.meeting_point.write_text("{}")
+    session.folder.socket_file.write_text("{}")
     with pytest.raises(ConfigurationError, match="names no socket"):
         watch(session.folder)
-    session.folder.meeting_point.unlink()
+    session.folder.socket_file.unlink()
     session.folder.result.write_text("{}")
     with pytest.raises(ConfigurationError, match=r"is finished, see .*result\.json"):
         watch(session.folder)
@@ -198,7 +198,7 @@ def test_a_session_that_lets_go_without_a_word_is_told_as_dead(session, tmp_path
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(address))
         server.listen()
-        session.folder.meeting_point.write_text(json.dumps({"socket": str(address)}))
+        session.folder.socket_file.write_text(json.dumps({"socket": str(address)}))
         Thread(target=lambda: server.accept()[0].close(), daemon=True).start()
         with pytest.raises(DataError, match="was killed"):
             watch(session.folder)

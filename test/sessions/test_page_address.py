@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_names import VIEWERS
 from rotcal_ros.sessions import processes
 from rotcal_ros.sessions.processes import Processes
@@ -31,7 +31,7 @@ def started(tmp_path):
 
 def test_a_page_that_cannot_start_is_told_and_ends_nothing(started):
     session = started("raise SystemExit('port 80 is taken')")
-    deadline = time.monotonic() + patient(DEADLINE_S)
+    deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
     while (failure := session.page_failure()) is None:
         assert time.monotonic() < deadline, "the page is never told"
         time.sleep(0.02)

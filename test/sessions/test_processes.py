@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.sessions import processes
 from rotcal_ros.sessions.processes import Processes
 
@@ -18,7 +18,7 @@ DEADLINE_S = 30.0
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + patient(DEADLINE_S)
+    deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)

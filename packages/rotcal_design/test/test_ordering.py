@@ -69,12 +69,13 @@ def test_the_plan_states_what_the_solver_will(checked, confidence):
     told = found.to_dict()
     assert told["expanded_rms_arcsec"] == pytest.approx(np.sqrt((expanded**2).mean()), rel=1e-4)
     assert told["expanded_largest_arcsec"] == pytest.approx(expanded.max(), rel=1e-4)
-    # a run ends ok and meets the goal, and what it stays below does
-    assert found.promise.kept(confidence, 1.202 * ARCSEC, 1.32 * ARCSEC)
     assert told["met"] > confidence
     assert told["suspected"] <= 1.0 - told["met"]
-    assert told["promised_rms_arcsec"] <= 1.202
-    assert told["promised_largest_arcsec"] <= 1.32
+    if checked:  # the plain minimum is not planned to keep it
+        # a run ends ok and meets the goal, and what it stays below does
+        assert found.promise.kept(confidence, 1.202 * ARCSEC, 1.32 * ARCSEC)
+        assert told["promised_rms_arcsec"] <= 1.202
+        assert told["promised_largest_arcsec"] <= 1.32
     # off one plane, so that the solver finds the tracer and not its mirror image
     assert not any("one plane" in remark for remark in result.warnings)
 

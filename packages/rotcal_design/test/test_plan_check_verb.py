@@ -56,8 +56,6 @@ def test_the_plan_that_is_written_is_the_plan_that_is_measured(planned):
     assert [[step.table_position, step.target] for step in plan.steps] == data["pairs"]
     assert len(data["pairs"]) == data["lengths"] < data["offered"] / 5
     assert (folder / "pairs.csv").read_text().startswith("step,table_position,target\n0,0,")
-    assert data["unseen_std"]["drift"] <= 2.0
-    assert data["unseen_std"]["knock"] <= 2.0
     model, in_turn = cell_time(configuration), sorted(plan.steps, key=place)
     assert data["duration_s"] == pytest.approx(model.seconds(plan.steps), rel=1e-9)
     assert data["duration_s"] < model.seconds(in_turn)
@@ -211,6 +209,7 @@ def test_people_are_shown_what_is_not_covered():
     assert ran.exit_code == 0, ran.output
     assert "nothing will be known of 1 of 2 angles" in ran.stderr
     assert "warning: some lengths are hardly checked" in ran.stderr
+    assert "warning: no order of these lengths shows every drift and knock" in ran.stderr
     assert "30 lengths to 5 targets" in ran.stderr
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from rotcal_design.trades import USUAL_MIRROR, mirror_trade
 from rotcal_design.verbs.sequence import best_order
 from rotcal_ros.cli.plan import command
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, parse_configuration
 from rotcal_ros.methods.tracer.policy.sequence import Forecast, MeasuringOrder
 from rotcal_ros.methods.tracer.table import read_pairs
@@ -45,14 +48,53 @@ def test_the_mirrors_hours_and_uncertainties_are_the_known_ones():
     found = {(way["stations"], way["reflectors"]): way for way in ways}
     six = found[6, 1]
     for way, own in found.items():
-        swing = np.sqrt(own["expanded"] ** 2 - noise[way] ** 2)
-        assert 0.5 < np.degrees(swing) * 3600.0 < 2.0 * 0.5, way
+        assert noise[way] < own["expanded"] < np.hypot(noise[way], 2.0 * 0.5 * ARCSEC), way
     assert six["seconds"] / 3600.0 == pytest.approx(1.5, abs=0.02)
     # 17 positions and 5 shared, six nests twice at each of six stations
     assert (six["pairs"], six["nests"]) == (22, 72)
     more = found[4, 3]
     assert more["seconds"] == 4 * 600.0 + 60 * 50.0 + 48 * 10.0
     assert [way["seconds"] for way in ways] == sorted(way["seconds"] for way in ways)
+
+
+def usual_mirror(swing):
+    """Return the plan of four stations with three reflectors, and a statement of the swings."""
+    usual = parse_configuration(USUAL_MIRROR)
+    each = ceil((usual.plan.table_positions - usual.plan.shared_positions) / 4)
+    return changed(usual, [
+        f"plan.positions_per_station={each + usual.plan.shared_positions}", "plan.reflectors=3",
+        f"solver.uneven_drift_std_arcsec={swing}",
+    ])  # fmt: skip
+
+
+def traded(swing):
+    (row,) = mirror_trade(usual_mirror(swing), [4], [3], move_s=600.0, pair_s=50.0, nest_s=10.0)
+    return row.expanded
+
+
+@pytest.mark.slow
+def test_the_more_a_tracker_may_swing_the_larger_is_the_uncertainty_of_a_mirror():
+    assert (np.diff([traded(swing) for swing in (0.0, 0.5, 2.0, 5.0, 7.0, 10.0)]) > 0.0).all()
+
+
+@pytest.mark.slow
+def test_a_mirror_is_traded_for_what_its_result_states():
+    """Of points that scatter as the tracker does, in a run that contradicts no statement."""
+    calibration, rng = prepare(usual_mirror(0.5)), np.random.default_rng(0)
+    solver, seen = calibration.configuration.solver, []
+    for exact in calibration.nominal_observations():
+        place, white = np.array(exact.mean), rng.standard_normal(3)
+        distance = np.linalg.norm(place)
+        beam = place / distance
+        along = (solver.range_std_m + solver.range_std_relative * distance) * (white @ beam)
+        across = solver.transverse_std_m + solver.transverse_std_relative * distance
+        place = place + along * beam + across * (white - (white @ beam) * beam)
+        seen.append(replace(exact, mean=tuple(place)))
+    result = calibration.solve(seen)
+    assert set(result.details["noise"].values()) == {1.0}
+    turn = np.eye(len(result.angles)) - 1.0 / len(result.angles)
+    expanded = 2.0 * np.sqrt(np.diag(turn @ result.covariance["ECC"] @ turn).mean())
+    assert traded(0.5) == pytest.approx(expanded, rel=1e-4)
 
 
 def test_stations_that_see_nothing_are_refused():

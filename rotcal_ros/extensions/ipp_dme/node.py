@@ -14,8 +14,8 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.capture.messages import Orders
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.extensions.ipp_dme.client import NOT_STARTED
 from rotcal_ros.extensions.ipp_dme.driver import Driver
 from rotcal_ros.extensions.ipp_dme.protocol import DmeError

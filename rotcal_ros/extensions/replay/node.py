@@ -36,7 +36,7 @@ from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
 from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.heard import RUN, run_name
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.extensions.replay.replayed_bag import CLOCK, ReplayedBag, of_attempts
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError

@@ -23,8 +23,8 @@ from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture import messages
 from rotcal_ros.capture.announced_runs import strangers
-from rotcal_ros.capture.heard import run_name
 from rotcal_ros.capture.instruments.conventions import Conventions
+from rotcal_ros.capture.publishers import run_name
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import NANOSECOND

@@ -84,7 +84,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return replace(result, angles=arrivals.targets[solution.table_positions])
 
 
-def of_curves(
+def model_of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel | None:
     """Return what the accepted observations determine of the curves, to be solved with others.
@@ -96,7 +96,7 @@ def of_curves(
         return None
     arrivals = _arrivals(configuration, plan)
     chosen = _chosen(configuration, plan, observations)
-    found, positions = ball_plate.of_curves(chosen, arrivals.targets[arrivals.target])
+    found, positions = ball_plate.model_of_curves(chosen, arrivals.targets[arrivals.target])
     return mean_of_arrivals(found, arrivals.take(positions))
 
 
@@ -260,7 +260,7 @@ METHOD: Final = Method(
         {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
     ),
     solve=solve,
-    of_curves=of_curves,
+    model_of_curves=model_of_curves,
     trials=trials,
     gauge=gauge.without_axis_and_artefact,
     nominal=lambda _configuration, _plan: lambda step: step.position,

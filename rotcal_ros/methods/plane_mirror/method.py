@@ -84,7 +84,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return _solve_ways(configuration, problem, {"left_out": left_out})
 
 
-def _of_curves(configuration: Configuration, problem: PlaneMirrorProblem) -> CurveModel:
+def _model_of_curves(configuration: Configuration, problem: PlaneMirrorProblem) -> CurveModel:
     """Return what points determine of ECC, to be solved with other instruments."""
     found, positions = plane_mirror.curves(problem)
     arrivals = both_ways(configuration.plan)
@@ -268,9 +268,9 @@ class TrackerPoints:
         hashed = RawData(tuple(hash_of(xyz, int(kind)) for xyz, kind in named))
         return replace(_solve_ways(self.configuration, points, {}), raw_data=hashed)
 
-    def of_curves(self) -> CurveModel:
+    def model_of_curves(self) -> CurveModel:
         """Return what the points determine of ECC, to be solved with other instruments."""
-        return _of_curves(self.configuration, self._points())
+        return _model_of_curves(self.configuration, self._points())
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the points."""
@@ -351,7 +351,7 @@ METHOD: Final = Method(
         {kind: points(mean_point) for kind in KINDS.values()}, lambda _plan: (TrackerCheck(),)
     ),
     solve=solve,
-    of_curves=lambda *measured: _of_curves(measured[0], _problem(*measured)[0]),
+    model_of_curves=lambda *measured: _model_of_curves(measured[0], _problem(*measured)[0]),
     trials=lambda *measured: _trials(measured[0], _problem(*measured)[0]),
     check=check,
     nominal=lambda configuration, _plan: tracker_sees(configuration.plan),

@@ -78,7 +78,7 @@ def trials(
     return RepeatedTrials.of(solution.trials, result_of(solution), arrivals)
 
 
-def of_curves(
+def model_of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
     """Return what the accepted lengths determine of ECC, to be solved with other instruments.
@@ -210,7 +210,7 @@ METHOD: Final = Method(
     plan_files=PLAN_FILES,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=solve,
-    of_curves=of_curves,
+    model_of_curves=model_of_curves,
     joins_runs=True,
     trials=trials,
     nominal=nominal,

@@ -70,7 +70,7 @@ class StationTable:
         stated = stated_circumstances(self.configuration)
         return replace(solve(self.problem), circumstances=stated)
 
-    def of_curves(self) -> None:
+    def model_of_curves(self) -> None:
         """Return None: the result stands for them, for there are no lengths."""
 
     def trials(self) -> Trials:

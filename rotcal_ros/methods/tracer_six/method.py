@@ -94,7 +94,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return mean_of_runs(result, _both_sides(plan, weighed.solution), from_first=False)
 
 
-def of_curves(
+def model_of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
     """Return what the lengths determine of the curves, to be solved with other instruments."""
@@ -298,7 +298,7 @@ METHOD: Final = Method(
     check_plan=check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=solve,
-    of_curves=of_curves,
+    model_of_curves=model_of_curves,
     joins_runs=True,
     trials=trials,
     check=check,

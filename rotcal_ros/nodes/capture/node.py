@@ -11,8 +11,8 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
-from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.capture.instruments.steps import Order, StepFinder
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.capture.rejections import Rejections, kind_of
 from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why

@@ -39,7 +39,7 @@ from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.capture.stamp_offsets import DOUBT_S, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.machine_load import describe, patient
+from rotcal_ros.foundation.machine_load import describe, load_scaled_timeout
 from rotcal_ros.foundation.middleware import discovery_in_words
 from rotcal_ros.foundation.node_names import FURTHER_NODES
 from rotcal_ros.foundation.units import DEGREE
@@ -206,7 +206,7 @@ def _listened(
 ) -> CellSnapshot:
     """Return what was heard in so many seconds, or longer where that does not judge the clocks."""
     enough_s = time.monotonic() + seconds
-    latest_s = enough_s + min(patient(seconds), LONGER_S)
+    latest_s = enough_s + min(load_scaled_timeout(seconds), LONGER_S)
     while True:
         while time.monotonic() < enough_s and not end:
             listening.executor.spin_once(timeout_sec=_LOOK_S)

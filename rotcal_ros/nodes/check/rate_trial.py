@@ -25,7 +25,7 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.foundation import machine_load
-from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.machine_load import WaitBudget
 from rotcal_ros.nodes.recorder.recording import BagRecording, Messages, own_channel
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.qos import LISTENING_DEPTH, STREAM
@@ -64,7 +64,7 @@ class TrialListener:
 def publish(peer: Peer, count: int) -> None:
     """Publish so many readings at the rate, and make up for late ones."""
     publisher = peer.node.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
-    patience = Patience(MATCH_S)
+    patience = WaitBudget(MATCH_S)
     while not publisher.get_subscription_count() and not patience.is_over():
         time.sleep(0.01)
     begin_s = time.monotonic()
@@ -88,7 +88,7 @@ def try_rate(folder: Path) -> tuple[bool, str]:
     sending = threading.Thread(target=publish, args=(here, count))
     sending.start()
     there.work_until(lambda: not sending.is_alive(), 2.0 * TRIAL_S + MATCH_S)
-    patience = Patience(REST_S)
+    patience = WaitBudget(REST_S)
     there.work_until(lambda: heard.understood >= count or patience.is_over(), 10.0 * REST_S)
     listening.drain()
     sending.join()

@@ -22,7 +22,7 @@ from rotcal_msgs.msg import NodeState as NodeStateMsg
 
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_names import NODES
 from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE, Peer
 
@@ -60,7 +60,7 @@ class TrialNode:
     def end(self) -> NodeError | None:
         """Wait until it has ended; return what went wrong, if anything."""
         try:
-            code = self._process.wait(patient(END_S))
+            code = self._process.wait(load_scaled_timeout(END_S))
         except subprocess.TimeoutExpired as late:
             return NodeError(f"{self.name} did not end within {late.timeout:.0f} s")
         return NodeError(self.last_words()) if code else None
@@ -100,7 +100,7 @@ def trial() -> float:
         # Two ends that the middleware never connects: a new one it does connect.
         for _ in range(2):
             listening = peer.node.create_subscription(NodeStateMsg, names.HEARTBEAT, hear, qos)
-            if peer.work_until(settled, patient(0.5 * START_S)):
+            if peer.work_until(settled, load_scaled_timeout(0.5 * START_S)):
                 break
             peer.node.destroy_subscription(listening)
         took = time.monotonic() - start

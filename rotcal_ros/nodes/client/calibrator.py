@@ -29,7 +29,7 @@ from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
 from rotcal_ros.foundation.errors import DataError, RotcalError
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import NodeState, Why
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.untrusted import load_json, read_text, why
@@ -133,7 +133,7 @@ class Calibrator:
     def cancel(self) -> None:
         """Ask the planner to end; :meth:`result` returns when the bag is closed."""
         if self._running():
-            self._deadline_s = time.monotonic() + patient(CANCEL_TIMEOUT_S)
+            self._deadline_s = time.monotonic() + load_scaled_timeout(CANCEL_TIMEOUT_S)
             self._handle.cancel_goal_async()
 
     def resume(self) -> None:
@@ -168,7 +168,7 @@ class Calibrator:
         with suppress(CalibratorError):
             if self._running():
                 self.cancel()
-                self.result(patient(2 * CANCEL_TIMEOUT_S))
+                self.result(load_scaled_timeout(2 * CANCEL_TIMEOUT_S))
         self.close()
 
     def _running(self) -> bool:
@@ -206,7 +206,7 @@ class Calibrator:
 
     def _wait(self, future: Any) -> Any:
         """Return the answer of the planner to a request."""
-        if not self._peer.work_until(future.done, patient(ANSWER_TIMEOUT_S)):
+        if not self._peer.work_until(future.done, load_scaled_timeout(ANSWER_TIMEOUT_S)):
             raise CalibratorError(self.no_answer())
         return future.result()
 

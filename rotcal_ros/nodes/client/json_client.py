@@ -21,7 +21,7 @@ from typing import Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.capture.rejections import kind_of
-from rotcal_ros.foundation.machine_load import Patience, describe
+from rotcal_ros.foundation.machine_load import WaitBudget, describe
 from rotcal_ros.foundation.node_names import PAGE, VIEWERS
 from rotcal_ros.nodes.client.calibrator import (
     Calibrator,
@@ -79,7 +79,7 @@ class Client:
 
     def _planner_came(self, timeout_s: float) -> bool:
         """Wait for the planner; False if the client has to end, CalibratorError if none comes."""
-        patience = Patience(timeout_s)
+        patience = WaitBudget(timeout_s)
         listen_until = time.monotonic() + LISTEN_S
         while True:
             self._calibrator.listen(PERIOD_S)

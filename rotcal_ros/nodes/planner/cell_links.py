@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import TOPIC, plain_name
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.heard import RUN, Believed, Offers, publisher_of
+from rotcal_ros.capture.publishers import RUN, Offers, PublisherList, publisher_of
 from rotcal_ros.evaluation.marks import withheld_by
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.middleware import discovery_in_words
@@ -212,7 +212,7 @@ class CellLinks:
         reason = self.health.values("recorder").get(name, "")
         return f"the recorder does not listen to {name}{': ' + reason if reason else ' yet'}"
 
-    def believed(self, instruments: Collection[str]) -> Believed:
+    def accepted(self, instruments: Collection[str]) -> PublisherList:
         """Return the present publishers of a run's topics: our nodes and the ``instruments``."""
         namespace = self.node.get_namespace()
         publishers = {
@@ -222,7 +222,7 @@ class CellLinks:
             offers = self.graph.offers(topic)
             own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, namespace)]
             publishers[self.graph.resolve(topic)] = own
-        return Believed({
+        return PublisherList({
             topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
             for topic, infos in publishers.items()
             if infos
@@ -242,10 +242,10 @@ class CellLinks:
 
     def unclear(self, instruments: Collection[str]) -> list[str]:
         """Return which topics do not have exactly one publisher yet, in words."""
-        believed, texts = self.believed(()).publishers, list[str]()
+        accepted, texts = self.accepted(()).publishers, list[str]()
         for topic, owner in OWNERS.items():
             name = self.graph.resolve(topic)
-            count = len(believed.get(name, ()))
+            count = len(accepted.get(name, ()))
             if count > 1:
                 texts.append(
                     f"{count} nodes are called {owner} and publish {name}: end the others"
@@ -255,7 +255,7 @@ class CellLinks:
         called = (self.instrument(role) for role in instruments)
         return texts + [text for name in called for text in self.graph.crowded(name)]
 
-    def missing_connections(self, believed: Believed) -> list[str]:
+    def missing_connections(self, accepted: PublisherList) -> list[str]:
         """Return which nodes are not connected to the publishers of a run yet, in words."""
         others = (*PREFLIGHT_NODES, *self._own_machines())
         beats = {name: self.health.values(name) for name in others}
@@ -265,7 +265,7 @@ class CellLinks:
             if (apart := values.get(APART))
             else f"node {name} has not been told which publishers count in this run"
             for name, values in beats.items()
-            if values.get(HEARS) != digest(believed)
+            if values.get(HEARS) != digest(accepted)
         ] + self._missing_machines()
 
     def _own_machines(self) -> list[str]:

@@ -17,9 +17,9 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
-from rotcal_ros.capture.heard import RUN, Believed, run_name
 from rotcal_ros.capture.instruments.conventions import single_shots
-from rotcal_ros.capture.rejections import Commonest
+from rotcal_ros.capture.publishers import RUN, PublisherList, run_name
+from rotcal_ros.capture.rejections import MostFrequentReason
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
@@ -32,7 +32,7 @@ from rotcal_ros.nodes.planner.goal_watch import SOLVER, Codes, GoalError, GoalWa
 from rotcal_ros.nodes.planner.measuring import GoalMeasurement, OperatorRequests
 from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
 from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.accepted_publishers import BELIEVED
+from rotcal_ros.nodes.runtime.accepted_publishers import ACCEPTED
 from rotcal_ros.nodes.runtime.beat_values import (
     OF_MACHINES,
     PREFLIGHT,
@@ -67,7 +67,7 @@ class GoalRun:
         self._lost: GoalError | None = None
         self.verdict_line = ""
         self._run: str | None = None
-        self._believed = Believed()
+        self._accepted = PublisherList()
         self.watch = watch
         self.measuring = GoalMeasurement(calibration, continuation, watch)
 
@@ -86,8 +86,8 @@ class GoalRun:
             outcome.error_msg = "; ".join([str(error), *self._likely_causes(error)]) + onward
             await self.bag.close_after_failure()
         finally:
-            self._believed = Believed()
-            self.watch.links.node.accepted.decide(self._believed)
+            self._accepted = PublisherList()
+            self.watch.links.node.accepted.decide(self._accepted)
         if self.bag.folder is not None:
             outcome.bag_folder = str(self.bag.folder.bag)
         progress = self.watch.progress
@@ -138,7 +138,7 @@ class GoalRun:
 
     def values(self) -> dict[str, object]:
         """Return the values of the planner's beat that describe the goal."""
-        heard: dict[str, object] = {BELIEVED: line} if (line := self._believed.in_a_beat()) else {}
+        heard: dict[str, object] = {ACCEPTED: line} if (line := self._accepted.in_a_beat()) else {}
         own: dict[str, object] = {**self.watch.progress.counts(), **heard}
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
@@ -158,12 +158,12 @@ class GoalRun:
         needed, wished = expected_air(self._calibration)
         watch.instruments = {*instruments, *needed, *wished}
         watch.heard = links.offered(watch.instruments)
-        self._believed = links.believed(watch.instruments)
-        links.node.accepted.decide(self._believed)
+        self._accepted = links.accepted(watch.instruments)
+        links.node.accepted.decide(self._accepted)
         links.health.beat()
 
     def _missing_connections(self) -> list[str]:
-        return self.watch.links.missing_connections(self._believed)
+        return self.watch.links.missing_connections(self._accepted)
 
     def _likely_causes(self, error: GoalError) -> list[str]:
         """Return warnings of the cell that may have ended the goal; none where a person did."""
@@ -228,8 +228,8 @@ class GoalRun:
         if not answer.success:
             few = not watch.progress.accepted and not self._continuation.observations
             code = Codes.TOO_FEW_OBSERVATIONS if few else Codes.SOLVER_FAILED
-            commonest = Commonest.of(self.measuring.reasons)
-            more = f"; rejected: {commonest.describe()}" if commonest else ""
+            most_frequent = MostFrequentReason.of(self.measuring.reasons)
+            more = f"; rejected: {most_frequent.describe()}" if most_frequent else ""
             raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
 

@@ -11,9 +11,9 @@ from typing import Any, Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.heard import Offers, started_anew
+from rotcal_ros.capture.publishers import Offers, restarted_nodes
 from rotcal_ros.foundation import machine_load
-from rotcal_ros.foundation.machine_load import AwakeClock, Patience, patient
+from rotcal_ros.foundation.machine_load import AwakeClock, WaitBudget, load_scaled_timeout
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.foundation.node_state import Reason, State, Why
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command
@@ -95,7 +95,7 @@ class ToldMissing:
         lasting = [text for text, since_s in self._since_s.items() if now_s - since_s >= TOLD_S]
         if set(lasting) - set(self._reported):
             self._reported = lasting
-            limit = f"the preflight waits up to {patient(self._patience_s):.0f} s"
+            limit = f"the preflight waits up to {load_scaled_timeout(self._patience_s):.0f} s"
             self._links.warn(PREFLIGHT_WAITS, [f"{limit}: {'; '.join(lasting)}"])
         return not texts
 
@@ -119,7 +119,7 @@ class RequiredNodes:
         self.restart_wait_s = restart_wait_s
         self._health = health
         self._processes: dict[str, str | None] = {}
-        self._away: Patience | None = None
+        self._away: WaitBudget | None = None
 
     def begin_run(self) -> None:
         """Make the present nodes those of the run."""
@@ -162,7 +162,7 @@ class RequiredNodes:
             )
 
     def _may_be_away(self) -> bool:
-        self._away = self._away or Patience(self.restart_wait_s)
+        self._away = self._away or WaitBudget(self.restart_wait_s)
         return self.restart_wait_s > 0.0 and not self._away.is_over()
 
     def _in_words(self, missing: list[str], anew: list[str]) -> list[str]:
@@ -211,8 +211,8 @@ class GoalWatch:
     instruments: Collection[str] = ()
     heard: Offers = field(default_factory=dict)
     """The publishers of the instruments' topics when the run began."""
-    _astray: Patience | None = None
-    _hopeless: Patience | None = None
+    _astray: WaitBudget | None = None
+    _hopeless: WaitBudget | None = None
     _overload: Overload = field(default_factory=Overload)
     _stream_beat: object = None
     _silent: dict[str, float] = field(default_factory=dict)
@@ -408,7 +408,7 @@ class GoalWatch:
         allowed_s = (
             ASTRAY_TIMEOUT_S if of_capture else ASTRAY_TIMEOUT_S + self.required.restart_wait_s
         )
-        self._astray = self._astray or Patience(allowed_s)
+        self._astray = self._astray or WaitBudget(allowed_s)
         if self._astray.is_over(pausing=bool(self.slow)):
             topic = self.links.graph.resolve(names.PLAN)
             publishers = ", ".join(self.links.graph.publishers(topic)) or "none"
@@ -432,7 +432,7 @@ class GoalWatch:
             return
         self._stream_beat = beat
         hopeless = self.links.health.values("capture").get(HOPELESS)
-        self._hopeless = (self._hopeless or Patience(HOPELESS_S)) if hopeless else None
+        self._hopeless = (self._hopeless or WaitBudget(HOPELESS_S)) if hopeless else None
         if self._hopeless is not None and self._hopeless.is_over(pausing=bool(self.slow)):
             raise GoalError(Codes.TOPIC_MISSING, f"nothing can be measured: {hopeless} ({place})")
         self._check_publishers(place)
@@ -450,7 +450,7 @@ class GoalWatch:
         Beats show a restart of required nodes. A restarted machine may no longer know where it is,
         so a person has to begin again.
         """
-        found = started_anew(self.heard, self.links.offered(self.instruments))
+        found = restarted_nodes(self.heard, self.links.offered(self.instruments))
         for path, topics in found.items():
             name = path.rpartition("/")[2]
             if name not in self.required.nodes:

@@ -1,7 +1,7 @@
 """Which publishers a node accepts while a calibration runs: those that the planner names.
 
 When a run begins, the planner fixes the publishers of every topic and lists them in its beat
-(BELIEVED). Each node ignores all others from then on, and answers in its own beat (HEARS) with a
+(ACCEPTED). Each node ignores all others from then on, and answers in its own beat (HEARS) with a
 hash of what it accepts, once it is connected to all of them. Only then does the planner go on.
 """
 
@@ -14,11 +14,17 @@ from typing import Any, Final
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.heard import Believed, Intruder, Origin, WhoIsHeard, publisher_of
+from rotcal_ros.capture.publishers import (
+    Intruder,
+    Origin,
+    PublisherFilter,
+    PublisherList,
+    publisher_of,
+)
 from rotcal_ros.nodes.runtime.beat_values import INTRUDER, show
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch
 
-BELIEVED: Final = "believed"
+ACCEPTED: Final = "believed"
 """Value in the planner's beat: which publishers count on each topic while a goal runs."""
 LISTENERS: Final = {names.OBSERVATION: 3, names.PLAN: 3, names.STEP_CHOICE: 1, names.GOAL: 1}
 """Topic -> how many of our nodes subscribe; to any other topic of a run, USUAL."""
@@ -39,19 +45,19 @@ class AcceptedPublishers:
 
     def __init__(self, node: Any, *, quiet: bool = False) -> None:
         self._node, self._quiet = node, quiet
-        self._judge = WhoIsHeard()
+        self._judge = PublisherFilter()
         self._beat: object = None
         self._joined = False
         self._words: dict[str, str] = {}
 
-    def decide(self, believed: Believed) -> None:
+    def decide(self, accepted: PublisherList) -> None:
         """Accept these publishers; without any, accept all. Only the planner calls this."""
-        self._believe(believed)
+        self._accept(accepted)
 
-    def hears(self, topic: str, info: Any) -> bool:
+    def accepts(self, topic: str, info: Any) -> bool:
         """Return whether a message on a topic (absolute name) counts, by its message info."""
         self._follow()
-        if self._judge.hears(topic, origin_of(info)):
+        if self._judge.accepts(topic, origin_of(info)):
             return True
         self._tell()
         return False
@@ -59,20 +65,20 @@ class AcceptedPublishers:
     def split(self, topic: str, batch: Batch) -> tuple[Batch, Batch]:
         """Return the messages of accepted publishers, and the others."""
         self._follow()
-        if topic not in self._judge.believed.publishers:
+        if topic not in self._judge.accepted.publishers:
             return batch, ()
         ours, others = list[tuple[Any, Any]](), list[tuple[Any, Any]]()
         for pair in batch:
-            (ours if self.hears(topic, pair[1]) else others).append(pair)
+            (ours if self.accepts(topic, pair[1]) else others).append(pair)
         return ours, others
 
     def values(self) -> dict[str, str]:
         """Return the values for the beat: HEARS, or APART; none while no run is on."""
         self._follow()
-        if not self._judge.believed.publishers:
+        if not self._judge.accepted.publishers:
             return {}
         apart = ", ".join(self._apart())
-        return {HEARS: digest(self._judge.believed)} if self._joined else {APART: apart}
+        return {HEARS: digest(self._judge.accepted)} if self._joined else {APART: apart}
 
     def _apart(self) -> list[str]:
         """Return the topics of the run on which this node is not connected to all others yet.
@@ -83,12 +89,12 @@ class AcceptedPublishers:
         """
         if self._joined:
             return []
-        node, believed, apart = self._node, self._judge.believed.publishers, set[str]()
-        listeners = dict.fromkeys(believed, USUAL)
+        node, accepted, apart = self._node, self._judge.accepted.publishers, set[str]()
+        listeners = dict.fromkeys(accepted, USUAL)
         listeners |= {node.resolve_topic_name(role): n for role, n in LISTENERS.items()}
         with suppress(rclpy_implementation.InvalidHandle):  # one was given up: asked again soon
             for heard in tuple(node.subscriptions):
-                if heard.get_publisher_count() < len(believed.get(heard.topic_name, ())):
+                if heard.get_publisher_count() < len(accepted.get(heard.topic_name, ())):
                     apart.add(heard.topic_name)
             for sent in tuple(node.publishers):
                 if sent.get_subscription_count() < listeners.get(sent.topic_name, 0):
@@ -103,11 +109,11 @@ class AcceptedPublishers:
             return
         self._beat = beat
         if beat is not None:
-            self._believe(Believed.read(self._node.health.values("planner").get(BELIEVED, "")))
+            self._accept(PublisherList.read(self._node.health.values("planner").get(ACCEPTED, "")))
 
-    def _believe(self, believed: Believed) -> None:
-        if believed != self._judge.believed:
-            self._judge.believe(believed)
+    def _accept(self, accepted: PublisherList) -> None:
+        if accepted != self._judge.accepted:
+            self._judge.accept(accepted)
             self._joined = False
             self._words.clear()
             self._show(None)
@@ -129,7 +135,7 @@ class AcceptedPublishers:
     def _in_words(self, intruder: Intruder) -> str | None:
         """Return the name of a publisher; None while the middleware lacks its node's name."""
         infos = self._node.get_publishers_info_by_topic(intruder.topic)
-        known = self._judge.believed.publishers[intruder.topic]
+        known = self._judge.accepted.publishers[intruder.topic]
         there = {publisher_of(i.endpoint_gid): i.node_name for i in infos}
         if UNNAMED in there.values():
             return None
@@ -151,6 +157,6 @@ def origin_of(info: Any) -> Origin:
     return Origin(identity, None if number is None else int(number))
 
 
-def digest(believed: Believed) -> str:
+def digest(accepted: PublisherList) -> str:
     """Return a hash of the accepted publishers."""
-    return hashlib.sha256(believed.in_a_beat().encode()).hexdigest()[:12]
+    return hashlib.sha256(accepted.in_a_beat().encode()).hexdigest()[:12]

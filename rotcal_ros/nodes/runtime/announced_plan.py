@@ -15,7 +15,7 @@ from typing import Final
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.heard import RUN, PlansHeard, Whose, run_name
+from rotcal_ros.capture.publishers import RUN, PendingPlans, PlanOwner, run_name
 from rotcal_ros.foundation.errors import DataError, PlanError, RotcalError
 from rotcal_ros.foundation.untrusted import read_text, reading
 from rotcal_ros.methods import Calibration, prepare
@@ -77,7 +77,7 @@ class PlanSubscription:
 
     def __init__(self, node: CellNode, take: Callable[[CalibrationPlan], None]) -> None:
         self._node, self._take = node, take
-        self._heard = PlansHeard[CalibrationPlan]()
+        self._heard = PendingPlans[CalibrationPlan]()
         node.listen(CalibrationPlan, names.PLAN, self._offer, LATCHED)
         node.every(BEAT_PERIOD_S, self._look)
 
@@ -88,7 +88,7 @@ class PlanSubscription:
     def _look(self) -> None:
         """Hand over the plans that are known to be the planner's; report the others."""
         for message, whose in self._heard.judged(self._goals_run(), time.monotonic()):
-            if whose is Whose.A_STRANGERS:
+            if whose is PlanOwner.OTHER_PLANNER:
                 self._ignored(message, "is not the planner's and was ignored")
                 continue
             for key in (FOREIGN_PLAN, REFUSED_RUN):
@@ -96,7 +96,7 @@ class PlanSubscription:
             try:
                 self._take(message)
             except Exception as error:  # the goal must hear of a fault of this program, too
-                if whose is Whose.THE_GOALS:
+                if whose is PlanOwner.RUNNING_GOAL:
                     self._refused(message, error)
                     raise
                 if not isinstance(error, RotcalError):

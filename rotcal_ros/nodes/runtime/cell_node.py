@@ -18,7 +18,7 @@ from rotcal_msgs.msg import ProbeTarget, TableAngle
 from rotcal_ros.bags import names
 from rotcal_ros.capture.messages import Orders
 from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.machine_load import WaitBudget
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
 from rotcal_ros.nodes.runtime.accepted_publishers import AcceptedPublishers
@@ -62,7 +62,7 @@ async def until(
     The time does not count while ``pausing`` is true (a slow node is waited for), nor while this
     process stands still.
     """
-    patience = Patience(timeout_s)
+    patience = WaitBudget(timeout_s)
     while not condition():
         if check is not None:
             check()
@@ -118,7 +118,7 @@ class CellNode(ManagedNode, ABC):
 
         def take(batch: Batch) -> None:
             for message, info in batch:
-                if judged and not self.accepted.hears(self.resolve_topic_name(topic), info):
+                if judged and not self.accepted.accepts(self.resolve_topic_name(topic), info):
                     continue
                 if self.active:
                     handle(message)

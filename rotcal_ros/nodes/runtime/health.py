@@ -40,8 +40,8 @@ from rotcal_ros.nodes.runtime.liveness import (
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     UNWAITED,
     Batch,
-    Deafness,
     DrainedSubscription,
+    ResubscribeBackoff,
     steady_timer,
 )
 from rotcal_ros.planning.settings import HealthSettings
@@ -154,7 +154,7 @@ class Health:
             node, msg.NodeState, names.HEARTBEAT, QoSProfile(depth=100), self.guarded(self._hear),
             group=UNWAITED,
         )  # fmt: skip
-        self._deafness = Deafness(self.awake.now_s())
+        self._backoff = ResubscribeBackoff(self.awake.now_s())
         steady_timer(node, HEAR_PERIOD_S, lambda: self._heard.drain())
         steady_timer(node, BEAT_PERIOD_S, self.guarded(self._turn))
         steady_timer(node, DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
@@ -255,7 +255,7 @@ class Health:
         heard = len(self.others)
         if self._beats is not None:
             sent -= 1
-        if self._deafness.is_long(sent > heard, self.awake.now_s()):
+        if self._backoff.is_due(sent > heard, self.awake.now_s()):
             self._node.get_logger().info(
                 f"of {sent} other nodes {heard} are heard: subscribed anew"
             )

@@ -27,7 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 from threadpoolctl import threadpool_limits
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
-from rotcal_ros.foundation.machine_load import Patience, end_without_memory
+from rotcal_ros.foundation.machine_load import WaitBudget, end_without_memory
 from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, explain_start_failure, middleware
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import wake_after_jumps
@@ -159,7 +159,7 @@ def _spin(make: Callable[[], CellNode]) -> None:
 def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
     """Let a node end its work, for a limited time."""
     node.begin_stop()
-    patience = Patience(STOP_TIMEOUT_S)
+    patience = WaitBudget(STOP_TIMEOUT_S)
     while not node.stopped():
         if patience.is_over():
             return

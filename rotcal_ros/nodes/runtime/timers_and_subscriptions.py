@@ -33,7 +33,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.foundation.clock_jumps import ClockWatch
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.nodes.runtime.qos import adapted_qos
 
 UNHEARD_S: Final = 5.0
@@ -132,17 +132,17 @@ def sent_ns(info: Any) -> int:
     return int(info["source_timestamp"]) or received_ns(info)
 
 
-class Deafness:
+class ResubscribeBackoff:
     """Says when to subscribe anew where something is not heard: less and less often."""
 
     def __init__(self, now_s: float) -> None:
         self._well_s, self._wait_s = now_s, UNHEARD_S
 
-    def is_long(self, deaf: bool, now_s: float) -> bool:
+    def is_due(self, deaf: bool, now_s: float) -> bool:
         """Return whether it is time to; look regularly, by a clock of seconds."""
         if not deaf:
             self._well_s, self._wait_s = now_s, UNHEARD_S
-        elif now_s - self._well_s > patient(self._wait_s):
+        elif now_s - self._well_s > load_scaled_timeout(self._wait_s):
             self._wait_s *= 2.0
             return True
         return False
@@ -168,7 +168,7 @@ class DrainedSubscription:
             node.create_subscription, message_type, topic, self._on_message, qos, raw=raw,
             event_callbacks=event_callbacks, callback_group=group,
         )  # fmt: skip
-        self._deafness = Deafness(time.monotonic())
+        self._backoff = ResubscribeBackoff(time.monotonic())
         self.subscription = self._make()
 
     def anew(self) -> None:
@@ -180,7 +180,7 @@ class DrainedSubscription:
         """Subscribe anew if for long no publisher has been connected although there is one."""
         topic, now_s = self.subscription.topic_name, time.monotonic()
         alone = self.subscription.get_publisher_count() == 0
-        if self._deafness.is_long(alone and self._node.count_publishers(topic) > 0, now_s):
+        if self._backoff.is_due(alone and self._node.count_publishers(topic) > 0, now_s):
             self._node.get_logger().info(f"{topic} is published but not heard: subscribed anew")
             self.anew()
 

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.heard import RUN, run_name
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.in_force import of_axis

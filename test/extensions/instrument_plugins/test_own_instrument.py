@@ -26,7 +26,7 @@ from rotcal_ros.extensions.instrument_plugins.instrument import (
 )
 from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.observations import (
     Approach,
@@ -77,7 +77,7 @@ class Heard:
         self.driver.begin()
 
     def until(self, condition):
-        deadline = time.monotonic() + patient(DEADLINE_S)
+        deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
         while not condition(self):
             assert time.monotonic() < deadline, (self.lengths, self.complaints)
             time.sleep(0.01)
@@ -198,7 +198,7 @@ def test_an_order_that_waits_too_long_says_for_what(monkeypatch):
 def test_a_place_without_reflector_is_told_and_the_next_attempt_measured():
     heard = Heard(Finder(failing=1), settings("here"))
     heard.driver.order(ORDER)
-    deadline = time.monotonic() + patient(DEADLINE_S)
+    deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
     while not heard.complaints and time.monotonic() < deadline:
         time.sleep(0.01)
     assert heard.complaints == ["step 3, attempt 1: no reflector"]

@@ -13,8 +13,8 @@ from builtin_interfaces.msg import Time
 from rotcal_msgs.msg import CalibrationPlan, ProbeTarget, TableAngle
 from std_msgs.msg import Header
 
-from rotcal_ros.capture.heard import RUN, run_name
 from rotcal_ros.capture.messages import Orders
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.extensions.ipp_dme import node as dme_adapter
 from rotcal_ros.extensions.ipp_dme.node import LOOKS_FIRST, DmeAdapter
 from rotcal_ros.foundation.observations import Approach, Command, PointKind

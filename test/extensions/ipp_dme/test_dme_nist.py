@@ -13,7 +13,7 @@ from dme_plates import measure, simulated_cell, small
 
 from rotcal_ros.extensions.ipp_dme.client import DmeLink
 from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 BUILD_S = 120
 
@@ -34,12 +34,12 @@ def parsers(suite, tmp_path_factory):
         if not program.exists():
             sources = sorted((suite / f"{name}PC" / "source").glob("*.cpp"))
             command = ["g++", "-w", "-DPARSER_MAIN", "-o", str(program), *map(str, sources)]
-            subprocess.run(command, check=True, timeout=patient(BUILD_S))
+            subprocess.run(command, check=True, timeout=load_scaled_timeout(BUILD_S))
         text = "".join(f"{line}\r\n\\\\\r\n" for line in lines)
         (folder / "lines").write_bytes(f"{text}:\r\n:\r\n".encode())
         run = subprocess.run(
             [program], input="n\nlines\nq\n", text=True, cwd=folder, capture_output=True,
-            timeout=patient(30), check=True,
+            timeout=load_scaled_timeout(30), check=True,
         )  # fmt: skip
         assert run.stdout.count("\\\\") + run.stderr.count("\n\n") == len(lines)
         return run.stderr

@@ -5,7 +5,7 @@ import time
 from threading import Thread
 
 from rotcal_ros.extensions.ipp_dme.protocol import parse_call
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 ANSWERS = {
     "GetDMEVersion": ['DMEVersion("1.4.3")'],
@@ -22,7 +22,7 @@ DEADLINE_S = 10.0
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + patient(DEADLINE_S)
+    deadline = time.monotonic() + load_scaled_timeout(DEADLINE_S)
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.005)

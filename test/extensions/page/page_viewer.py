@@ -8,7 +8,7 @@ from threading import Thread
 
 from live_cell import wait_until
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 
 def english(sent):
@@ -48,14 +48,16 @@ class Viewer:
             f"{self.url}/{what}", json.dumps(values).encode(), headers, method="POST"
         )
         try:
-            with urllib.request.urlopen(request, timeout=patient(60)) as answer:
+            with urllib.request.urlopen(request, timeout=load_scaled_timeout(60)) as answer:
                 return answer.status, json.loads(answer.read())
         except urllib.error.HTTPError as error:
             return error.code, json.loads(error.read())
 
     def _read(self):
         name = ""
-        with urllib.request.urlopen(f"{self.url}/events", timeout=patient(60)) as stream:
+        with urllib.request.urlopen(
+            f"{self.url}/events", timeout=load_scaled_timeout(60)
+        ) as stream:
             for line in stream:
                 field, _, text = line.decode().strip().partition(": ")
                 if field == "event":

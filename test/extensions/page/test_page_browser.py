@@ -9,7 +9,7 @@ from live_cell import SUITE, LiveCell
 from page_viewer import address
 from test_bridge import SECRET, Bench, table
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.methods.configuration import changed, read_configuration
 
 pytest.importorskip("rclpy")
@@ -27,7 +27,7 @@ SIX = ("plan.table_positions=8", "plan.box_points=[2, 2, 2]", "planner.preflight
 
 @pytest.fixture
 def browser():
-    expect.set_options(timeout=patient(TIMEOUT_MS))
+    expect.set_options(timeout=load_scaled_timeout(TIMEOUT_MS))
     with sync_api.sync_playwright() as playwright:
         opened = launched(playwright)
         yield opened

@@ -8,7 +8,7 @@ import pytest
 import warm
 
 from rotcal_ros.bags import names
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
 
@@ -29,7 +29,8 @@ SEEN = ("-r", "observation:=/cell/seen")
 
 def rotcal(*arguments):
     return warm.run(
-        [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)], timeout=patient(100.0)
+        [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)],
+        timeout=load_scaled_timeout(100.0),
     )
 
 

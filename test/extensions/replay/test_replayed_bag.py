@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -88,7 +88,7 @@ def test_a_type_is_published_where_it_is_defined_as_it_was_recorded(monkeypatch)
 def test_a_pace_that_is_none_is_refused(rate):
     done = subprocess.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", "replay", str(GOLDEN), "--rate", rate],
-        capture_output=True, text=True, timeout=patient(60.0),
+        capture_output=True, text=True, timeout=load_scaled_timeout(60.0),
     )  # fmt: skip
     assert done.returncode == 2
     assert "'--rate'" in done.stderr

@@ -164,15 +164,18 @@ def test_u_holds_a_swing_of_an_arcsecond_between_two_looks_at_the_nests(cycles):
 
 
 @pytest.mark.slow
-def test_the_statement_changes_u_alone_and_more_looks_at_the_nests_make_it_small():
+def test_the_statement_widens_u_and_more_looks_at_the_nests_make_it_small():
+    """Of a tracker that does not swing, it moves values by no more than it widens U."""
     grown = []
     for rounds in ((), (1, 2, 3)):
         world = mirror_world(1, reflectors=3, rounds=rounds)
-        problem = problem_of(world, world.sound)
+        problem = replace(problem_of(world, world.sound), tilt_std=0.05 * ARCSEC)  # it never tilts
         without = solve(problem)
         result = solve(replace(problem, uneven_drift_std=0.5 * ARCSEC))
-        np.testing.assert_array_equal(result.deviations["ECC"], without.deviations["ECC"])
-        grown.append(np.mean(result.std["ECC"][1:] ** 2 - without.std["ECC"][1:] ** 2))
+        more = result.std["ECC"][1:] ** 2 - without.std["ECC"][1:] ** 2
+        moved = result.deviations["ECC"][1:] - without.deviations["ECC"][1:]
+        assert np.abs(moved / np.sqrt(more)).max() < 4.0
+        grown.append(np.mean(more))
     assert 0.0 < grown[1] < 0.8 * grown[0]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ball_world import NAMES, ONE, THREE, World
+from ball_world import AS_DRAWN, NAMES, ONE, THREE, World
 from chances import LONG
 from scipy.stats import binom
 
@@ -113,7 +113,7 @@ def test_intervals_from_lengths_hold_the_truth(balls, bars):
     """Of worlds drawn from what is stated, the error of the bar and of the axes included."""
     rng, inside, runs = np.random.default_rng(20), [], 1000 if LONG else 300
     for _ in range(runs):
-        world = World.drawn(planned(balls, bars), rng)
+        world = World.drawn(planned(balls, bars), rng, AS_DRAWN)
         fit = solved(world, world.readings(SIGMA, rng))
         std = np.linalg.norm(fit.response, axis=1)[: len(fit.model.outputs)]
         motions, line = world.truth()

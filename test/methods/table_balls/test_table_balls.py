@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ball_world import COLUMN, LEVEL, NAMES, ONE, THREE, World
+from ball_world import AS_DRAWN, COLUMN, LEVEL, NAMES, ONE, THREE, World
 from chances import LONG, share
 from click.testing import CliRunner
 from scipy.optimize import brentq
@@ -334,7 +334,7 @@ def test_intervals_hold_the_truth_beside_lobes_and_play_that_are_stated(name, pa
     that hold it as well hold the truth a little more often.
     """
     rng, inside, runs = np.random.default_rng(22), [], 1000 if LONG else 300
-    solver = BallsSolverSettings(tip_std_m=2e-6, sigma_centre_m=sigma)
+    solver = replace(AS_DRAWN, tip_std_m=2e-6, sigma_centre_m=sigma)
     unit = np.abs(replace(World(planned(name)), lobing=1e-6).touched()[0]) / 1e-6
     for _ in range(runs):
         world = World.drawn(planned(name, runs=passes), rng, solver)
@@ -394,7 +394,7 @@ def test_intervals_hold_the_truth_in_93_to_97_percent(name):
     """Of 1000 worlds that are drawn from what is stated; every value, and the axis."""
     rng, inside = np.random.default_rng(20), []
     for _ in range(1000):
-        world = World.drawn(planned(name), rng)
+        world = World.drawn(planned(name), rng, AS_DRAWN)
         model = modelled(world, world.readings(SIGMA, rng))
         fit = solved(model)
         std = np.linalg.norm(fit.response, axis=1)[: len(model.outputs)]
@@ -413,7 +413,7 @@ def test_intervals_hold_the_truth_in_93_to_97_percent(name):
 def test_the_whole_engine_holds_them_too():
     rng, inside, alarms, runs = np.random.default_rng(21), [], 0, 1000 if LONG else 200
     for _ in range(runs):
-        world = World.drawn(planned("ONE"), rng)
+        world = World.drawn(planned("ONE"), rng, AS_DRAWN)
         found = adjust(modelled(world, world.readings(SIGMA, rng)))
         alarms += found.verdict != "ok"
         motions, line = world.truth()

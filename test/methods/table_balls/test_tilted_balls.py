@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ball_world import ONE, THREE, World, shifted, turned
+from ball_world import AS_DRAWN, ONE, THREE, World, shifted, turned
 from chances import LONG
 from scipy.stats import binom
 
@@ -110,7 +110,7 @@ def _line(axis):
 def test_intervals_of_both_lines_hold_the_truth(balls):
     rng, inside, runs = np.random.default_rng(20), [], 1000 if LONG else 300
     for _ in range(runs):
-        world = World.drawn(planned("AC", balls), rng)
+        world = World.drawn(planned("AC", balls), rng, AS_DRAWN)
         fit, first, _ = solved(world, world.readings(SIGMA, rng))
         std = np.linalg.norm(fit.response, axis=1)[first : first + 8]
         away = fit.value[first : first + 8] - [*world.axis, *world.line]

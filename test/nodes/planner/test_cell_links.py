@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.capture.heard import RUN
+from rotcal_ros.capture.publishers import RUN
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.nodes.planner import goal_run
 from rotcal_ros.nodes.planner.cell_links import CellLinks

@@ -54,7 +54,7 @@ class Cell:
         )  # fmt: skip
 
         def patience(seconds):
-            return machine_load.Patience(seconds, lambda: 1.0, lambda: self.now_s)
+            return machine_load.WaitBudget(seconds, lambda: 1.0, lambda: self.now_s)
 
         for module in (cell_node, goal_watch):
             monkeypatch.setattr(module, "Patience", patience)

@@ -12,7 +12,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rotcal_msgs.msg import TracerLength
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.recorder.topic_listener import FAST_PERIOD_S, TopicListener
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -53,7 +53,7 @@ def test_a_fast_topic_comes_whole_in_few_turns_and_at_once_when_asked_for(monkey
         executor.add_node(node)
         own = rclpy.create_node("publisher", namespace="/fast_topics")
         publishers = [own.create_publisher(TracerLength, name, STREAM) for name in node.batches]
-        end = time.monotonic() + patient(30.0)
+        end = time.monotonic() + load_scaled_timeout(30.0)
         while not all(p.get_subscription_count() for p in publishers):
             executor.spin_once(timeout_sec=0.05)
             assert time.monotonic() < end

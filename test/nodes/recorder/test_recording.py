@@ -6,7 +6,7 @@ import pytest
 
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.nodes.recorder.bookkeeping import Receipt
 from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, Messages
 
@@ -38,10 +38,10 @@ def test_a_receipt_is_given_when_the_message_before_it_is_on_disk(tmp_path):
     recording.attach("a.txt", "text/plain", b"a")
     recording.put(message(1))
     recording.confirm(Receipt(7, 2))
-    assert given.wait(patient(TIMEOUT_S))
+    assert given.wait(load_scaled_timeout(TIMEOUT_S))
     recording.put(message(2))
     recording.close({})
-    assert recording.join(patient(TIMEOUT_S))
+    assert recording.join(load_scaled_timeout(TIMEOUT_S))
     assert found == [(Receipt(7, 2), str(tmp_path / "bag" / "bag_0.mcap"), 1)]
     assert recording.messages == 2
     assert not recording.error
@@ -52,16 +52,16 @@ def test_what_does_not_fit_the_queue_is_lost_and_counted_in_the_bag(tmp_path):
 
     def confirm(_receipt, _file):
         blocked.set()
-        go_on.wait(patient(TIMEOUT_S))
+        go_on.wait(load_scaled_timeout(TIMEOUT_S))
 
     recording = BagRecording(BagWriter(tmp_path / "bag"), 30, confirm)
     recording.confirm(Receipt(0, 0))
-    assert blocked.wait(patient(TIMEOUT_S))
+    assert blocked.wait(load_scaled_timeout(TIMEOUT_S))
     for number in range(5):
         recording.put(message(number))
     go_on.set()
     recording.close({})
-    assert recording.join(patient(TIMEOUT_S))
+    assert recording.join(load_scaled_timeout(TIMEOUT_S))
     assert recording.messages == 2
     assert recording.losses == {"queue /cell/a": 3}
     assert verdict(tmp_path).losses_recorded == {"queue /cell/a": 3}
@@ -79,7 +79,7 @@ def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path
     recording.put(message(1))
     recording.confirm(Receipt(0, 0))
     recording.close({})
-    assert recording.join(patient(TIMEOUT_S))
+    assert recording.join(load_scaled_timeout(TIMEOUT_S))
     assert "the disk is full" in recording.error
     assert confirmed == []
     recording.put(message(2))
@@ -90,7 +90,7 @@ def test_a_closed_recording_ends_its_thread(tmp_path):
     recording = BagRecording(BagWriter(tmp_path / "bag"), 1000, lambda *_: None)
     assert not recording.finished
     recording.close({})
-    assert recording.join(patient(TIMEOUT_S))
+    assert recording.join(load_scaled_timeout(TIMEOUT_S))
 
 
 @pytest.mark.parametrize("count", [0, 3])

@@ -1,4 +1,4 @@
-"""What a node makes of the planner's word on who is believed; the middleware is made up."""
+"""What a node makes of the planner's word on who is accepted; the middleware is made up."""
 
 from types import SimpleNamespace
 
@@ -8,10 +8,10 @@ pytest.importorskip("rclpy")
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from rotcal_ros.capture.heard import Believed
+from rotcal_ros.capture.publishers import PublisherList
 from rotcal_ros.nodes.runtime.accepted_publishers import (
+    ACCEPTED,
     APART,
-    BELIEVED,
     HEARS,
     AcceptedPublishers,
     digest,
@@ -21,7 +21,7 @@ from rotcal_ros.nodes.runtime.beat_values import INTRUDER
 
 POINTS, SENT = "/cell/probe_point", "/cell/observation"
 OURS, STRAY = bytes(range(16)), bytes(range(16, 32))
-RUN = Believed({POINTS: (OURS.hex(),)})
+RUN = PublisherList({POINTS: (OURS.hex(),)})
 
 
 class Node:
@@ -64,7 +64,7 @@ def info(gid, number=1):
 
 def during_a_run(**options):
     node = Node()
-    node.beat({BELIEVED: RUN.in_a_beat()})
+    node.beat({ACCEPTED: RUN.in_a_beat()})
     return node, AcceptedPublishers(node, **options)
 
 
@@ -88,7 +88,7 @@ def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
     assert accepted.values() == {HEARS: digest(RUN)}
     node.joined = 0  # who leaves later is lost, which others report
     assert accepted.values() == {HEARS: digest(RUN)}
-    node.beat({BELIEVED: Believed({POINTS: (STRAY.hex(),)}).in_a_beat()})
+    node.beat({ACCEPTED: PublisherList({POINTS: (STRAY.hex(),)}).in_a_beat()})
     assert accepted.values() == {APART: f"{SENT}, {POINTS}"}
 
 
@@ -112,7 +112,7 @@ def test_a_subscription_that_is_given_up_meanwhile_proves_nothing():
 def test_a_node_that_was_started_anew_is_named_as_that(there, anew):
     node, accepted = during_a_run()
     node.there = there
-    assert not accepted.hears(POINTS, info(STRAY))
+    assert not accepted.accepts(POINTS, info(STRAY))
     assert f"node {there[-1][0]} " in node.said[0]
     assert ("restarted" in node.said[0]) == anew
     assert ("end that node" in node.said[0]) != anew
@@ -120,9 +120,9 @@ def test_a_node_that_was_started_anew_is_named_as_that(there, anew):
 
 def test_without_a_run_everybody_is_heard():
     node, accepted = during_a_run()
-    assert not accepted.hears(POINTS, info(STRAY))
+    assert not accepted.accepts(POINTS, info(STRAY))
     node.beat({})
-    assert accepted.hears(POINTS, info(STRAY))
+    assert accepted.accepts(POINTS, info(STRAY))
     assert INTRUDER not in node.health.concerns
     assert accepted.values() == {}
 
@@ -132,14 +132,14 @@ def test_the_planner_decides_for_itself_and_ends_it():
     node.health.others.clear()
     accepted = AcceptedPublishers(node)
     accepted.decide(RUN)
-    assert not accepted.hears(POINTS, info(STRAY))
-    accepted.decide(Believed())
-    assert accepted.hears(POINTS, info(STRAY))
+    assert not accepted.accepts(POINTS, info(STRAY))
+    accepted.decide(PublisherList())
+    assert accepted.accepts(POINTS, info(STRAY))
 
 
 def test_a_node_that_keeps_quiet_leaves_alone_all_the_same():
     node, accepted = during_a_run(quiet=True)
-    assert not accepted.hears(POINTS, info(STRAY))
+    assert not accepted.accepts(POINTS, info(STRAY))
     assert node.said == []
     assert node.health.concerns == {}
 
@@ -147,7 +147,7 @@ def test_a_node_that_keeps_quiet_leaves_alone_all_the_same():
 def test_somebody_who_left_before_he_could_be_named():
     node, accepted = during_a_run()
     node.there = []
-    accepted.hears(POINTS, info(STRAY))
+    accepted.accepts(POINTS, info(STRAY))
     assert "a node that is gone publishes there too" in node.said[0]
 
 

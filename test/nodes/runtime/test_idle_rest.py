@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.nodes.runtime import running
 
 TURN_S = 0.001
@@ -81,7 +81,7 @@ def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):
         other = rclpy.create_node("speaker")
         unheard = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         other.create_publisher(Bool, "stop", unheard)
-        end = time.monotonic() + patient(30.0)
+        end = time.monotonic() + load_scaled_timeout(30.0)
         while not heard and time.monotonic() < end:
             handle_events(node)
             time.sleep(0.01)

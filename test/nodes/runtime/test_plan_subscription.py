@@ -10,7 +10,7 @@ pytest.importorskip("rotcal_msgs")
 from builtin_interfaces.msg import Time
 from rotcal_msgs.msg import CalibrationPlan
 
-from rotcal_ros.capture.heard import PATIENCE_S, RUN, run_name
+from rotcal_ros.capture.publishers import PATIENCE_S, RUN, run_name
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.nodes.runtime import announced_plan as plans
 from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN, PlanSubscription

@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_msgs.msg import CalibrationPlan
 
-from rotcal_ros.capture.heard import RUN, run_name
+from rotcal_ros.capture.publishers import RUN, run_name
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.methods.continuation import Recorded
 from rotcal_ros.nodes.solver import node as solver

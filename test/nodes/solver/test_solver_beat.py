@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -31,7 +31,7 @@ class SlowCalibration:
 
     def solve(self, *_):
         self.begun.release()
-        assert self.go_on.acquire(timeout=patient(30))
+        assert self.go_on.acquire(timeout=load_scaled_timeout(30))
         raise DataError("nothing to solve")
 
 
@@ -54,12 +54,14 @@ def test_a_preliminary_solution_that_ends_does_not_hide_the_final_one(solver):
     node._observations = {(0, 0): object()}
 
     node._preliminary()
-    assert slow.begun.acquire(timeout=patient(30))
+    assert slow.begun.acquire(timeout=load_scaled_timeout(30))
     assert node._report()[0] == SOLVING
 
     final = node._begin(slow)
     slow.go_on.release()
-    assert slow.begun.acquire(timeout=patient(30))  # the preliminary one ended, the final one runs
+    assert slow.begun.acquire(
+        timeout=load_scaled_timeout(30)
+    )  # the preliminary one ended, the final one runs
     for _ in range(5):
         executor.spin_once(timeout_sec=0.05)
     assert node._report()[0] == SOLVING

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.machine_load import load_scaled_timeout
 
 START_S = 120.0
 PASSWORD = "turn the table"
@@ -159,7 +159,7 @@ class Server:
     def end(self):
         self.stop()
         self.process.terminate()
-        self.process.wait(patient(30))
+        self.process.wait(load_scaled_timeout(30))
         self.process.stdin.close()
         self.process.stdout.close()
         self.log.close()

@@ -16,6 +16,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.dates import today
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say
@@ -210,6 +211,11 @@ def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
         f"{plan.seconds / 60.0:.1f} min by the simulated cell's clock; unseen drift at most "
         f"{plan.unseen.drift:.2g}, unseen knock {plan.unseen.knock:.2g} standard uncertainties"
     )
+    if max(plan.unseen.drift, plan.unseen.knock) > TOLERABLE:
+        print_words(
+            f"warning: no order of these lengths shows every drift and knock before it causes "
+            f"{TOLERABLE:g} standard uncertainties"
+        )
     if every > 1:
         unknown = f"{every - 1} of {every} angles"
         print_words(f"nothing will be known of {unknown} of the earlier result")

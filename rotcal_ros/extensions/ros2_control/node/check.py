@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.heard import publisher_of
+from rotcal_ros.capture.publishers import publisher_of
 from rotcal_ros.extensions.ros2_control.joint_watch import JointWatch
 from rotcal_ros.extensions.ros2_control.node.joint_controllers import interface_of
 from rotcal_ros.foundation.errors import ConfigurationError

@@ -18,7 +18,7 @@ from rotcal_ros.methods.ball_plate.solver.closed_form import closed_form as clos
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem as BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.problem import select as select
 from rotcal_ros.methods.ball_plate.solver.result import adjust as adjust
-from rotcal_ros.methods.ball_plate.solver.result import of_curves as of_curves
+from rotcal_ros.methods.ball_plate.solver.result import model_of_curves as model_of_curves
 from rotcal_ros.methods.ball_plate.solver.result import plate_trials as plate_trials
 from rotcal_ros.methods.ball_plate.solver.result import result_of as result_of
 from rotcal_ros.methods.ball_plate.solver.result import solve as solve

@@ -269,7 +269,7 @@ def _unequal(layout: PlateLayout, found: Adjusted) -> bool:
     return 2.0 * f_sf(max(x, y) / min(x, y), dof, dof) < AXIS_SIGNIFICANCE
 
 
-def of_curves(problem: BallPlateProblem, angles: Floats) -> tuple[CurveModel, Ints]:
+def model_of_curves(problem: BallPlateProblem, angles: Floats) -> tuple[CurveModel, Ints]:
     """Return the centres over the six deviations, and which table positions are in use.
 
     ``angles``, rad, are those of all table positions.

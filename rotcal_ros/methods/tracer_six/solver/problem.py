@@ -136,8 +136,8 @@ class StationLayout:
             return self.grid.used
         pair = np.arange(len(self.zero))[:, None] * self.n_zeros + self.zero
         count = np.bincount(pair[self.grid.used], minlength=len(self.zero) * self.n_zeros)
-        commonest = np.argmax(count.reshape(len(self.zero), -1), axis=1)
-        return np.asarray(self.grid.used & (self.zero == commonest[:, None]))
+        most_frequent = np.argmax(count.reshape(len(self.zero), -1), axis=1)
+        return np.asarray(self.grid.used & (self.zero == most_frequent[:, None]))
 
     @cached_property
     def by_place(self) -> Floats:
