@@ -32,9 +32,9 @@ def root_between(
         at_middle = function(middle)
         if at_middle == 0.0:
             return middle
-        # |f| <= this root: the step stays between a and b
-        bent = float(np.sqrt(at_middle**2 - at_a * at_b))
-        here = middle + (middle - a) * float(np.sign(at_a)) * at_middle / bent
+        bent = float(np.sqrt(at_middle**2 - at_a * at_b))  # |f| or more: here is between a and b
+        share = at_middle / bent if bent else 0.0  # squares of next to nothing are none
+        here = middle + (middle - a) * float(np.sign(at_a)) * share
         at_here = function(here)
         if at_here == 0.0 or abs(here - before) <= tolerance or abs(b - a) <= tolerance:
             return here

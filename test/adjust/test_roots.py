@@ -16,6 +16,7 @@ FUNCTIONS = {
     "step": (lambda x: -1.0 if x < 0.7 else 2.0, 0.0, 1.0),
     "zero at the end": (lambda x: x - 1.0, 1.0, 2.0),
     "flat": (lambda x: math.erfc(x) - 1e-5, 0.0, 40.0),
+    "next to nothing": (lambda x: math.erfc(x) - 1e-300, 0.0, 40.0),
 }
 
 
