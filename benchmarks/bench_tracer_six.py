@@ -16,10 +16,9 @@ from six_scene import LENGTH_STD, TARGET_STD, scene
 
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.curves import rotation_vector
-from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
+from rotcal_ros.methods.tracer_six.solver.model import lengths_of, model_of
+from rotcal_ros.methods.tracer_six.solver.poses import find_start, rotation_vector
 from rotcal_ros.methods.tracer_six.solver.problem import lay_out
-from rotcal_ros.methods.tracer_six.solver.start import find_start
 
 FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
 """With its own tolerance lsmr stops early, and least_squares takes four times as long."""
@@ -30,7 +29,7 @@ def joint() -> Row:
     known = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
     problem = SixProblem(**scene(np.random.default_rng(1)).rows, **known)
     layout, _ = lay_out(problem)
-    start = find_start(layout)
+    start = find_start(problem, layout)
     scipy = SparseSix(
         problem.position, problem.place, problem.target, problem.place, problem.length,
         LENGTH_STD, problem.targets, TARGET_STD, problem.table_angles, 3,
@@ -42,8 +41,8 @@ def joint() -> Row:
     flat = np.concatenate([part.ravel() for part in parts])
 
     def ours() -> np.ndarray:
-        lengths = SixLengths.of(problem, layout, start)
-        model = model_of(problem, lengths)
+        lengths = lengths_of(problem, layout, start)
+        model = model_of(problem, layout, lengths)
         fit = fitted(model, np.ones(model.size[0], dtype=np.bool_), model.std, model.first)
         return lengths.stands(fit.x)[0][np.unique(lengths.station, return_index=True)[1]]
 

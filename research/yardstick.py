@@ -274,7 +274,7 @@ def main() -> int:
         if not given.no_more:
             compared.measure(given.part or PARTS, given.jobs)
     except KeyboardInterrupt:
-        print("the same command goes on from here", file=sys.stderr)
+        print("an interrupted run resumes with the same command", file=sys.stderr)
         return 130
     text = page(compared, given.part or PARTS)
     if given.page:

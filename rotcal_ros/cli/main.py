@@ -45,12 +45,12 @@ OWN_VERBS: Final[Mapping[str, str]] = {
 }
 """Verb -> one line of help. The verb lives in ``rotcal_ros/cli/<verb>.py`` as ``command``."""
 SECTIONS: Final[Mapping[str, tuple[str, ...]]] = {
-    "Most used": ("run", "solve", "report", "export", "check", "plan", "doctor"),
+    "Most used": ("run", "new", "solve", "report", "export", "check", "plan", "doctor"),
     "Measure": ("attach", "cell", "verify"),
     "Evaluate": ("compare", "combine", "iso230", "uncertainty"),
-    "Set-ups and recordings": ("new", "settings", "bag"),
+    "Set-ups and recordings": ("settings", "bag"),
 }
-"""Heading of the help -> its verbs; those of extensions stand under a heading of their own."""
+"""Heading of the help -> its verbs; those of other packages stand behind the one they follow."""
 
 
 @cache
@@ -126,10 +126,13 @@ class LazyGroup(click.Group):
     def format_commands(self, _context: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of verbs, without importing any of them."""
         others = dict(verbs())
-        listed = {
-            heading: [(name, others.pop(name).help) for name in names]
-            for heading, names in SECTIONS.items()
-        }
+        listed = dict[str, list[tuple[str, str]]]()
+        for heading, own in SECTIONS.items():
+            behind = [
+                (name, [n for n, verb in others.items() if verb.after == name]) for name in own
+            ]
+            names = [n for name, followers in behind for n in (name, *followers)]
+            listed[heading] = [(name, others.pop(name).help) for name in names]
         listed["More"] = [(name, verb.help) for name, verb in others.items()]
         for heading, lines in listed.items():
             if lines:
@@ -178,7 +181,7 @@ class LazyGroup(click.Group):
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     subcommand_metavar="VERB ...",
-    epilog="Exit codes: 0 good, 1 the verdict is bad or a bag was not read completely, 2 wrong "
+    epilog="Exit codes: 0 success, 1 the verdict is bad or a bag was not read completely, 2 wrong "
     "usage or unreadable input, 3 too few or contradictory data, 130 interrupted, 141 the output "
     "was closed.",
 )

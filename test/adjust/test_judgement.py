@@ -39,7 +39,6 @@ def disturbed(seed, which, size, own_zero=True, at=2):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_sound_data_are_called_disturbed_less_often_than_allowed():
     alarms = sum(judge(disturbed(seed, [], 0.0)[1]).proved(0.02) for seed in range(300))
     assert alarms <= 12  # 0.02 of 300 are 6; twice as many have a chance below 0.02

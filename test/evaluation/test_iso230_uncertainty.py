@@ -67,7 +67,6 @@ def tests():
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_stated_uncertainty_is_the_scatter_of_many_tests(tests, name):
     values = np.array([getattr(t, name) for t in tests])

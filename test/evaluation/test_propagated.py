@@ -33,7 +33,6 @@ def both(request):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_trials_confirm_the_solver(both):
     assert both.warnings == ()
     assert list(both.components) == list(both.result.deviations)
@@ -62,7 +61,6 @@ def test_plain_form_holds_everything(both):
         assert inside.all()
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_trials_do_not_hide_an_offset_that_none_of_them_tells():
     problem = plate_problem()

@@ -145,7 +145,6 @@ def test_evaluations_of_the_same_lengths_vary_together_as_their_noise_says(
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_half_of_the_balls_vary_together_with_all_as_their_noise_says():
     rng = np.random.default_rng(26)
     calibration = plate_calibration()

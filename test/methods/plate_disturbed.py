@@ -84,3 +84,53 @@ def caused(disturbed, clean):
         np.max(np.abs(disturbed.deviations[n] - clean.deviations[n]) / clean.std[n])
         for n in COMPONENTS
     )
+
+
+def by_pseudo_inverse(problem, degree=0):
+    """Deviations and unit standard deviations (6, N) in metres, by a pseudo-inverse.
+
+    With a drift of the CMM as powers of time up to ``degree``. The gauge is brought to zero mean
+    and no first harmonic afterwards, by a projection of the solution.
+    """
+    grid, table, ball = problem.grid, problem.position, problem.ball_step
+    n = len(table)
+    place = on_plate(grid, (table + ball) % grid) / RADIUS
+    time = np.linspace(-0.5, 0.5, problem.rows.max() + 1)[problem.rows]
+    axes = np.eye(3)
+
+    def where(mask, displacements):
+        return [np.where(mask[:, None], d, 0.0) for d in displacements]
+
+    turned = [rotate_z(np.tile(axis, (n, 1)), 2 * np.pi * table / grid) for axis in axes]
+    columns = []
+    for i in range(grid):
+        columns += where(table == i, [*axes, *(np.cross(axis, place) for axis in axes)])
+    for b in np.unique(ball):
+        columns += where(ball == b, turned)
+    for k in range(grid):
+        columns += where((table + ball) % grid == k, axes)
+    for power in range(1, degree + 1):
+        columns += [(time**power)[:, None] * axis for axis in axes]
+    design = np.array(columns).reshape(len(columns), -1).T
+    inverse = np.linalg.pinv(design, rcond=1e-9)
+    gauge = table_gauge(grid) @ inverse[: 6 * grid]
+    values = (gauge @ problem.deviations.ravel()).reshape(grid, 6).T
+    spread = np.sqrt(np.sum(gauge**2, axis=1)).reshape(grid, 6).T
+    return values, spread
+
+
+def table_gauge(grid):
+    """Projector (6 N, 6 N) that takes off means, and what turns with the table in x and y."""
+    angle = 2 * np.pi * np.arange(grid) / grid
+    taken = []
+    for start in (0, 3):
+        for axis in range(3):
+            mean = np.zeros((grid, 6))
+            mean[:, start + axis] = 1.0
+            taken.append(mean.ravel())
+        for x, y in ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))):
+            turning = np.zeros((grid, 6))
+            turning[:, start], turning[:, start + 1] = x, y
+            taken.append(turning.ravel())
+    basis, _ = np.linalg.qr(np.array(taken).T)
+    return np.eye(6 * grid) - basis @ basis.T

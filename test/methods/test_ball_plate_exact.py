@@ -105,7 +105,6 @@ def test_weak_and_good_layouts_settle(balls):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_stated_uncertainties_hold_far_from_the_axis():
     plate = ExactPlate(24, SIX, **FAR, **REAL, seed=9)
     exact = plate.problem(sigma=SIGMA)

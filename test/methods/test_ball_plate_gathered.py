@@ -63,7 +63,6 @@ def test_half_of_a_position_against_the_other_is_ambiguous_and_inside_u():
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_a_half_that_is_far_off_together_is_inside_u_whatever_noise_prefers():
     """Which half of a position is off cannot be seen, however far."""
     for seed in range(100, 112 if LONG else 104):

@@ -13,7 +13,7 @@ from plate_disturbed import DEMO_PLATE, ORDERS, caused, drifted, knocked, measur
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.ball_plate.materials import EXPANSION, kelvin
+from rotcal_ros.methods.ball_plate.settings import EXPANSION, kelvin
 from rotcal_ros.methods.ball_plate.solver import solve
 
 SMALL = [0, 1, 3, 5, 8, 9]

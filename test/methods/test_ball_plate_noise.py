@@ -64,7 +64,6 @@ def test_intervals_hold_where_the_statement_is_wrong_in_one_axis(plate, exact):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_each_axis_is_estimated_without_bias(exact):
     rng, square, runs = np.random.default_rng(5), np.zeros(3), 20 if LONG else 8
     for _ in range(runs):

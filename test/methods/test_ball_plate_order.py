@@ -101,16 +101,6 @@ def test_a_plate_that_moved_before_the_first_position_is_measured_again_is_doubt
     assert solve(moved).verdict == "suspect"
 
 
-def test_a_ball_that_is_dirty_at_the_end_is_left_out():
-    problem, _ = measured(36, DEMO_PLATE, 5)
-    wrong = problem.centres.copy()
-    last = int(np.flatnonzero(problem.rows == problem.rows.max())[0])
-    wrong[last, 2] += 5e-6
-    dirty = solve(replace(problem, centres=wrong))
-    assert [r.index for r in dirty.rejected] == [int(problem.rows[last])]
-    assert dirty.verdict == "ok"
-
-
 def test_all_nine_effects_and_those_of_plates_are_stated():
     problem, _ = measured(12, list(range(12)), 0)
     assert [p.effect for p in solve(problem).protections] == [

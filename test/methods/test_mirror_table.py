@@ -2,18 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mirror_cell import measure, paper_cell
-from mirror_points import points_table
 
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.tables import read_table, require_header
 from rotcal_ros.methods.plane_mirror.method import HEADER, TIMED, read_points
-from rotcal_ros.methods.plane_mirror.solver import (
-    PlaneMirrorProblem,
-    problem_from_observations,
-    solve,
-)
 
 HEAD = "position,tracker_station,kind,nest,x_m,y_m,z_m\n"
 
@@ -24,13 +16,6 @@ def read(folder, text, angles):
     table = read_table(path)
     require_header(table, (HEADER, TIMED))
     return read_points(table, np.asarray(angles))
-
-
-def test_table_gives_the_same_result_to_the_last_bit(tmp_path):
-    problem = measure(paper_cell(), np.zeros((17, 6)), rng=np.random.default_rng(1))
-    again = read(tmp_path, points_table(problem), problem.angles)
-    np.testing.assert_array_equal(again.xyz, problem.xyz)
-    np.testing.assert_array_equal(solve(again).deviations["ECC"], solve(problem).deviations["ECC"])
 
 
 def test_a_column_of_times_tells_when_a_row_was_measured(tmp_path):
@@ -88,28 +73,3 @@ def test_bad_tables_name_the_row(tmp_path, text, message):
     with pytest.raises((BagError, DataError)) as caught:
         read(tmp_path, text, [0.0, 1.0])
     assert message in str(caught.value)
-
-
-def observation(kind, index, station, nest, mean, accepted=True):
-    triple = (1e-6, 1e-6, 1e-6)
-    return Observation(
-        0, 0, index, 0.0, nest, station, kind, mean, triple, triple, (0.0, 0.0, 0.0), 9, 9,
-        accepted, "", 0.0, None, 0, 1,
-    )  # fmt: skip
-
-
-def test_observations_become_the_problem():
-    problem = problem_from_observations(
-        [
-            observation(PointKind.NEST, 0, 4, 2, (1.0, 2.0, 3.0)),
-            observation(PointKind.DIRECT, 1, 7, 1, (1.5, 2.0, 3.0)),
-            observation(PointKind.MIRRORED, 1, 7, 1, (2.5, 2.0, 3.0), accepted=False),
-            observation(PointKind.CENTRE, 1, 7, 1, (2.5, 2.0, 3.0)),
-        ],
-        np.array([0.0, 1.0]),
-    )
-    assert isinstance(problem, PlaneMirrorProblem)
-    assert problem.station.tolist() == [0, 1]
-    assert problem.station_names == ("4", "7")
-    assert problem.kind.tolist() == [PointKind.NEST, PointKind.DIRECT]
-    np.testing.assert_array_equal(problem.xyz[1], [1.5, 2.0, 3.0])

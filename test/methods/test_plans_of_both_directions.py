@@ -1,7 +1,6 @@
 """Ball plate and six deviations from both directions: plan, truth, reversal, export."""
 
 from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +8,6 @@ import pytest
 from chances import LONG, share
 from plate_cell import measure, small
 
-from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach
@@ -140,15 +137,6 @@ def test_groups_and_every_second_angle_show_it_too(changes):
     result = plate.solve(with_play(plate).measured({}, 3).observations)
     np.testing.assert_allclose(result.angles, np.arange(12) * 30.0 * DEGREE)
     reversal_of_play(result)
-
-
-def test_the_play_gets_from_the_plate_to_the_controller(touched):
-    calibration, observations = touched
-    table = table_from_result(calibration.solve(observations))
-    made = prepare_export(table, "linuxcnc", now=datetime.now(timezone.utc), spacing=10.0 * DEGREE)
-    _, up, down = np.loadtxt(made.files["c_linuxcnc_simulated.comp"].splitlines()).T * DEGREE
-    np.testing.assert_allclose(up - down, PLAY, atol=5 * np.max(table.std))
-    assert made.residual.direction == 0.0
 
 
 def test_an_arrival_that_is_missing_leaves_the_others(touched):

@@ -31,7 +31,6 @@ def slope_of(problem):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_covariances_of_groups_are_the_noise_sent_through_the_solution():
     balls = np.arange(1, 6, 2)  # odd: the groups are turned
     table, ball = grid_rows(6, balls)

@@ -106,7 +106,6 @@ def test_result_and_iso_figures_are_those_of_the_table():
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_stated_intervals_of_the_mean_hold_the_truth():
     """Repeatability is part of them: the lengths alone explain a third of the scatter."""
     task = calibration(runs=3, table_positions=4, table_step_deg=90.0, box_points=[3, 3, 2])

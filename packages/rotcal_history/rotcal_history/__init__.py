@@ -5,5 +5,5 @@ from rotcal_ros.foundation.plugins import Verb
 VERB = Verb(
     "Keep the results of all tables: what has changed, what is due?",
     f"{__name__}.verbs",
-    "check",
+    "combine",
 )

@@ -62,6 +62,7 @@ def length_columns(
     np.add.at(targets, target, reported_positions(observations))
     targets[seen] /= count[seen, None]
     targets[~seen] = nominal[~seen]
+    moved = reported_positions(observations) - targets[target]
     growing = settings.length_std_relative * np.linalg.norm(targets, axis=1)[target]
     window_std = np.array([o.std[0] for o in observations])
     variance = settings.length_std_m**2 + growing**2 + window_std**2
@@ -71,6 +72,7 @@ def length_columns(
         "length": read.value,
         "length_std": np.sqrt(variance + beside**2),
         "order": read.order,
+        "moved": moved if moved.any() else None,
         "targets": targets,
         "target_std": np.full(targets.shape, settings.target_std_m),
         "table_angles": np.array(plan.table_angles),

@@ -31,7 +31,6 @@ from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
     read_from,
-    reported_positions,
     times_before,
 )
 from rotcal_ros.methods.tracer.plan import check_plan, tracer_plan
@@ -131,13 +130,11 @@ def problem(
     columns, mount = length_columns(settings, plan, observations), configuration.plan.tracer_m
     segments, again = _in_segments(configuration), _earlier(plan, observations)
     run = np.array([o.run for o in observations], dtype=np.int64)
-    moved = reported_positions(observations) - columns["targets"][columns["target"]]
     return TracerProblem(
         **columns,
         segment=_segments(observations) if segments else None,
         again=again if again.any() else None,
         run=None if segments or len(np.unique(run)) < 2 else run,
-        moved=moved if moved.any() else None,
         position_std=settings.position_std_m,
         zero_walk_std=settings.zero_walk_std_m if segments else 0.0,
         slip=settings.slip_m,

@@ -36,11 +36,9 @@ from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
     read_from,
-    reported_positions,
     times_before,
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
-from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
 from rotcal_ros.methods.tracer_six.figures import figures, tables
@@ -64,8 +62,7 @@ from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.solve import (
     SixSolution,
-    SixTrials,
-    adjust_at_equal_places,
+    adjust,
     curve_model,
     result_of,
 )
@@ -87,18 +84,18 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     Those of both directions become one curve over the distinct angles:
     :mod:`rotcal_ros.methods.arrivals`.
     """
-    weighed = _at_equal_places(configuration, plan, observations)
-    result = with_reported(result_of(weighed.solution), weighed.reported)
+    solution = adjust(problem(configuration, plan, observations))
+    result = result_of(solution)
     if not configuration.plan.bidirectional:
         return result
-    return mean_of_runs(result, _both_sides(plan, weighed.solution), from_first=False)
+    return mean_of_runs(result, _both_sides(plan, solution), from_first=False)
 
 
 def model_of_curves(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> CurveModel:
     """Return what the lengths determine of the curves, to be solved with other instruments."""
-    solution = _at_equal_places(configuration, plan, observations).solution
+    solution = adjust(problem(configuration, plan, observations))
     found = curve_model(solution)
     if not configuration.plan.bidirectional:
         return found
@@ -109,27 +106,11 @@ def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    prepared = SixTrials(_at_equal_places(configuration, plan, observations).solution)
+    solution = adjust(problem(configuration, plan, observations))
     if not configuration.plan.bidirectional:
-        return prepared
-    result, arrivals = result_of(prepared.solution), _both_sides(plan, prepared.solution)
-    return RepeatedTrials.of(prepared, result, arrivals, from_first=False)
-
-
-def _at_equal_places(
-    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> WeighedSolution[SixSolution]:
-    """Return the solution, its lengths reduced to the mean place of their target.
-
-    Seen from the planned place: the tracer is near enough to it for some tenths of a micrometre.
-    """
-    posed = problem(configuration, plan, observations)
-    mean = posed.targets[posed.target]
-    turn = rotation_about_z(np.array([o.table_angle for o in observations]))
-    beam = mean - np.einsum("kij,kj->ki", turn, posed.places[posed.place])
-    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
-    shift = reported_positions(observations) - mean
-    return adjust_at_equal_places(posed, np.einsum("ki,ki->k", beam, shift))
+        return solution.trials
+    result, arrivals = result_of(solution), _both_sides(plan, solution)
+    return RepeatedTrials.of(solution.trials, result, arrivals, from_first=False)
 
 
 def _both_sides(plan: Plan, solution: SixSolution) -> Arrivals:

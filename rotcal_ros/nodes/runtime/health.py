@@ -257,7 +257,7 @@ class Health:
             sent -= 1
         if self._backoff.is_due(sent > heard, self.awake.now_s()):
             self._node.get_logger().info(
-                f"of {sent} other nodes {heard} are heard: subscribed anew"
+                f"{heard} of {sent} heartbeat publishers received; resubscribing"
             )
             self._heard.anew()
 

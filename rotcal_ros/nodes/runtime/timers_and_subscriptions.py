@@ -181,7 +181,7 @@ class DrainedSubscription:
         topic, now_s = self.subscription.topic_name, time.monotonic()
         alone = self.subscription.get_publisher_count() == 0
         if self._backoff.is_due(alone and self._node.count_publishers(topic) > 0, now_s):
-            self._node.get_logger().info(f"{topic} is published but not heard: subscribed anew")
+            self._node.get_logger().info(f"{topic} is published but not received; resubscribing")
             self.anew()
 
     def drain(self) -> None:

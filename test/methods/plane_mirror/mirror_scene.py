@@ -32,6 +32,12 @@ def rows_of(problem, **wanted):
     return np.flatnonzero(chosen)
 
 
+def only(problem, rows):
+    """The problem of some rows, a mask or in the order of their numbers."""
+    names = ("position", "station", "kind", "nest", "xyz")
+    return replace(problem, **{name: getattr(problem, name)[rows] for name in names})
+
+
 def with_points(problem, changes):
     """The problem with other points in some rows."""
     xyz = problem.xyz.copy()

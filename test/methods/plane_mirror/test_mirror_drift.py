@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from chances import LONG, most, share
 from drifting_tracker import ARCSEC, Creep, campaign
-from mirror_scene import estimates
+from mirror_scene import estimates, only
 from scipy.stats import binom
 
 from rotcal_ros.foundation.observations import PointKind
@@ -112,12 +112,7 @@ def test_a_station_left_without_closing_nests_is_named():
     problem = found.problem(found.noisy(np.random.default_rng(2), 1)[0])
     rounds = nest_rounds(problem)
     kept = ~((problem.station == 3) & (rounds == rounds[problem.station == 3].max()))
-    fewer = replace(
-        problem,
-        **{name: getattr(problem, name)[kept] for name in ("position", "station", "kind", "nest")},
-        xyz=problem.xyz[kept],
-    )
-    drift = effect_of(solve(fewer))["drift"]
+    drift = effect_of(solve(only(problem, kept)))["drift"]
     assert drift.treatment == "not protected"
     assert "left station 3," in drift.why
 
@@ -202,11 +197,7 @@ def test_the_live_check_asks_for_what_the_newest_rounds_show():
 
     def check(until):
         kept = np.arange(len(rounds)) <= np.flatnonzero(rounds == until)[-1]
-        names = ("position", "station", "kind", "nest")
-        so_far = replace(
-            whole, **{name: getattr(whole, name)[kept] for name in names}, xyz=whole.xyz[kept]
-        )
-        return check_nests(so_far, newest=True)
+        return check_nests(only(whole, kept), newest=True)
 
     assert check(1) == check(4) == []
     assert len(check(5)) == 1
@@ -239,14 +230,7 @@ def test_the_moment_counts_not_the_order_of_the_rows():
     problem = found.problem(found.noisy(np.random.default_rng(2), 1)[0])
     n = len(problem.xyz)
     order = np.lexsort([np.arange(n), problem.kind, problem.station])
-    shuffled = replace(
-        problem,
-        **{
-            name: getattr(problem, name)[order] for name in ("position", "station", "kind", "nest")
-        },
-        xyz=problem.xyz[order],
-        time=100.0 + 2.5 * order,
-    )
+    shuffled = replace(only(problem, order), time=100.0 + 2.5 * order)
     one, two = solve(problem), solve(shuffled)
     np.testing.assert_allclose(two.deviations["ECC"], one.deviations["ECC"], atol=1e-11)
     np.testing.assert_allclose(two.std["ECC"], one.std["ECC"], rtol=1e-4)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mirror_cell import measure, measure_direct, paper_cell, ring_cell
-from mirror_scene import measured, rows_of, with_points
+from mirror_scene import measured, only, rows_of, with_points
 
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.observations import PointKind
@@ -89,6 +89,7 @@ def test_normals_may_stand_two_degrees_from_their_command(error, sign):
     seen = float(text.split(" stands ")[1].split(" deg")[0])
     assert seen % 22.5 == pytest.approx(0.0, abs=0.01)
     assert "one of them wrong" not in text
+    assert "wrong commanded angle" in text
 
 
 def test_of_two_normals_either_may_be_wrong():
@@ -119,7 +120,6 @@ def test_pairs_are_left_out_beyond_the_limit(margin):
 @pytest.mark.parametrize("apart", [4.99e-3, 5.01e-3])
 def test_nests_of_one_station_are_five_millimetres_apart(apart):
     problem = exact()
-    problem = with_points(problem, {})
     a = rows_of(problem, kind=NEST, nest=2, station=4)[0]
     b = rows_of(problem, kind=NEST, nest=5, station=4)[0]
     near = with_points(problem, {a: problem.xyz[b] + [0.0, 0.0, apart]})
@@ -237,11 +237,7 @@ def test_rows_are_gathered_whatever_their_order():
         paper_cell(), np.zeros((17, 6)), np.array([[0.3, 0.1, 0.1], [0.0, -0.25, 0.2]])
     )
     order = np.random.default_rng(4).permutation(len(problem.xyz))
-    columns = {
-        name: getattr(problem, name)[order]
-        for name in ("position", "station", "kind", "nest", "xyz")
-    }
-    mixed = replace(problem, **columns)
+    mixed = only(problem, order)
     found = find_reflectors(mixed)
     assert found.name.tolist() == [1, 2]
     np.testing.assert_array_equal(mixed.nest[found.row], found.name[found.reflector])
@@ -261,11 +257,7 @@ def test_a_nest_that_one_station_sees_joins_nothing():
     problem = exact("registration")
     gone = rows_of(problem, kind=NEST, nest=3)
     kept = np.setdiff1d(np.arange(len(problem.xyz)), gone[gone != gone[2]])
-    columns = {
-        name: getattr(problem, name)[kept]
-        for name in ("position", "station", "kind", "nest", "xyz")
-    }
-    nests = find_nests(replace(problem, **columns))
+    nests = find_nests(only(problem, kept))
     assert nests.name.tolist() == [1, 2, 4, 5, 6]
 
 
@@ -284,8 +276,7 @@ def alternating_without_ties(apart):
     keep = (problem.kind != PointKind.DIRECT) | (odd != at_even)
     if not apart:
         keep |= problem.position == 0
-    columns = ("position", "station", "kind", "nest", "xyz")
-    return replace(problem, **{name: getattr(problem, name)[keep] for name in columns})
+    return only(problem, keep)
 
 
 def test_positions_that_no_reflector_ties_have_zeros_of_their_own():

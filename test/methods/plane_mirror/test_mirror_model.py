@@ -1,11 +1,9 @@
 """The equations of the model: their derivatives, and what noise is made of."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from drifting_tracker import campaign
-from mirror_scene import measured
+from mirror_scene import measured, only
 
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
@@ -26,8 +24,7 @@ def drifting(way="joint", **settings):
 def without_nests(problem):
     """Five of six nests are gone at every station: nothing joins these but positions."""
     kept = (problem.kind != PointKind.NEST) | (problem.nest == problem.nest[0])
-    names = ("position", "station", "kind", "nest", "xyz")
-    return replace(problem, **{name: getattr(problem, name)[kept] for name in names})
+    return only(problem, kept)
 
 
 @pytest.mark.parametrize(

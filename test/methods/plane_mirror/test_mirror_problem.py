@@ -104,7 +104,9 @@ def test_rows_are_named_by_their_places():
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
+        ({"way": "sideways"}, "unknown way 'sideways'; choose one of direct"),
         ({"angles": [0.0]}, "at least 2 commanded angles"),
+        ({"angles": [0.0, np.nan]}, "commanded angle is not a number"),
         ({"angles": [[0.0, 1.0]]}, "at least 2 commanded angles"),
         ({"xyz": np.ones((3, 2))}, r"points must be \(n, 3\), found \(3, 2\)"),
         ({"position": [0, 1]}, r"position has shape \(2,\), expected \(3,\)"),

@@ -111,7 +111,6 @@ def test_true_reports_of_a_machine_that_moves_are_believed_wholly(move, variant)
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_half_true_reports_are_half_believed():
     """Moves and noise of equal size: the weight is 1/2, and S/2 of the move stays unknown."""
     size = 4e-7

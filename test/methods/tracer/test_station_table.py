@@ -36,7 +36,6 @@ def test_exact_stations_give_the_truth():
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_intervals_hold_the_truth_of_noisy_stations():
     """At equal noise in all directions, 95 % intervals hold 94 to 97 % (1000 runs, 10 angles)."""
     rng, held = np.random.default_rng(4), []

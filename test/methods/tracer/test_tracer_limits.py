@@ -13,7 +13,6 @@ from rotcal_ros.methods.tracer.solver import solve
 from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.observability import or_prior
 from rotcal_ros.methods.tracer.solver.problem import arrange
-from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 
 M, N = 9, 24
 
@@ -125,45 +124,6 @@ def test_a_station_stands_within_a_tenth_of_a_radian_of_its_command(off, sign):
     )
     with pytest.raises(DataError, match=text):
         solve(problem)
-
-
-@pytest.mark.parametrize("far", [0.03, 0.3, 1.0])
-def test_stations_are_found_from_afar(far):
-    """Damping and line search bring each station home; one that is home already stays."""
-    good = scene(length_std=0.0)
-    zero = np.linalg.norm(good.stations - good.targets[0], axis=1)
-    truth = np.column_stack([good.stations, zero])
-    start = truth.copy()
-    start[1:, :3] += far * np.random.default_rng(8).normal(size=(M - 1, 3))
-    weights = np.full(good.length.shape, 1e12)
-    found, settled = locate_stations(good.targets, good.length, weights, start)
-    assert settled[0]
-    near = np.abs(found - truth).max(axis=1) < 1e-9
-    assert near[0]
-    # a few may end below the targets, where the mirror image of a far start lies
-    assert near.mean() > (0.99 if far < 0.1 else 0.5)
-
-
-def test_weights_make_the_weighted_minimum():
-    """Gradient of the weighted sum of squares, by central differences: zero where it ends."""
-    noisy = scene(length_std=1e-5)
-    weights = np.random.default_rng(2).uniform(0.0, 3.0, noisy.length.shape)
-    weights[weights < 0.3] = 0.0
-    zero = np.linalg.norm(noisy.stations - noisy.targets[0], axis=1)
-    found, settled = locate_stations(
-        noisy.targets, noisy.length, weights, np.column_stack([noisy.stations, zero])
-    )
-    assert settled.all()
-
-    def square(state):
-        distance = np.linalg.norm(state[:, None, :3] - noisy.targets, axis=2)
-        return (weights * (distance - state[:, 3:] - noisy.length) ** 2).sum(axis=1)
-
-    for axis in range(4):
-        step = 2e-5 * np.eye(4)[axis]
-        slope = (square(found + step) - square(found - step)) / 4e-5
-        curve = (square(found + step) + square(found - step) - 2 * square(found)) / 4e-10
-        assert np.abs(slope / curve).max() < 1e-8
 
 
 def test_lengths_with_the_sign_turned_round_are_told_so_and_not_to_spread_the_targets():

@@ -125,11 +125,6 @@ def test_segments_need_the_joint_variant_and_lengths_enough():
         solve(run.problem(0.5, np.arange(140)))
 
 
-def wandered(run, seed, std=5e-8, **options):
-    steps = std * np.random.default_rng(seed).standard_normal(140)
-    return run.problem(0.5 + np.cumsum(steps), 0, **options)
-
-
 def test_the_walk_is_estimated():
     run = measure(m=5, n=18)
     problem = run.problem(

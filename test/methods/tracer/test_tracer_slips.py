@@ -13,7 +13,6 @@ FRINGE = 0.3164e-6
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_as_many_slips_are_found_as_is_stated():
     found, stated, runs = 0, [], 60 if LONG else 25
     for seed in range(runs):

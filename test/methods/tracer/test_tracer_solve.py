@@ -13,7 +13,6 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.solver import solve
-from rotcal_ros.methods.tracer.solver.station_by_station import Misfit
 
 FREE_CIRCLE = 1e-2
 """Error motion (m) that says nothing of where stations are."""
@@ -151,23 +150,6 @@ def test_result_survives_json(options):
     assert again.details["circle"]["radius"] == result.details["circle"]["radius"]
 
 
-def test_stations_on_a_circle_leave_a_seventh_direction_open():
-    scene = simulate(seed=17, angles=arc(9), n=20, layout=low_ring)
-    distance = np.linalg.norm(scene.stations - scene.targets[0], axis=1)
-    point = np.concatenate(
-        [np.column_stack([scene.stations, distance]).ravel(), scene.targets.ravel()]
-    )
-    slope = DenseNetwork(scene.targets, scene.length, 1.0, None).slope(point)[: 9 * 20]
-    singular = np.linalg.svd(slope, compute_uv=False)
-    assert (singular[-7:] < 1e-12 * singular[0]).all()
-    assert singular[-8] > 1e-5 * singular[0]
-    # the flex of the docstring of joint.py, in the circle's frame
-    x = scene.targets - [0, 0, 0.12]
-    flex = np.column_stack([x[:, :2], -((x[:, :2] ** 2).sum(axis=1) - 0.065**2) / x[:, 2]])
-    carried = np.column_stack([-scene.stations[:, :2], np.zeros((9, 2))])
-    assert np.abs(slope @ np.concatenate([carried.ravel(), flex.ravel()])).max() < 1e-12
-
-
 @pytest.mark.parametrize(("m", "n"), [(9, 8), (5, 30)])
 def test_either_side_may_be_eliminated(m, n):
     """9 x 8 keeps the targets, 5 x 30 the stations; both against the dense inverse."""
@@ -184,36 +166,6 @@ def test_either_side_may_be_eliminated(m, n):
     leverage = np.einsum("ka,ab,kb->k", slope, covariance, slope)[: m * n]
     assert result.residuals.redundancy == pytest.approx(1.0 - leverage, abs=1e-6)
     assert np.sqrt(sum(s**2 for s in result.budget.values())) == pytest.approx(result.std["ECC"])
-
-
-@pytest.mark.parametrize("target_std", [1e-6, None])
-def test_referee_slopes_are_right(target_std):
-    scene = simulate(seed=19, angles=arc(5), n=6, layout=low_ring)
-    network = DenseNetwork(scene.targets, scene.length, 1.0, target_std, 0.06)
-    state = np.column_stack([scene.stations, np.ones(5)])
-    point = np.concatenate([state.ravel(), 1.001 * scene.targets.ravel()])
-    steps = 1e-6 * np.eye(len(point))
-    numeric = [(network.misfit(point + s) - network.misfit(point - s)) / 2e-6 for s in steps]
-    slope = network.slope(point)
-    scale = np.abs(slope).max(axis=1)  # length rows and stiff rows differ by 1e10
-    assert slope / scale[:, None] == pytest.approx(
-        np.transpose(numeric) / scale[:, None], abs=1e-6
-    )
-
-
-def test_station_normal_equations_against_central_differences():
-    scene = simulate(seed=20, angles=arc(4), n=16)
-    weights = np.random.default_rng(0).uniform(0.2, 1.0, scene.length.shape)
-    state = np.column_stack([scene.stations + 1e-3, np.full(4, 0.7)])
-    misfit = Misfit(scene.targets, scene.length, weights)
-
-    def half_square(at):
-        return 0.5 * misfit(at)[:, 4, 4]
-
-    for axis in range(4):
-        step = 1e-6 * np.eye(4)[axis]
-        numeric = (half_square(state + step) - half_square(state - step)) / 2e-6
-        assert misfit(state)[:, axis, 4] == pytest.approx(numeric, rel=1e-6)
 
 
 def test_one_station_off_the_circle_shows_where_it_stands():

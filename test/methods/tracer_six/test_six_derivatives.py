@@ -1,18 +1,14 @@
 """Derivatives against complex steps and differences."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from six_scene import good_targets, on_circle, scene
 
-from rotcal_ros.methods.tracer_six.solver import SixProblem, adjust
-from rotcal_ros.methods.tracer_six.solver.curves import rotation_vector, table_curves
-from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
+from rotcal_ros.methods.tracer_six.solver import SixProblem
+from rotcal_ros.methods.tracer_six.solver.model import lengths_of, model_of
+from rotcal_ros.methods.tracer_six.solver.poses import find_start, rotation_vector, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import lay_out
-from rotcal_ros.methods.tracer_six.solver.solve import slope_along
-from rotcal_ros.methods.tracer_six.solver.start import find_start
 
 
 def turn(vectors):
@@ -25,13 +21,13 @@ def turn(vectors):
 
 def computed(lengths, x):
     """Lengths once more, by the formula of the module's docstring, for complex steps."""
-    m, p, n = len(lengths.shift), len(lengths.places), len(lengths.targets)
+    m, p, n = len(lengths.angles), len(lengths.places), len(lengths.targets)
     sizes = list(lengths.blocks.values())
     shift, turned, place, zero, target, *rest = np.split(x, np.cumsum(sizes)[:-1])
     ways = np.eye(3 * n) if lengths.target_ways is None else lengths.target_ways
     places = lengths.places + (lengths.place_ways @ place).reshape(p, 3)
     targets = lengths.targets + (ways @ target).reshape(n, 3)
-    cos, sin = np.cos(lengths.layout.angles), np.sin(lengths.layout.angles)
+    cos, sin = np.cos(lengths.angles), np.sin(lengths.angles)
     x, y, z = places[lengths.place].T
     cos, sin = cos[lengths.position], sin[lengths.position]
     arm = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
@@ -49,7 +45,7 @@ def test_derivatives_by_complex_steps(datum, places):
     made = scene(rng, good_targets()[:8], on_circle(places), m=4, curves=(1e-4, 1e-4))
     problem = SixProblem(**made.rows, tilt_std=1e-5, datum=datum)
     layout, _ = lay_out(problem)
-    lengths = SixLengths.of(problem, layout, find_start(layout))
+    lengths = lengths_of(problem, layout, find_start(problem, layout))
     x = lengths.start + 1e-5 * rng.normal(size=len(lengths.start))
     found, design = lengths.computed(x)
     assert found == pytest.approx(computed(lengths, x), abs=1e-15)
@@ -65,7 +61,8 @@ def test_outputs_are_the_derivatives_of_the_curves():
     angles = np.sort(rng.uniform(0.0, 6.0, 7))
     problem = SixProblem(**scene(rng, good_targets()[:8], m=7, angles=angles).rows)
     layout, _ = lay_out(problem)
-    model = model_of(problem, SixLengths.of(problem, layout, find_start(layout)))
+    lengths = lengths_of(problem, layout, find_start(problem, layout))
+    model = model_of(problem, layout, lengths)
     cos, sin = np.cos(angles), np.sin(angles)
     about = np.zeros((7, 3, 3))
     about[:, 0, 0] = about[:, 1, 1] = cos
@@ -84,21 +81,3 @@ def test_logarithm_of_a_rotation():
     vectors = rng.normal(size=(4, 3)) * np.array([[1e-9], [1e-5], [1e-2], [0.5]])
     matrices = Rotation.from_rotvec(vectors).as_matrix()
     assert rotation_vector(matrices) == pytest.approx(vectors, abs=1e-15)
-
-
-@pytest.mark.parametrize("scatter", [(0.0, 0.0), (2e-7, 1e-6)])
-def test_the_slope_along_a_column_of_errors_is_that_of_chi_squared(scatter):
-    """Of a table that scatters, too: by differences of the whole solver."""
-    rows = scene(np.random.default_rng(2), good_targets()[:14], m=5).rows
-    stated = {"scatter_translation_std": scatter[0], "scatter_rotation_std": scatter[1]}
-    problem = SixProblem(**rows, **stated)
-    along = 1e-6 * np.random.default_rng(3).standard_normal(len(rows["length"]))
-    size = 1e-2
-
-    def fall(by):
-        return adjust(replace(problem, length=problem.length - by * along)).found.fit.chi2
-
-    found = slope_along(adjust(problem), along)
-    assert found.score == pytest.approx((fall(-size) - fall(size)) / (4.0 * size), rel=1e-4)
-    curved = fall(size) + fall(-size) - 2.0 * fall(0.0)
-    assert found.information == pytest.approx(curved / (2.0 * size**2), rel=1e-4)

@@ -1,5 +1,7 @@
 """Targets without a prior: frames and flex stay open, the curves do not feel them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -48,8 +50,7 @@ def test_flex_does_not_touch_the_curves():
     # the same lengths with targets bent and places shrunk to match: another place of the valley
     x, y, z = problem.targets.T
     bend = 1e-5 * np.column_stack([x, y, -(x**2 + y**2 - 0.15**2) / z])
-    bent = SixProblem(**{**vars(problem), "targets": problem.targets + bend})
-    second = solve(bent).deviations
+    second = solve(replace(problem, targets=problem.targets + bend)).deviations
     for name in COMPONENTS:
         # what is left is the product of bend and curve
         assert second[name] == pytest.approx(first[name], abs=2e-9)
@@ -59,9 +60,7 @@ def test_moving_the_whole_machine_moves_no_curve():
     rng = np.random.default_rng(3)
     problem = free(rng, on_circle(heights=[0.0, 0.03, 0.07]), curves=(2e-6, 1e-5))
     first = solve(problem).deviations
-    moved = SixProblem(
-        **{**vars(problem), "targets": problem.targets + np.array([2e-4, -1e-4, 0.0])}
-    )
-    second = solve(moved).deviations
+    moved = problem.targets + np.array([2e-4, -1e-4, 0.0])
+    second = solve(replace(problem, targets=moved)).deviations
     for name in COMPONENTS:
         assert second[name] == pytest.approx(first[name], abs=1e-10)

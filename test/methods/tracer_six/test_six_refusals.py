@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from chances import LONG
-from six_scene import good_targets, on_circle, scene
+from six_scene import good_targets, scene
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
@@ -28,18 +28,6 @@ def test_three_places_in_a_line_are_no_more_than_two():
     rows = scene(np.random.default_rng(2), good_targets()[:10], line, m=4).rows
     with pytest.raises(ObservabilityError, match=r"3 places in a line .* \(1\.00, 0\.00, 0\.00\)"):
         solve(SixProblem(**rows))
-
-
-def test_two_places_feel_no_turn_about_their_line():
-    """c_i = s_i Rz e, and the d_i to match, leave both stations where they are."""
-    angles = np.arange(5) * 2.0 * np.pi / 5
-    q = on_circle(2)
-    e = (q[1] - q[0]) / np.linalg.norm(q[1] - q[0])
-    for angle, s in zip(angles, [1e-6, -2e-6, 3e-6, 0.0, 1e-6], strict=True):
-        cos, sin = np.cos(angle), np.sin(angle)
-        turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        moved = np.cross(s * turned @ e, (turned @ q.T).T)
-        assert np.abs(moved - moved[0]).max() < 1e-20  # d_i = -moved[0] undoes it at both
 
 
 def test_a_prior_on_the_tilts_carries_two_places_and_stands_in_the_budget():

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.results import plain
 from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE
-from rotcal_ros.methods.ball_plate.materials import EXPANSION
+from rotcal_ros.methods.ball_plate.settings import EXPANSION
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
 from rotcal_ros.report.terminal.console import progress
 

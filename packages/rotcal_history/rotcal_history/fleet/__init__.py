@@ -5,5 +5,5 @@ from rotcal_ros.foundation.plugins import Verb
 VERB = Verb(
     "Solve many bags with one configuration, on all cores or a cluster.",
     f"{__name__}.verbs",
-    "solve",
+    "bag",
 )

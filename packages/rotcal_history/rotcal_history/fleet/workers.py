@@ -240,7 +240,7 @@ class Supervised:
                 return outcome
         if self._closed:
             return BagOutcome(job.source, "", error="ended before it was done")
-        return _set_aside(job.source, f"it killed its worker {_times(deaths)}")
+        return _set_aside(job.source, f"the worker crashed {_times(deaths)} on this bag")
 
     def close(self) -> None:
         """End the process, whatever it does."""

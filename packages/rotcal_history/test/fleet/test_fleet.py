@@ -54,7 +54,7 @@ def test_nothing_is_lost_but_the_bag_that_kills(fleet):
     killer.join()
     deadly = str(fleet / "bags" / "table_000" / "deadly")
     error = first.pop(deadly).error  # the one that is killed may have had it in hand
-    assert error.startswith("set aside: it killed its worker")
+    assert error.startswith("set aside: the worker crashed")
     assert "exit code 9" in error
     assert len(first) == BAGS
     one = min(first)

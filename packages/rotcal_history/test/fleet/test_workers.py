@@ -31,8 +31,8 @@ def test_each_bag_that_kills_its_worker_is_set_aside_and_costs_nobody_else(tmp_p
     outcomes = on_all_cores(jobs(tmp_path, *names), 2, 1.0, deadly_work.work)
     errors = {outcome.source: outcome.error for outcome in outcomes}
     assert set(errors) == set(names)
-    assert errors.pop("segfault") == "set aside: it killed its worker 2 times (SIGSEGV)"
-    assert errors.pop("exit") == "set aside: it killed its worker 2 times (exit code 7)"
+    assert errors.pop("segfault") == "set aside: the worker crashed 2 times (SIGSEGV) on this bag"
+    assert errors.pop("exit") == "set aside: the worker crashed 2 times (exit code 7) on this bag"
     assert errors.pop("hang").startswith("set aside: not done after 1 s")
     assert not any(errors.values())
 

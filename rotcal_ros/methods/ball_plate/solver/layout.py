@@ -21,7 +21,6 @@ of table positions that no ball connects have each a plate, a CMM and such direc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -48,22 +47,6 @@ ROUNDING = 1e6 * np.finfo(np.float64).eps
 """Standard deviation below which a coordinate has no noise, as part of the radius."""
 FREE = 13
 """Directions that leave all centres where they are, of each group of table positions."""
-
-
-@dataclass(frozen=True)
-class Parts:
-    """Everything that moves centres: m, and rad times the radius of the ball circle.
-
-    ``table`` (M, 3) and ``turn`` (M, 3): d and c at the places of the table in use; ``cmm``
-    (S, 3): b; ``ball`` (R, 3): a at table position 0; ``axis_turn``, ``axis_shift`` (g, 3): u, v.
-    """
-
-    table: Floats
-    turn: Floats
-    cmm: Floats
-    ball: Floats
-    axis_turn: Floats
-    axis_shift: Floats
 
 
 class PlateLayout:
@@ -146,13 +129,6 @@ class PlateLayout:
         """
         each = [np.moveaxis(part, 1, 0).reshape(-1, *part.shape[2:]) for part in (d, c, b)]
         return np.concatenate([*each, a.reshape(-1, *a.shape[2:])])
-
-    def unpacked(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return what :meth:`packed` was made of, from (p, ...)."""
-        table, cmm, ball = self.counts
-        d, c, b, a = np.split(x, np.cumsum([3 * table, 3 * table, 3 * cmm]))
-        each = [np.moveaxis(part.reshape(3, -1, *x.shape[1:]), 0, 1) for part in (d, c, b)]
-        return (*each, a[: 3 * ball].reshape(ball, 3, *x.shape[1:]))  # type: ignore[return-value]
 
     @cached_property
     def rows(self) -> csr_array:
@@ -275,40 +251,25 @@ class PlateLayout:
             )
         return found
 
-    def parts(self, x: Floats) -> Parts:
-        """Return what unknowns (p,) mean in the frame of the axis, x and y of the machine."""
-        d, c, b, a = self.unpacked(x[: self.unknowns])
-        table, cmm, ball = self.turned
-        pose = np.einsum("gqsi,si->gq", self._posing, b)
-        rest = b - np.einsum("siq,sq->si", self._pose, pose[self.group[1]])
-        return Parts(
-            (table @ d[:, :, None])[:, :, 0],
-            (table @ c[:, :, None])[:, :, 0],
-            (cmm @ rest[:, :, None])[:, :, 0],
-            (ball @ a[:, :, None])[:, :, 0],
-            pose[:, 3:],
-            pose[:, :3],
-        )
-
     def computed(self, x: Floats) -> Floats:
         """Return the centres (n, 3), radial, tangential and axial, of the exact model.
 
         m = v + R_u [ E(c_i) B_i E_z(u_z) (p_j + a_j) + d_i + b_k ] with E(c) the rotation about c
         by |c|, R_u the shortest one that takes z to the axis.
         """
-        found, problem = self.parts(x), self.problem
-        turn = found.turn / problem.radius
-        axis = found.axis_turn / problem.radius
+        problem, x = self.problem, x[: self.unknowns]
+        ball, cmm, axis, shift = (o.times(x).reshape(-1, 3) for o in self.others.values())
+        moved, turn = ((rows @ x).reshape(-1, 3) for rows in self._of_table)
         yaw = rotation_about_z(axis[:, 2])[self.group[2]][self.ball]
-        places = problem.radius * on_circle(problem.angles[self.ball_steps]) + found.ball
+        places = problem.radius * on_circle(problem.angles[self.ball_steps]) + ball
         places = (yaw @ places[self.ball][:, :, None])[:, :, 0]
         table = rotation_from_vector(turn * [1.0, 1.0, 0.0])
         table = table @ rotation_about_z(problem.angles[self.table_steps] + turn[:, 2])
         there = (table[self.at] @ places[:, :, None])[:, :, 0]
-        there = there + found.table[self.at] + found.cmm[self.cmm]
+        there = there + moved[self.at] + cmm[self.cmm]
         group = self.group[0][self.at]
         tilt = rotation_from_vector(axis * [1.0, 1.0, 0.0])[group]
-        there = (tilt @ there[:, :, None])[:, :, 0] + found.axis_shift[group]
+        there = (tilt @ there[:, :, None])[:, :, 0] + shift[group]
         return np.asarray((self.radial @ there[:, :, None])[:, :, 0])
 
     def neglected(self, x: Floats) -> float:
@@ -317,38 +278,38 @@ class PlateLayout:
         Their last bits, and the products of the errors of plate and CMM over the radius: the model
         takes the CMM's error to be the same wherever around its position a ball stands.
         """
-        found, radius = self.parts(x), self.problem.radius
+        ball, cmm = (self.others[name].times(x) for name in ("plate_errors", "cmm_errors"))
         back = np.swapaxes(self.turned[2], 1, 2)
         mounting = np.concatenate([back, ACROSS @ back], axis=2).reshape(-1, 6)
-        plate = (back @ found.ball[:, :, None]).ravel()
+        plate = (back @ ball.reshape(-1, 3, 1)).ravel()
         plate = plate - mounting @ np.linalg.lstsq(mounting, plate, rcond=None)[0]
-        products = 10.0 * float(np.sqrt(np.mean(plate**2) * np.mean(found.cmm**2))) / radius
+        radius = self.problem.radius
+        products = 10.0 * float(np.sqrt(np.mean(plate**2) * np.mean(cmm**2))) / radius
         return float(max(ROUNDING * radius, products))
+
+    @cached_property
+    def _of_table(self) -> tuple[csr_array, csr_array]:
+        """What takes unknowns to shifts, m, and turns, rad, at places of the table (3 M, p)."""
+        table = self.counts[0]
+        column = np.arange(table)[:, None] + table * np.arange(3)
+        shift, turn = self.turned[0], self.turned[0] / self.problem.radius
+        p = self.unknowns
+        return _blocks(shift, column, p), _blocks(turn, 3 * table + column, p)
 
     def curves(self) -> csr_array:
         """Return what takes unknowns to the six deviations (6 M, p), m and rad.
 
         At all table positions in use, in their order, one component after the other.
         """
-        table, order = self.counts[0], np.argsort(self.table_positions)
-        turned = self.turned[0][order]
-        row = np.arange(3 * table).reshape(3, table)[:, :, None]
-        column = order[:, None] + table * np.arange(3)
-        found = []
-        for first, length in ((0, 1.0), (3 * table, self.problem.radius)):
-            value = np.swapaxes(turned, 0, 1) / length
-            at = np.broadcast_arrays(row, first + column)
-            shape = (3 * table, self.unknowns)
-            found.append(csr_array((value.ravel(), tuple(k.ravel() for k in at)), shape=shape))
-        whole = csr_array(vstack(found, format="csr"))
-        whole.eliminate_zeros()
-        return whole
+        row = 3 * np.argsort(self.table_positions) + np.arange(3)[:, None]
+        return csr_array(vstack([rows[row.ravel()] for rows in self._of_table], format="csr"))
 
+    @cached_property
     def others(self) -> dict[str, Outputs]:
-        """Return what takes unknowns to the places of the balls (3 R, p) and to all of the CMM.
+        """What takes unknowns to the places of the balls (3 R, p) and to all of the CMM.
 
-        That are its errors (3 S, p) and the pose of the axis in each group, shifts and turns of
-        it (3 g, p), m and rad.
+        That are its errors (3 S, p) and the pose of the axis in each group, turns and shifts of
+        it (3 g, p), rad and m.
         """
         (table, cmm, ball), poses = self.counts, 6 * self.groups
         first = 6 * table + cmm * np.arange(3)[:, None]

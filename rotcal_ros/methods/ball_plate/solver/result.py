@@ -27,7 +27,7 @@ from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Result
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.added_errors import with_errors
-from rotcal_ros.methods.ball_plate.materials import kelvin
+from rotcal_ros.methods.ball_plate.settings import kelvin
 from rotcal_ros.methods.ball_plate.solver.closed_form import curves_of_groups
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.plate_model import (
@@ -472,7 +472,7 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
     """Everything else the method knows, in SI; one entry per group under ``groups``."""
     layout, found, problem = solution.layout, solution.found, solution.fitted
     kernel, each = found.fit.kernel, dict[str, tuple[Floats, Floats]]()
-    for name, rows in layout.others().items():
+    for name, rows in layout.others.items():
         std = found.scale * np.sqrt(kernel.variances_of(rows))
         each[name] = rows.times(found.fit.x).reshape(-1, 3), std.reshape(-1, 3)
     table, cmm, ball = layout.group
@@ -503,8 +503,38 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
     }
 
 
+ALWAYS: Final = (
+    Protection(
+        "axis noise",
+        "estimated",
+        "in the plane and along the axis each, where nothing is stated or the statement fails",
+    ),
+    Protection("error motion", "estimated", "all six deviations are results"),
+    Protection("refraction", "harmless", "no light is used"),
+    Protection(
+        "tilt", "estimated", "the pose of the axis and the place of each ball are unknowns"
+    ),
+    Protection(
+        "numbering",
+        "not protected",
+        "which table angle belongs to position 0 is taken from the table: positions that are all "
+        "numbered off by one fit as well, on a plate whose ball steps are off by as many the "
+        "other way",
+    ),
+    Protection(
+        "sign of z",
+        "not protected",
+        "that z points away from the table is taken from the frame: a z column of the other sign "
+        "fits every centre as well and turns the signs of EZC, EAC and EBC; touch points on the "
+        "upper half of the balls would show which",
+    ),
+)
+"""What is said of every measurement."""
+
+
 def _protections(solution: PlateSolution) -> Iterator[Protection]:
     problem, found, count = solution.problem, solution.found, solution.layout.groups
+    yield from ALWAYS
     drift = problem.drift_allowance / MICROMETRE
     if problem.drift:
         shape = ("linear", "quadratic")[problem.drift - 1]
@@ -514,26 +544,14 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
         for p in found.protections()
     ):
         yield Protection("drift", "bounded", f"the budget holds {drift:g} um over the run")
-    yield Protection(
-        "axis noise",
-        "estimated",
-        "in the plane and along the axis each, where nothing is stated or the statement fails",
-    )
-    yield Protection("error motion", "estimated", "all six deviations are results")
-    yield Protection("refraction", "harmless", "no light is used")
-    scale = RADIUS_TOLERANCE * max(
-        float(np.max(np.abs(found.value[part]) / np.maximum(found.std[part], 1e-300)))
-        for name, part in solution.parts.items()
-        if name in ROTATIONS
-    )
+    turned = np.concatenate([np.arange(part.start, part.stop) for name, part in
+                             solution.parts.items() if name in ROTATIONS])  # fmt: skip
+    share = np.abs(found.value[turned]) / np.maximum(found.std[turned], 1e-300)
     yield Protection(
         "scale",
         "tested",
         "a wrong radius of the ball circle shows in all centres; it scales the rotations",
-        scale,
-    )
-    yield Protection(
-        "tilt", "estimated", "the pose of the axis and the place of each ball are unknowns"
+        RADIUS_TOLERANCE * float(share.max()),
     )
     if count > 1 and problem.group_allowance:
         size = problem.group_allowance / MICROMETRE
@@ -553,17 +571,3 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
     else:
         why = "not included: the table came to each position once, or too seldom to estimate it"
         yield Protection("repeatability", "not protected", why)
-    yield Protection(
-        "numbering",
-        "not protected",
-        "which table angle belongs to position 0 is taken from the table: positions that are all "
-        "numbered off by one fit as well, on a plate whose ball steps are off by as many the "
-        "other way",
-    )
-    yield Protection(
-        "sign of z",
-        "not protected",
-        "that z points away from the table is taken from the frame: a z column of the other sign "
-        "fits every centre as well and turns the signs of EZC, EAC and EBC; touch points on the "
-        "upper half of the balls would show which",
-    )

@@ -36,9 +36,9 @@ from rotcal_ros.adjust.kernels import Whole
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths, of_targets
+from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes, table_motion
-from rotcal_ros.methods.tracer.solver.posed import about_axis, carried
+from rotcal_ros.methods.tracer.solver.posed import about_axis, carried, of_targets, outward
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
@@ -119,9 +119,10 @@ class Scene:
         return CarriedLengths(
             observed=none, std=none, position=lengths.position, place=np.zeros_like(every),
             target=lengths.target, zero=lengths.segment, row=every, order=every,
-            angles=self.table_angles, places=place[None], targets=self.targets,
-            zeros=np.zeros(segments), axes=axes, origin=origin,
-            more={} if self.circle_std is None else {"lean": 3},
+            station=lengths.position, angles=self.table_angles, places=place[None],
+            targets=self.targets, zeros=np.zeros(segments), axes=axes, origin=origin,
+            place_ways=outward(place),
+            more={"frame": 2} | ({} if self.circle_std is None else {"lean": 3}),
         )  # fmt: skip
 
     @cached_property

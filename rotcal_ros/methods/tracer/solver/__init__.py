@@ -7,7 +7,8 @@ From the problem to the result, each module knowing those before it:
 * :mod:`.circle`, :mod:`.observability`: table angles from stations; what cannot be determined;
 * :mod:`.station_by_station`, :mod:`.start`: the paper's own way, and start values;
 * :mod:`.carried_lengths`, :mod:`.posed`: the lengths as a model of the engine, and what is stated;
-* :mod:`.error_motion`, :mod:`.solution`: what nobody stated, and the problem solved;
+* :mod:`.solution`: what nobody stated, and the problem solved;
+* :mod:`.reported`, :mod:`.reporting`: places believed as reported, what is said about each length;
 * :mod:`.solve`: the result.
 """
 

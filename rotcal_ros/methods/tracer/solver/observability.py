@@ -17,11 +17,14 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
+from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.problem import Grid
 
 RANK_TOLERANCE: Final = 1e-12
@@ -42,6 +45,13 @@ NEAR: Final = 0.02
 """Distance, m, to which a person knows where the tracer stands on the table."""
 
 
+def limits_of(settings: TracerLimits) -> Limits:
+    """Return what the engine holds for chance."""
+    return Limits(
+        settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
+    )
+
+
 def or_prior(*, free: bool) -> str:
     """Return the advice to take the datum 'prior', for a network that does without: ``free``."""
     return ", or use the datum 'prior'" if free else ""
@@ -58,7 +68,8 @@ def check_counts(grid: Grid, dropped: Iterable[str] = ()) -> None:
     m, n = grid.n_stations, grid.used.shape[1]
     lengths = int(grid.used.sum())
     missing = what_is_missing(m, n, lengths, grid.free and grid.zero is None, grid.station_minimum)
-    needed = grid.unknowns + (3 * n - 7 if grid.free else 0) - grid.contrasts
+    needed = 3 * m + grid.n_zeros + (3 * n - 7 if grid.free else 0)
+    needed -= 0 if grid.circle_std is None else contrast_count(m)
     if not missing and lengths < needed:
         missing = (
             f"{lengths} usable lengths from {m} stations to {n} targets with {grid.n_zeros} "

@@ -27,15 +27,30 @@ from scipy.sparse import csr_array, vstack
 
 from rotcal_ros.adjust.closures import coming_again
 from rotcal_ros.adjust.error_motion import WHITE, Spectrum
-from rotcal_ros.adjust.model import SECONDS, KnownRelation, Model
+from rotcal_ros.adjust.model import (
+    SECONDS,
+    Disturbing,
+    Grouping,
+    KnownRelation,
+    Model,
+    Steps,
+    drifts,
+    recurring,
+)
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
-from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
+    KNOWN,
+    LARGEST_MOVE,
+    LARGEST_RATIO,
+    LATER_RUN,
+    PPM,
+    UM,
+    WORDS,
     CarriedLengths,
     KnownBeforehand,
-    of_targets,
     taken,
 )
 from rotcal_ros.methods.tracer.solver.circle import check_sense, table_motion
@@ -46,7 +61,9 @@ from rotcal_ros.methods.tracer.solver.observability import (
     hardly_moved,
 )
 from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem, arrange
+from rotcal_ros.methods.tracer.solver.reported import along_beams
 from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
+from rotcal_ros.planning.readings import passes
 
 CIRCLE: Final = 5
 """Stations from which on their plane gives the direction of the axis."""
@@ -74,7 +91,14 @@ SPECTRA: Final[Mapping[Spectrum, float]] = {
 ERROR_MOTION: Final = "the error motion"
 STATED_CIRCLE: Final = "the stated circle"
 ALONG_AXIS: Final = "the stated circle along the axis"
-LATER_RUN: Final = "zero of a later run"
+DATUM: Final = 1e-6
+"""Standard deviation (m) of what is defined: any will do, for no length contradicts it."""
+FIRM: Final = 1e-9
+"""Share below which a turn of targets in one line is none."""
+MOMENTS: Final = 64
+"""Moments at which the instrument may move: one between two is seen nearly as well."""
+PLACES: Final = 4_000_000
+"""Numbers in what is tried of an effect, 32 MB: of very many lengths fewer moments."""
 
 
 @dataclass(frozen=True)
@@ -146,40 +170,57 @@ class Posed:
 
     def every_station(self) -> Floats:
         """Return where the tracer stands at all table angles, at the start values, m."""
-        stands = self.lengths.standing(np.zeros(self.lengths.size))
+        stands = self.lengths.standing(self.lengths.start)
         found = np.tile(stands[0], (len(self.problem.table_angles), 1))
         found[self.grid.position_ids] = stands
         return found
 
     @cached_property
-    def moved(self) -> Floats:
+    def moved(self) -> Floats | None:
         """By how much the reported moves of its target make each length (k,) longer, m."""
-        lengths, moved = self.lengths, self.problem.moved
-        if moved is None:
-            return np.zeros(len(lengths.row))
-        unit = lengths.beams / np.linalg.norm(lengths.beams, axis=1)[:, None]
-        return np.asarray((unit * moved[lengths.row]).sum(axis=1))
+        return along_beams(self.lengths, self.problem.moved)
 
-    def model(self, supposed: Supposed) -> Model:
-        """Return the model whose outputs are ECC of all positions, from the first."""
-        lengths = replace(
-            self.lengths,
-            observed=self.lengths.observed - supposed.weight * self.moved,
-            std=np.hypot(self.lengths.std, supposed.left),
-        )
+    def lengths_of(self, supposed: Supposed) -> CarriedLengths:
+        """Return the lengths with the unknowns that what is supposed leaves them."""
+        lengths = self.lengths
+        if self.moved is not None:
+            observed = lengths.observed - supposed.weight * self.moved
+            std = np.hypot(lengths.std, supposed.left)
+            lengths = replace(lengths, observed=observed, std=std)
         if supposed.walk:
             lengths = _wandering(lengths)
         if self.problem.circle_std is not None:
-            lengths = replace(lengths, more={"lean": 3})
+            lengths = replace(lengths, more={**lengths.more, "lean": 3})
+        return lengths
+
+    def model(self, supposed: Supposed) -> Model:
+        """Return the model whose outputs are ECC of all positions, from the first."""
+        lengths, position, target = (
+            self.lengths_of(supposed), self.grid.position_ids, self.grid.target_ids,
+        )  # fmt: skip
         stated = of_targets(lengths, self.grid.target_std, self.grid.free)
         if supposed.walk:
             stated.append(_steps_of_zeros(lengths, supposed.walk))
         begin = lengths.first["turn"]
         first = np.zeros(lengths.size)
         first[begin] = -1.0
-        outputs = Outputs.picked(begin + np.arange(len(lengths.angles)), first)
-        model = self._about_axis(lengths, lengths.over(outputs, stated))
-        return replace(model, closures=self._closures)
+        pairs = np.column_stack([position[lengths.position], target[lengths.target]]).tolist()
+        model = Model(
+            blocks=lengths.blocks,
+            observed=lengths.observed,
+            std=lengths.std,
+            equations=lengths.computed,
+            outputs=Outputs.picked(begin + np.arange(len(lengths.angles)), first),
+            words=WORDS,
+            unit=UM,
+            components=["the lengths"],
+            groupings=_groupings(lengths, self.grid),
+            effects=effects_of(lengths, unbroken=self.problem.segment is not None),
+            row_names=[f"station {j}, target {i}" for j, i in pairs],
+        )
+        for known in stated:
+            model = known.beside(model)
+        return replace(self._about_axis(lengths, model), closures=self._closures)
 
     @property
     def _closures(self) -> list[KnownRelation]:
@@ -205,7 +246,7 @@ class Posed:
         """Return the model with what is known of how the table's axis moves."""
         turning, motion, along = about_axis(lengths, self.motion, self.problem.circle_std)
         for known in along:
-            model = model.with_prior(known.what, known.rows, np.zeros(len(known.std)), known.std)
+            model = known.beside(model)
         size = None if self.motion is None else float(motion.std[0])
         model = with_motion(model, motion.what, motion.rows, size, lengths.angles, turning)
         significance = self.problem.settings.test_significance
@@ -292,10 +333,12 @@ def _lengths(
     strip, target, order = taken(grid.row, problem.measuring_order)
     zero, row = grid.station if grid.zero is None else grid.zero, grid.row[strip, target]
     later, std = _later_runs(problem, row)
+    later_zeros = int(later.max(initial=-1)) + 1
     return CarriedLengths(
         observed=grid.length[strip, target],
         std=np.hypot(grid.length_std[strip, target], std),
         position=grid.station[strip],
+        station=grid.station[strip],
         place=np.zeros_like(strip),
         target=target,
         zero=zero[strip],
@@ -307,10 +350,9 @@ def _lengths(
         zeros=distances[grid.first_of_zero],
         axes=axes,
         origin=origin,
-        called=(grid.position_ids, grid.target_ids),
-        unbroken=problem.segment is not None,
+        place_ways=outward(place),
+        more={"frame": 2} | ({LATER_RUN: later_zeros} if later_zeros else {}),
         later=later,
-        later_zeros=int(later.max(initial=-1)) + 1,
     )
 
 
@@ -357,3 +399,105 @@ def _steps_of_zeros(lengths: CarriedLengths, walk: float) -> KnownBeforehand:
     linked = np.flatnonzero(np.diff(beam) == 0)
     rows = lengths.rows_of("zero", linked + 1) - lengths.rows_of("zero", linked)
     return KnownBeforehand("the walk of the zero", csr_array(rows), np.full(len(linked), walk))
+
+
+def outward(place: Floats) -> Floats:
+    """Return the way (3, 1) in which a ``place`` (3,) is unknown: out from the axis.
+
+    Along it and up it is a shift of all.
+    """
+    flat = place * [1.0, 1.0, 0.0]
+    return np.asarray(flat / np.linalg.norm(flat))[:, None]
+
+
+def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBeforehand]:
+    """Return what is stated of the targets: ``std`` (n, 3), m, of each coordinate.
+
+    Or where they are ``free``, that they have not moved, turned or grown as a whole: it defines
+    what lengths leave open, and nothing else.
+    """
+    if free:
+        about = lengths.targets - lengths.targets.mean(axis=0)
+        ways = np.zeros((lengths.targets.size, 7))
+        ways[:, :3] = np.tile(np.eye(3), (len(about), 1))
+        ways[:, 3:6] = -cross_matrix(about).reshape(-1, 3)
+        ways[:, 6] = about.ravel()
+        axes, size, _ = np.linalg.svd(ways / np.linalg.norm(ways, axis=0), full_matrices=False)
+        rows = csr_array(csr_array(axes[:, size > FIRM].T) @ lengths.rows_of("target"))
+        return [KnownBeforehand("the datum", rows, np.full(rows.shape[0], DATUM))]
+    return [
+        KnownBeforehand(
+            f"the targets' {axis}",
+            lengths.rows_of("target", slice(a, None, 3)),
+            np.maximum(std[:, a], KNOWN),
+        )
+        for a, axis in enumerate("xyz")
+    ]
+
+
+def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
+    """Return what could spoil the lengths, as they feel it at the start values.
+
+    ``unbroken``: lengths of several stations are of one beam, whose counter may slip.
+    """
+    once, when = np.zeros(len(lengths.row), dtype=np.int64), lengths.order.astype(np.float64)
+    beam, toward = lengths.zero if lengths.beam is None else lengths.beam, lengths.toward
+    arms = lengths.targets - lengths.origin
+    reach = float(np.linalg.norm(arms, axis=1).max())
+    spin = (cross_matrix(lengths.axes[None, :, 2])[0] @ arms.T).T[lengths.target] / reach
+    turning = (toward * spin).sum(axis=1)[:, None]
+    machine = np.hstack([toward, turning])
+    again = passes(lengths.place, lengths.position, lengths.order)
+    returning = np.hstack([machine * shape[:, None] for shape in recurring(again, when).T])
+    gone, frame = drifts(once, when), "the machine's frame drifts"
+    each = slips = list[Disturbing]()
+    if 1 < len(np.unique(beam)) <= PLACES // len(beam):
+        read = drifts(beam, when)
+        each = [Disturbing("drift", "lengths drift", read, LARGEST_MOVE, UM, family=True)]
+    if unbroken:
+        slips = [Disturbing("slip", "lengths shifted", Steps(beam, when), LARGEST_MOVE, UM,
+                            family=True, stays=True)]  # fmt: skip
+    return [
+        Disturbing("drift", frame, gone * toward, LARGEST_MOVE, UM),
+        Disturbing("drift", "the machine's frame turns", gone * turning, LARGEST_MOVE, UM),
+        Disturbing("drift", "all lengths drift", gone, LARGEST_MOVE, UM),
+        *each,
+        Disturbing("recurring drift", f"{frame} or turns in each turn of the table alike",
+                   returning, LARGEST_MOVE, UM),
+        Disturbing("knock", "the tracer moved on the table", _knocks(lengths), LARGEST_MOVE, UM,
+                   family=True, of_each=3, stays=True),
+        *slips,
+        Disturbing("refraction", "air lies in layers", lengths.layered[:, None], LARGEST_RATIO,
+                   PPM),
+        Disturbing("scale", "the scale of the lengths is wrong", lengths.distance[:, None],
+                   LARGEST_RATIO, PPM),
+    ]  # fmt: skip
+
+
+def _knocks(lengths: CarriedLengths) -> Floats:
+    """Return moves of the place by a metre out, along and up, from some moments on, (k, 3 t)."""
+    out = lengths.place_ways[:, 0]
+    ways = np.stack([out, np.cross([0.0, 0.0, 1.0], out), [0.0, 0.0, 1.0]])
+    carried = rotation_about_z(lengths.angles)[lengths.position]
+    moved = np.einsum("wj,kij->kwi", ways, carried) @ lengths.axes.T
+    felt = -np.einsum("kwi,ki->kw", moved, lengths.toward)
+    steps = Steps(lengths.place, lengths.order.astype(np.float64))
+    most = max(1, min(MOMENTS, PLACES // (3 * len(felt))))
+    some = steps.whole(slice(None, None, max(1, -(-steps.shape[1] // most))))
+    return np.asarray((some[:, :, None] * felt[:, None]).reshape(len(felt), -1))
+
+
+def _groupings(lengths: CarriedLengths, grid: Grid) -> list[Grouping]:
+    """Return what may be spoiled together."""
+    position = grid.position_ids[lengths.position]
+    round_ = np.arctan2(lengths.beams[:, 1], lengths.beams[:, 0])
+    found = [
+        Grouping("station", position, round_, lengths.toward, closed=True),
+        Grouping("target", grid.target_ids[lengths.target]),
+    ]
+    rank = np.argsort(np.argsort(lengths.order, kind="stable"), kind="stable")
+    arrivals = 1 + int((np.diff(lengths.position[np.argsort(rank)]) != 0).sum())
+    if arrivals > len(lengths.angles):  # else stretches of time are the stations
+        size = max(len(rank) // len(lengths.angles), 8)
+        found.append(Grouping("stretch of time", rank // size, rank.astype(np.float64)))
+    return found

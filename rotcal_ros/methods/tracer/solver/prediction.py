@@ -17,10 +17,10 @@ from rotcal_ros.adjust.fit import Fit, fitted, require_determined
 from rotcal_ros.adjust.observable import seen_of
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Effect
-from rotcal_ros.methods.tracer.solver.observability import check_counts
-from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed
+from rotcal_ros.methods.tracer.solver.observability import check_counts, limits_of
+from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed, effects_of
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem, arrange
-from rotcal_ros.methods.tracer.solver.solution import ecc_of_stations, limits_of, unseen_slips
+from rotcal_ros.methods.tracer.solver.solution import ecc_of_stations, unseen_slips
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,8 @@ class Prediction:
         each, std = limits.of_each_effect(self.fit.model), np.sqrt(self.covariance.diagonal())
         closed = [Closed(self.fit, known, 1.0, np.inf) for known in self.fit.model.closures]
         found = dict[Effect, Undetected]()
-        for effect in timed.effects:
+        unbroken = self.posed.problem.segment is not None
+        for effect in effects_of(timed, unbroken=unbroken):
             if effect.effect not in ("drift", "knock"):
                 continue
             known = effect.beside(self.fit.model.size[0] - len(lengths.row))

@@ -11,26 +11,77 @@ as segments, and a segment as many as stations.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.methods.columns import broadcast, indices, matrix, require, vector
 from rotcal_ros.methods.tracer.settings import (
     Datum,
     TracerLimits,
     TracerSolverSettings,
     Variant,
 )
-from rotcal_ros.methods.tracer.solver.circle import contrast_count
 
 _DEFAULTS: Final = TracerSolverSettings()
 _LATEST: Final = 2**62
+
+
+def vector(name: str, values: ArrayLike, size: int | None = None) -> Floats:
+    """Return ``values`` as a vector of finite numbers, of ``size`` if one is given."""
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 1 or (size is not None and len(array) != size):
+        expected = "one dimension" if size is None else f"shape ({size},), one value per row"
+        raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+    return require(np.isfinite(array), array, name, "a finite number")
+
+
+def matrix(name: str, values: ArrayLike) -> Floats:
+    """Return ``values`` as finite numbers (n, 3)."""
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise DataError(f"{name} has shape {array.shape}, expected (n, 3)")
+    return require(np.isfinite(array), array, name, "a finite number")
+
+
+def broadcast(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Return finite ``values``, one number or an array of that ``shape``, in that shape."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape not in ((), shape):
+        raise DataError(f"{name} has shape {array.shape}, expected one number or {shape}")
+    return require(np.isfinite(array), np.full(shape, array), name, "a finite number")
+
+
+def indices(name: str, values: ArrayLike, limit: int, size: int | None = None) -> NDArray[Any]:
+    """Return ``values`` as whole numbers from 0 to below ``limit``."""
+    array = np.asarray(values)
+    if array.size == 0:
+        raise DataError("there are no lengths: no observation was accepted")
+    if (
+        array.ndim != 1
+        or array.dtype.kind not in "iu"
+        or (size is not None and len(array) != size)
+    ):
+        raise DataError(
+            f"{name} is {array.dtype} of shape {array.shape}, expected whole numbers, one per row"
+        )
+    inside = (array >= 0) & (array < limit)
+    return require(inside, array.astype(np.int64), f"{name} index", f"0 to {limit - 1}")
+
+
+def require(good: Bools, array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
+    """Return ``array`` where all is ``good``; else raise DataError naming the first bad entry."""
+    good = np.broadcast_to(good, array.shape)
+    if not good.all():
+        place = tuple(int(i) for i in np.argwhere(~good)[0])
+        row = place[0] if len(place) == 1 else place
+        raise DataError(f"{name} in row {row} is {array[place]}, expected {what}")
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +98,10 @@ class LengthProblem:
 
     ``order`` (k,), optional: when each length was taken, in any growing numbers. ``segment``
     (k,), optional: number of the unbroken beam with which each length was read, which count from
-    one zero. ``slip``: a fringe (m) by which the counter may slip unseen where lengths share
-    zeros, allowed for in the uncertainty (:mod:`.zeros`); 0: it does not slip.
+    one zero. ``moved`` (k, 3), optional: how much further along x, y, z the machine said the
+    target stood when each length was measured, m; believed as far as the lengths follow it.
+    ``slip``: a fringe (m) by which the counter may slip unseen where lengths share zeros, allowed
+    for in the uncertainty; 0: it does not slip.
 
     Raises DataError for values that are not finite, indices out of range, and standard
     deviations that are not positive; ConfigurationError for unknown names.
@@ -64,6 +117,7 @@ class LengthProblem:
     datum: Datum = _DEFAULTS.datum
     order: Ints | None = None
     segment: Ints | None = None
+    moved: Floats | None = None
     slip: float = _DEFAULTS.slip_m
     settings: TracerLimits = _DEFAULTS
 
@@ -84,6 +138,50 @@ class LengthProblem:
         std = broadcast("target_std", std, targets.shape)
         self._store("target_std", require(std >= 0.0, std, "target_std", "zero or more"))
         self._store_numbers("order", "segment")
+        if self.moved is not None:
+            moved = matrix("moved", self.moved)
+            if moved.shape != (len(self.position), 3):
+                raise DataError(f"moved has shape {moved.shape}, one row per length is expected")
+            self._store("moved", moved)
+
+    @property
+    def station(self) -> Ints:
+        """At which station each length (k,) was taken, from 0: here at its position."""
+        return self.position
+
+    @property
+    def counted(self) -> Ints:
+        """Numbers (k,) of what shares a zero: a segment, or a station."""
+        return self.station if self.segment is None else self.segment
+
+    @property
+    def earlier(self) -> Ints:
+        """How often the pair of each length (k,) was measured before."""
+        return np.zeros_like(self.position)
+
+    @property
+    def own_zero(self) -> bool:
+        """Whether each station has a zero to itself, and one length to each target."""
+        return self.segment is None and not self.earlier.any()
+
+    @property
+    def free(self) -> bool:
+        """Whether the targets carry no prior."""
+        return self.datum == "free"
+
+    @property
+    def circle(self) -> float | None:
+        """By how much, m, stations leave a common circle; None: nothing is known."""
+        return None
+
+    @property
+    def station_minimum(self) -> int:
+        """How many lengths a station needs, see :func:`station_minimum`."""
+        return station_minimum(self.segment is None, self.circle is not None)
+
+    def station_name(self, station: int | np.integer) -> str:
+        """Return what a station is, for messages."""
+        return f"station {station}"
 
     def missing(self, positions: Ints) -> tuple[int, ...]:
         """Return the table positions that are not among those with a result."""
@@ -156,9 +254,7 @@ class TracerProblem(LengthProblem):
     pair is measured once.
 
     ``run`` (k,), optional: an interruption begins another run, all lengths of which count from
-    another zero; a target stands elsewhere then by ``position_std`` (m). ``moved`` (k, 3),
-    optional: how much further along x, y, z the machine said the target stood when each length was
-    measured, m; believed as far as the lengths follow it.
+    another zero; a target stands elsewhere then by ``position_std`` (m).
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
@@ -177,7 +273,6 @@ class TracerProblem(LengthProblem):
     zero_walk_std: float | None = 0.0
     again: Ints | None = None
     run: Ints | None = None
-    moved: Floats | None = None
     position_std: float = 0.0
     start_stations: Floats | None = None
 
@@ -189,11 +284,6 @@ class TracerProblem(LengthProblem):
         super().__post_init__()
         self._store_numbers("again", "run")
         self._check_ties()
-        if self.moved is not None:
-            moved = matrix("moved", self.moved)
-            if moved.shape != (len(self.position), 3):
-                raise DataError(f"moved has shape {moved.shape}, one row per length is expected")
-            self._store("moved", moved)
         if self.start_stations is not None:
             start = matrix("start_stations", self.start_stations)
             if len(start) != len(self.table_angles):
@@ -208,6 +298,21 @@ class TracerProblem(LengthProblem):
                 "targets by it; give their standard deviation, or use the variant "
                 "'station', which takes the targets as known"
             )
+
+    @property
+    def earlier(self) -> Ints:
+        """How often the pair of each length (k,) was measured before."""
+        return np.zeros_like(self.position) if self.again is None else self.again
+
+    @property
+    def free(self) -> bool:
+        """Whether the targets carry no prior, and are no known ones."""
+        return self.variant == "joint" and self.datum == "free"
+
+    @property
+    def circle(self) -> float | None:
+        """By how much, m, stations leave a common circle; None: nothing is known."""
+        return self.circle_std
 
     @property
     def measuring_order(self) -> Ints:
@@ -266,9 +371,10 @@ def station_minimum(own_zero: bool, on_circle: bool) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The usable part of a problem: p strips of m stations (one per table position) by n targets.
+    """The usable part of a problem: p strips of m stations by n targets.
 
-    ``position_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (p, n): row of the
+    ``position_ids`` (m,), ``target_ids`` (n,): stations, which are the table positions where one
+    place was measured from, and targets in the problem. ``row`` (p, n): row of the
     problem that fills the place, -1 for none. ``used`` (p, n): the length takes part.
     ``length``, ``length_std`` (p, n): metres, 0 and 1 where there is none.
     ``targets``, ``target_std`` (n, 3): metres. ``free``: the targets carry no prior.
@@ -309,11 +415,6 @@ class Grid:
         return self.n_stations if self.segment_ids is None else len(self.segment_ids)
 
     @property
-    def unknowns(self) -> int:
-        """How many unknowns stations and zeros have."""
-        return 3 * self.n_stations + self.n_zeros
-
-    @property
     def station_minimum(self) -> int:
         """How many lengths a station needs, see :func:`station_minimum`."""
         own_zero = self.zero is None or (
@@ -326,11 +427,6 @@ class Grid:
         """Whether nothing but targets ties stations, and each has the lengths to find it alone."""
         tied = self.zero is not None or self.circle_std is not None
         return not tied and bool((self.used.sum(axis=1) >= STATION_MINIMUM).all())
-
-    @property
-    def contrasts(self) -> int:
-        """How many observations the stations' circle makes."""
-        return 0 if self.circle_std is None else contrast_count(self.n_stations)
 
     @cached_property
     def first_strip(self) -> Ints:
@@ -372,29 +468,28 @@ class Absent:
 
 
 class _Strips(NamedTuple):
-    """``position`` and ``segment`` (p,) of each strip, and the strip of each row (k,).
+    """``station`` and ``segment`` (p,) of each strip, and the strip of each row (k,).
 
     ``segment`` None: strips are stations; else what each zero belongs to: a segment, or where
-    there are none, the position.
+    there are none, the station.
     """
 
-    position: Ints
+    station: Ints
     segment: Ints | None
     of_row: Ints
 
 
-def _strips(problem: TracerProblem) -> _Strips:
-    if _own_zero(problem):
-        return _Strips(np.arange(len(problem.table_angles)), None, problem.position)
-    segment = problem.position if problem.segment is None else problem.segment
-    again = np.zeros_like(segment) if problem.again is None else problem.again
-    keys = np.column_stack([problem.position, segment, again])
+def _strips(problem: LengthProblem) -> _Strips:
+    if problem.own_zero:
+        count = int(problem.station.max()) + 1
+        return _Strips(np.arange(count), None, problem.station)
+    keys = np.column_stack([problem.station, problem.counted, problem.earlier])
     strips, of_row = np.unique(keys, axis=0, return_inverse=True)
     return _Strips(strips[:, 0], strips[:, 1], of_row.ravel())
 
 
-def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
-    """Return the grid of ``problem``, and what has no place on it.
+def arrange(problem: LengthProblem, without: Collection[int] = ()) -> tuple[Grid, Absent]:
+    """Return the grid of ``problem``, and what has no place on it; some rows are left out.
 
     Raises DataError for contradictory repetitions and for lengths that seem to be in another unit
     than the targets.
@@ -402,18 +497,19 @@ def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
     absent = Absent({}, {}, {})
     strips = _strips(problem)
     row = _place_rows(problem, strips, absent.repeated)
+    row[np.isin(row, list(without))] = -1
     _check_unit_of_targets(problem)
-    _drop_impossible(problem, row, strips.position, absent.unfit)
+    _drop_impossible(problem, row, strips.station, absent.unfit)
     _drop_undetermined(problem, row, strips, absent)
     kept, targets = (np.flatnonzero((row >= 0).any(axis=axis)) for axis in (1, 0))
     row = row[np.ix_(kept, targets)]
     used = row >= 0
-    positions, station = np.unique(strips.position[kept], return_inverse=True)
+    stations, station = np.unique(strips.station[kept], return_inverse=True)
     segments, zero = None, None
     if strips.segment is not None:
         segments, zero = np.unique(strips.segment[kept], return_inverse=True)
     grid = Grid(
-        position_ids=positions,
+        position_ids=stations,
         target_ids=targets,
         row=row,
         used=used,
@@ -421,25 +517,25 @@ def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
         length_std=np.where(used, problem.length_std[row], 1.0),
         targets=problem.targets[targets],
         target_std=problem.target_std[targets],
-        free=problem.variant == "joint" and problem.datum == "free",
+        free=problem.free,
         station=station,
         zero=zero,
         segment_ids=segments,
-        circle_std=problem.circle_std,
+        circle_std=problem.circle,
     )
     return grid, absent
 
 
-def _place_rows(problem: TracerProblem, strips: _Strips, why: dict[int, str]) -> Ints:
+def _place_rows(problem: LengthProblem, strips: _Strips, why: dict[int, str]) -> Ints:
     """Return the row (p, n) that fills each place; the first of identical repetitions stays."""
-    shape = (len(strips.position), len(problem.targets))
+    shape = (len(strips.station), len(problem.targets))
     place = strips.of_row * shape[1] + problem.target
     order = np.argsort(place, kind="stable")
     first = np.ones(len(order), dtype=np.bool_)
     first[1:] = np.diff(place[order]) != 0
     keeper = order[np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))]
     for again, kept in zip(order[~first], keeper[~first], strict=True):
-        name = f"station {problem.position[kept]}, target {problem.target[kept]}"
+        name = f"{problem.station_name(problem.station[kept])}, target {problem.target[kept]}"
         a, b = problem.length[kept], problem.length[again]
         if a != b or problem.length_std[kept] != problem.length_std[again]:
             raise DataError(
@@ -452,7 +548,7 @@ def _place_rows(problem: TracerProblem, strips: _Strips, why: dict[int, str]) ->
     return row.reshape(shape)
 
 
-def _check_unit_of_targets(problem: TracerProblem) -> None:
+def _check_unit_of_targets(problem: LengthProblem) -> None:
     span = _diagonal(problem.targets)
     if span > REACH:
         raise DataError(
@@ -462,7 +558,7 @@ def _check_unit_of_targets(problem: TracerProblem) -> None:
 
 
 def _drop_impossible(
-    problem: TracerProblem, row: Ints, position: Ints, why: dict[int, str]
+    problem: LengthProblem, row: Ints, station: Ints, why: dict[int, str]
 ) -> None:
     """Drop lengths that no position of the tracer can explain.
 
@@ -478,13 +574,13 @@ def _drop_impossible(
     # The noise of lengths and coordinates may add to the distance; ten of it is never noise.
     span = _diagonal(seen) + 10.0 * problem.length_std.max() + 10.0 * problem.target_std.max()
     excess = np.abs(np.where(used, problem.length[row] - middle[:, None], 0.0))
-    several = used.sum(axis=1) >= (1 if _own_zero(problem) else SEVERAL)
+    several = used.sum(axis=1) >= (1 if problem.own_zero else SEVERAL)
     if several.any():
         _check_unit_of_lengths(excess[several][used[several]], span)
     for j, i in np.argwhere(excess > span):
         why[int(row[j, i])] = (
-            f"station {position[j]}, target {i}: differs by {excess[j, i]:.4g} m from the "
-            f"station's median, but the targets lie at most {span:.4g} m apart"
+            f"{problem.station_name(station[j])}, target {i}: differs by {excess[j, i]:.4g} m "
+            f"from the station's median, but the targets lie at most {span:.4g} m apart"
         )
     row[excess > span] = -1
 
@@ -505,50 +601,43 @@ def _check_unit_of_lengths(excess: Floats, span: float) -> None:
         )
 
 
-def _drop_undetermined(problem: TracerProblem, row: Ints, strips: _Strips, absent: Absent) -> None:
+def _drop_undetermined(problem: LengthProblem, row: Ints, strips: _Strips, absent: Absent) -> None:
     """Drop targets, then stations, that too few lengths reach; again until nothing changes.
 
     A length that no other shares its segment with says nothing of its station.
     """
-    free = problem.variant == "joint" and problem.datum == "free"
     minima = {
-        "target": FREE_TARGET_MINIMUM if free else 1,
-        "station": station_minimum(problem.segment is None, problem.circle_std is not None),
-    }
+        "target": FREE_TARGET_MINIMUM if problem.free else 1, "station": problem.station_minimum,
+    }  # fmt: skip
     before = -1
     while before != (before := int((row >= 0).sum())):
         for name, minimum in minima.items():
             why = absent.unfit if name == "station" else absent.spare
-            group = strips.position if name == "station" else np.arange(row.shape[1])
+            group = strips.station if name == "station" else np.arange(row.shape[1])
             table = row if name == "station" else row.T
             present = np.bincount(group, weights=(table >= 0).sum(axis=1))
             count = present if name == "target" else _determining(row >= 0, strips)
-            for index in np.flatnonzero((present > 0) & (count < minimum)):
+            for index in np.flatnonzero((present > 0) & (count < minimum)).tolist():
                 lines = group == index
+                what = problem.station_name(index) if name == "station" else f"target {index}"
                 for dropped in table[lines][table[lines] >= 0]:
                     why[int(dropped)] = (
-                        f"{name} {index} has {int(count[index])} usable lengths, {minimum} are "
-                        "needed"
+                        f"{what} has {int(count[index])} usable lengths, {minimum} are needed"
                     )
                 table[lines] = -1
 
 
-def _own_zero(problem: TracerProblem) -> bool:
-    """Whether strips are stations with a zero of their own."""
-    return problem.segment is None and (problem.again is None or not problem.again.any())
-
-
 def _determining(present: Bools, strips: _Strips) -> Floats:
-    """Return how many of the ``present`` (p, n) lengths of each position help to determine it.
+    """Return how many of the ``present`` (p, n) lengths of each station help to determine it.
 
     One that was measured again from the same zero adds nothing about the place.
     """
     if strips.segment is None:
-        return np.bincount(strips.position, weights=present.sum(axis=1)).astype(np.float64)
+        return np.bincount(strips.station, weights=present.sum(axis=1)).astype(np.float64)
     total = np.bincount(
         np.unique(strips.segment, return_inverse=True)[1], weights=present.sum(axis=1)
     )
-    both = np.column_stack([strips.position, strips.segment])
+    both = np.column_stack([strips.station, strips.segment])
     beams, of_strip = np.unique(both, axis=0, return_inverse=True)
     seen = np.zeros((len(beams), present.shape[1]), dtype=np.bool_)
     np.logical_or.at(seen, of_strip.ravel(), present)

@@ -17,74 +17,37 @@ the lengths stay as they are, to the last bit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
-from typing import Final, Generic, TypeVar
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.foundation.results import Result
+from rotcal_ros.adjust.engine import Adjusted
+from rotcal_ros.adjust.fit import Fit, fitted
+from rotcal_ros.adjust.model import Model
+from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 
 CONSISTENT: Final = 3.0
 """Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
-MOST_STEPS: Final = 4
-"""Gauss-Newton steps of the weight, in which the lengths are nearly linear."""
-SETTLED: Final = 0.1
-"""Step of the weight, in its standard deviations, that is the last."""
 NOISELESS: Final = 1e-2
 """Chi-squared over its mean below which lengths are without noise, made up."""
 UNNOTICED: Final = 0.01
 """Shift of a target, in standard deviations of a length, that does not matter."""
 
-S = TypeVar("S")
 
-
-@dataclass(frozen=True, slots=True)
-class Slope:
-    """What the residuals of a solution say of a column of errors, whose size they do not hold.
-
-    ``score``: half the slope of chi-squared in the size; ``information``: half its curvature, both
-    in the standard deviations of the solution, whose ``chi2`` has mean ``dof``. ``excess``: what
-    the lengths scatter beyond their statement, m, where they contradict it.
-    """
-
-    score: float
-    information: float
-    chi2: float
-    dof: int
-    excess: float = 0.0
+class Solved(Protocol):
+    """A solution of lengths."""
 
     @property
-    def step(self) -> float:
-        """The size that fits best."""
-        return self.score / self.information
+    def found(self) -> Adjusted:
+        """What the engine found."""
 
-    @property
-    def std(self) -> float:
-        """The standard deviation of :attr:`step`, by what is left of chi-squared at that size."""
-        left = max(self.chi2 - self.score * self.step, 0.0) / (self.dof - 1)
-        return sqrt(max(left, NOISELESS) / self.information)
 
-    @property
-    def distance(self) -> float:
-        """How many standard deviations the best size is away."""
-        return abs(self.step) / self.std
-
-    @property
-    def known(self) -> bool:
-        """Whether the lengths say anything about the size."""
-        return self.dof > 1 and self.information > 0.0
-
-    def spoiled(self, along: float) -> bool:
-        """Whether noise of the reports, which scatter by ``along`` (m), may be the excess.
-
-        As much noise in believed reports turns the slope by its share of their variance.
-        """
-        share = (self.excess / along) ** 2
-        return 0.0 < share < 1.0 and abs(self.step + share) < CONSISTENT * self.std
+S = TypeVar("S", bound=Solved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,81 +93,81 @@ class Reported:
         )
 
 
-@dataclass(frozen=True)
-class WeighedSolution(Generic[S]):
-    """A solution and the weight that it gives the reported places; None: none had to be found."""
+def along_beams(lengths: CarriedLengths, moved: Floats | None) -> Floats | None:
+    """Return by how much the reported moves (n, 3), m, of its target make each length longer.
 
-    solution: S
-    reported: Reported | None
-
-
-def noticed(shift: Floats, length_std: Floats) -> bool:
-    """Return whether any length feels what was reported beside the mean place, (k, 3), m."""
-    return bool(np.abs(shift).max(initial=0.0) >= UNNOTICED * length_std.min())
-
-
-def scatter_along(along: Floats, target: Ints) -> float:
-    """Return the standard deviation of ``along`` (k,) about the mean of each target (k,), m."""
-    free = len(along) - len(np.unique(target))
-    return float(np.sqrt((along**2).sum() / max(free, 1)))
-
-
-def weigh(
-    unmoved: S, moved: Callable[[float, float], S], slope: Callable[[S], Slope], along: float
-) -> WeighedSolution[S]:
-    """Return the solution with the weight that the lengths give the reported places.
-
-    ``unmoved``: the solution with weight 0; ``moved``: makes the one with a weight and with what
-    is left of the reports (m) joined to the lengths; ``slope``: of a solution, over the reports
-    along the beams, which scatter by ``along`` (m).
+    (k,), m; None where no length feels them. ``moved``: by row of the problem.
     """
-    at_none = slope(unmoved)
-    try:
-        believed = moved(1.0, 0.0)
-    except RotcalError:
-        if not at_none.known:
-            raise
-        return WeighedSolution(unmoved, Reported(0.0, at_none.std, along, 0.0))
-    at_all = slope(believed)
-    if not (at_none.known and at_all.known):
-        return WeighedSolution(believed, Reported(1.0, 0.0, along, 0.0))
-    spoils = at_all.excess if at_all.spoiled(along) else 0.0
-    calmer = at_none.distance < CONSISTENT and at_none.excess < spoils
-    if at_all.distance < CONSISTENT and not calmer:
-        return WeighedSolution(believed, Reported(1.0, at_all.std, along, 0.0, spoils=spoils))
-    if at_none.distance < CONSISTENT:
-        return WeighedSolution(unmoved, Reported(0.0, at_none.std, along, 0.0))
-    nearer = (0.0, at_none) if at_none.distance < at_all.distance else (1.0, at_all)
-    return _between(moved, slope, along, *nearer)
+    if moved is None or np.abs(moved).max(initial=0.0) < UNNOTICED * lengths.std.min():
+        return None
+    return np.asarray((lengths.toward * moved[lengths.row]).sum(axis=1))
 
 
-def _between(
-    moved: Callable[[float, float], S],
-    slope: Callable[[S], Slope],
-    along: float,
-    weight: float,
-    here: Slope,
-) -> WeighedSolution[S]:
-    """Return the solution with the weight that fits best, from a ``weight`` and its slope."""
-    for _ in range(MOST_STEPS):
-        step = min(max(weight + here.step, 0.0), 1.0) - weight
-        weight, std = weight + step, here.std
-        left = along * sqrt(weight * (1.0 - weight) + std**2)
-        solution = moved(weight, left)
-        if abs(step) < SETTLED * std:
-            break
-        here = slope(solution)
-    return WeighedSolution(solution, Reported(weight, std, along, left, estimated=True))
+def nearest(model: Model, along: Floats) -> float:
+    """Return 0 or 1, the nearest to what all lengths follow of what is reported ``along`` (k,).
+
+    ``model``: of the lengths as they were read.
+    """
+    every = np.ones(model.size[0], dtype=np.bool_)
+    return float(_slope(fitted(model, every, model.std, model.first), along)[0] > 0.5)
 
 
-def with_reported(result: Result, reported: Reported | None) -> Result:
-    """Return a result that says what was made of the reported places."""
-    if reported is None:
-        return result
-    warning = reported.warning
-    warnings = () if warning is None else (warning,)
-    return replace(
-        result,
-        warnings=(*result.warnings, *warnings),
-        details={**result.details, "reported_places": asdict(reported)},
-    )
+def weighed(
+    solution: S, weight: float, lengths: CarriedLengths, along: Floats | None,
+    again: Callable[[float, float], S],
+) -> tuple[S, Reported | None]:  # fmt: skip
+    """Return the solution with the weight that the lengths give what is reported, and that.
+
+    ``solution``: with a ``weight``. By one more column; it is solved ``again``, with a weight and
+    with what is left of the reports (m) joined to the lengths, where 1 or 0 does not explain them.
+    """
+    if along is None:
+        return solution, None
+    fit = solution.found.fit
+    free = len(along) - len(np.unique(lengths.target))
+    scatter = float(np.sqrt((along**2).sum() / max(free, 1)))
+    beyond, information = _slope(fit, along)
+    if not information or fit.dof < 2:
+        return solution, Reported(weight, 0.0, scatter, 0.0)
+    squares = max(fit.chi2 - information * beyond**2, 0.0) / (fit.dof - 1)
+    std = sqrt(max(squares, NOISELESS) / information)
+    best = weight + beyond
+
+    def at(other: float) -> S:
+        return solution if other == weight else again(other, 0.0)
+
+    unmoved = at(0.0) if abs(best) < CONSISTENT * std else None
+    if abs(best - 1.0) < CONSISTENT * std:
+        believed = at(1.0)
+        excess = _excess(believed, lengths)
+        # as much noise in believed reports turns the slope by its share of their variance
+        share = (excess / scatter) ** 2
+        spoiled = 0.0 < share < 1.0 and abs(best - 1.0 + share) < CONSISTENT * std
+        spoils = excess if spoiled else 0.0
+        if unmoved is None or _excess(unmoved, lengths) >= spoils:
+            return believed, Reported(1.0, std, scatter, 0.0, spoils=spoils)
+    if unmoved is not None:
+        return unmoved, Reported(0.0, std, scatter, 0.0)
+    best = min(max(best, 0.0), 1.0)
+    left = scatter * sqrt(best * (1.0 - best) + std**2)
+    return again(best, left), Reported(best, std, scatter, left, estimated=True)
+
+
+def _slope(fit: Fit, along: Floats) -> tuple[float, float]:
+    """Return how much more of the reported moves the lengths follow, and its information."""
+    seen = observable_by(fit, np.pad(along, (0, fit.model.size[0] - len(along)))[:, None])
+    information = float(seen.information[0, 0])
+    if information <= 1e-9 * float(seen.whole[0]):
+        return 0.0, 0.0
+    return float(seen.score[0]) / information, information
+
+
+def _excess(solution: Solved, lengths: CarriedLengths) -> float:
+    """Return what lengths scatter beyond their statement, m; 0 where they do not contradict it."""
+    noise, limits = solution.found.diagnosis.noise, solution.found.diagnosis.limits
+    factor = float(noise.factors[0])
+    if noise.estimated is None or factor <= 1.0:
+        return 0.0
+    if not noise.estimated.contradicted(limits.significance)[0]:
+        return 0.0
+    return float(lengths.std.mean()) * sqrt(factor**2 - 1.0)

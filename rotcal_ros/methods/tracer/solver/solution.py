@@ -14,7 +14,6 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import ndtr
 
-from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
@@ -22,15 +21,14 @@ from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.look import Look
 from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.model import CurveModel
-from rotcal_ros.adjust.observable import family_observable_by, observable_by
+from rotcal_ros.adjust.observable import family_observable_by
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.solver.carried_lengths import slips_of
+from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 from rotcal_ros.methods.tracer.solver.circle import (
     ABSORBED,
     TableMotion,
@@ -41,6 +39,7 @@ from rotcal_ros.methods.tracer.solver.circle import (
 from rotcal_ros.methods.tracer.solver.observability import (
     check_station_rank,
     check_station_spread,
+    limits_of,
     told_of_a_turned_sign,
 )
 from rotcal_ros.methods.tracer.solver.posed import (
@@ -51,13 +50,7 @@ from rotcal_ros.methods.tracer.solver.posed import (
     Supposed,
 )
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
-from rotcal_ros.methods.tracer.solver.reported import (
-    CONSISTENT,
-    NOISELESS,
-    Reported,
-    noticed,
-    scatter_along,
-)
+from rotcal_ros.methods.tracer.solver.reported import Reported, nearest, weighed
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
 
 NEARLY: Final = 1e-3
@@ -73,13 +66,8 @@ LEAST_WALK: Final = 1e-9
 LEAN: Final = 1e-4
 """Angle (rad) of an axis whose square is nothing."""
 MOST_STEPS: Final = 6
-
-
-def limits_of(settings: TracerLimits) -> Limits:
-    """Return what the engine holds for chance."""
-    return Limits(
-        settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
-    )
+SMALL: Final = 1e-3
+"""Variance, as a share of that of the lengths, that is too small to matter."""
 
 
 class UnseenSlips(NamedTuple):
@@ -136,6 +124,11 @@ class TracerSolution:
     def grid(self) -> Grid:
         """The lengths in their places."""
         return self.posed.grid
+
+    @cached_property
+    def lengths(self) -> CarriedLengths:
+        """The lengths, with the unknowns that were solved."""
+        return self.posed.lengths_of(self.supposed)
 
     @property
     def positions(self) -> Ints:
@@ -198,19 +191,15 @@ class TracerSolution:
         """Ranges (s,) at reading zero, m, of the zeros that lengths count from."""
         if self.printed is not None:
             return self.printed[:, 3]
-        first, zeros = self.posed.lengths.first, self.posed.lengths.zeros
-        if self.supposed.walk:
-            return zeros
-        return zeros + self._unknowns[first["zero"] : first["target"]]
+        zeros = self.posed.lengths.zeros
+        return zeros if self.supposed.walk else zeros + self.lengths.part(self._unknowns, "zero")
 
     @cached_property
     def targets(self) -> Floats:
         """Where the targets stood (n, 3), m."""
         if self.printed is not None:
             return self.grid.targets
-        begin = sum(list(self.found.model.blocks.values())[:4])
-        moved = self._unknowns[begin : begin + self.grid.targets.size]
-        return np.asarray(self.grid.targets + moved.reshape(-1, 3))
+        return np.asarray(self.grid.targets + self.lengths.part(self._unknowns, "target"))
 
     @cached_property
     def trials(self) -> Trials:
@@ -261,10 +250,10 @@ class TracerSolution:
         lengths, x, at = self.posed.lengths, self._unknowns, np.arange(len(self.stations))
         first = lengths.first
         arm = (self.stations - lengths.origin) @ lengths.axes
-        arm = arm - x[: arm.size].reshape(arm.shape)
+        arm = arm - lengths.part(x, "shift")
         turned = np.column_stack([-arm[:, 1], arm[:, 0], 0.0 * arm[:, 0]]) @ lengths.axes.T
-        carry = rotation_about_z(lengths.angles + x[first["turn"] : first["place"]])
-        out = carry @ lengths.ways[0] @ lengths.axes.T
+        carry = rotation_about_z(lengths.angles + lengths.part(x, "turn")[:, 2])
+        out = carry @ lengths.place_ways[:, 0] @ lengths.axes.T
         own = np.broadcast_to(lengths.axes, (len(at), 3, 3))
         felt = np.concatenate([own, turned[:, :, None], out[:, :, None]], axis=2)
         shifts = [3 * at, 3 * at + 1, 3 * at + 2]
@@ -280,8 +269,8 @@ def adjust(problem: TracerProblem) -> TracerSolution:
 def _adjusted(problem: TracerProblem) -> TracerSolution:
     posed = Posed.of(problem)
     walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
-    begin = Supposed(walk=walk)
-    begin = replace(begin, weight=_nearest(posed, begin))
+    begin, along = Supposed(walk=walk, weight=0.0), posed.moved
+    begin = replace(begin, weight=1.0 if along is None else nearest(posed.model(begin), along))
     solution = TracerSolution(posed, _solved(posed, begin), begin)
     for _ in range(MOST_STEPS):
         if solution.lean < LEAN:
@@ -322,6 +311,17 @@ def _solved(posed: Posed, supposed: Supposed) -> Adjusted:
     return adjusted(model, limits_of(posed.problem.settings))
 
 
+def _weighed(solution: TracerSolution) -> TracerSolution:
+    """Return the solution with the weight that the lengths give the reported places."""
+    begin, posed = solution.supposed, solution.posed
+
+    def again(weight: float, left: float) -> TracerSolution:
+        return _again(solution, replace(begin, weight=weight, left=left))
+
+    found, reported = weighed(solution, begin.weight, posed.lengths, posed.moved, again)
+    return replace(found, reported=reported)
+
+
 def _again(solution: TracerSolution, supposed: Supposed) -> TracerSolution:
     return replace(solution, found=_solved(solution.posed, supposed), supposed=supposed)
 
@@ -360,86 +360,6 @@ def _walking(solution: TracerSolution) -> TracerSolution:
             return _again(solution, replace(solution.supposed, walk=0.0))
         solution = _again(solution, replace(solution.supposed, walk=walk))
     return solution
-
-
-def _weighed(solution: TracerSolution) -> TracerSolution:
-    """Return the solution with the weight that the lengths give the reported places.
-
-    By one more column, as the equations of :mod:`.reported` say: it is solved again where 1 or 0
-    does not explain them.
-    """
-    if not _noticed(solution.posed):
-        return solution
-    lengths, along, found = solution.posed.lengths, solution.posed.moved, solution.found
-    scatter = scatter_along(along, lengths.target)
-    beyond, information = _slope(solution.posed, found.fit)
-    if not information or found.fit.dof < 2:
-        near = solution.supposed.weight
-        return replace(solution, reported=Reported(near, 0.0, scatter, 0.0))
-    squares = max(found.fit.chi2 - information * beyond**2, 0.0) / (found.fit.dof - 1)
-    std = sqrt(max(squares, NOISELESS) / information)
-    weight = solution.supposed.weight + beyond
-
-    def at(weight: float) -> TracerSolution:
-        if weight == solution.supposed.weight:
-            return solution
-        return _again(solution, replace(solution.supposed, weight=weight))
-
-    unmoved = at(0.0) if abs(weight) < CONSISTENT * std else None
-    if abs(weight - 1.0) < CONSISTENT * std:
-        believed = at(1.0)
-        excess = _excess(believed)
-        # as much noise in believed reports turns the slope by its share of their variance
-        share = (excess / scatter) ** 2
-        spoiled = 0.0 < share < 1.0 and abs(weight - 1.0 + share) < CONSISTENT * std
-        spoils = excess if spoiled else 0.0
-        if unmoved is None or _excess(unmoved) >= spoils:
-            reported = Reported(1.0, std, scatter, 0.0, spoils=spoils)
-            return replace(believed, reported=reported)
-    if unmoved is not None:
-        return replace(unmoved, reported=Reported(0.0, std, scatter, 0.0))
-    weight = min(max(weight, 0.0), 1.0)
-    left = scatter * sqrt(weight * (1.0 - weight) + std**2)
-    supposed = replace(solution.supposed, weight=weight, left=left)
-    reported = Reported(weight, std, scatter, left, estimated=True)
-    return replace(_again(solution, supposed), reported=reported)
-
-
-def _noticed(posed: Posed) -> bool:
-    """Whether any length feels what was reported beside the mean place."""
-    moved = posed.problem.moved
-    return moved is not None and noticed(moved, posed.lengths.std)
-
-
-def _slope(posed: Posed, fit: Fit) -> tuple[float, float]:
-    """Return how much more of the reported moves the lengths follow, and its information."""
-    column = np.pad(posed.moved, (0, fit.model.size[0] - len(posed.moved)))[:, None]
-    seen = observable_by(fit, column)
-    information = float(seen.information[0, 0])
-    if information <= 1e-9 * float(seen.whole[0]):
-        return 0.0, 0.0
-    return float(seen.score[0]) / information, information
-
-
-def _nearest(posed: Posed, supposed: Supposed) -> float:
-    """Return 0 or 1, the nearest to what all lengths follow of the reported moves."""
-    if not _noticed(posed):
-        return 1.0
-    model = posed.model(replace(supposed, weight=0.0))
-    every = np.ones(model.size[0], dtype=np.bool_)
-    beyond, _ = _slope(posed, fitted(model, every, model.std, model.first))
-    return float(beyond > 0.5)
-
-
-def _excess(solution: TracerSolution) -> float:
-    """Return what lengths scatter beyond their statement, m; 0 where they do not contradict it."""
-    noise, limits = solution.found.diagnosis.noise, solution.found.diagnosis.limits
-    factor = float(noise.factors[0])
-    if noise.estimated is None or factor <= 1.0:
-        return 0.0
-    if not noise.estimated.contradicted(limits.significance)[0]:
-        return 0.0
-    return float(solution.posed.lengths.std.mean()) * sqrt(factor**2 - 1.0)
 
 
 def unseen_slips(
@@ -588,3 +508,22 @@ def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) 
             )
     curve = np.eye(m, model.size[1], begin)
     return CurveModel(model, lengths.angles, {"ECC": curve})
+
+
+def slips_of(zero: Ints, order: Ints, step_std: float, std: float) -> Floats:
+    """Return columns (k, r) of what slips by ``step_std`` (m) at any moment do to the lengths.
+
+    ``zero``, ``order`` (k,): which zero each has, and when it was taken. What is small against
+    noise of ``std``, m, is left out.
+    """
+    found = [np.zeros((len(zero), 0))]
+    for number in np.unique(zero) if step_std else ():
+        rows = np.flatnonzero(zero == number)
+        rows = rows[np.argsort(order[rows], kind="stable")]
+        later = np.tri(len(rows))[:, 1:]
+        size, ways = np.linalg.eigh(step_std**2 * later @ later.T)
+        large = size > SMALL * std**2
+        columns = np.zeros((len(zero), int(large.sum())))
+        columns[rows] = ways[:, large] * np.sqrt(size[large])
+        found.append(columns)
+    return np.hstack(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,27 +12,30 @@ from rotcal_ros.adjust.closures import Closure, closures, difference_variance
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
-from rotcal_ros.foundation.protection import POWER, Protection, ordered
+from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import (
     ErrorMotion,
     Placement,
-    Rejection,
-    Residuals,
     Result,
-    Verdict,
     Zeros,
 )
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.tracer.solver.carried_lengths import LATER_RUN
 from rotcal_ros.methods.tracer.solver.circle import TableMotion, algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
 from rotcal_ros.methods.tracer.solver.posed import (
     ALONG_AXIS,
     ERROR_MOTION,
-    LATER_RUN,
     STATED_CIRCLE,
 )
 from rotcal_ros.methods.tracer.solver.problem import FREE_TARGET_MINIMUM, TracerProblem
+from rotcal_ros.methods.tracer.solver.reporting import (
+    corrections,
+    of_all_rows,
+    segments_of,
+    tangential_protection,
+)
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 
 METHOD = "tracer_multistation"
@@ -62,35 +65,41 @@ def solve(problem: TracerProblem) -> Result:
 def result_of(solution: TracerSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
     found, motion, angles = solution.found, solution.motion, solution.table_angles
+    problem, lengths, absent = solution.problem, solution.posed.lengths, solution.posed.absent
     covariance = solution.covariance
     closing: tuple[Closure, ...] = ()
-    if not solution.problem.repeated_runs:
+    if not problem.repeated_runs:
         closing = closures(angles, solution.deviations, covariance, solution.positions)
-    doubts = tuple(_doubts(solution))
-    verdict: Verdict = "suspect" if doubts and found.verdict == "ok" else found.verdict
-    numbering = _numbering(solution)
-    verdict, warnings = numbering.judged(verdict, (*found.doubts, *doubts, *_remarks(solution)))
-    every = {p.effect: p for p in (*found.protections(), *_protections(solution))}
-    every["numbering"] = numbering.protection()
+    doubts, numbering = tuple(_doubts(solution)), _numbering(solution)
+    plain = found.result(
+        METHOD,
+        angles,
+        {"ECC": slice(None)},
+        (lengths.position, lengths.target),
+        doubts=doubts,
+        protections=(*_protections(solution), numbering.protection()),
+        details=_details(solution, closing),
+        joint=True,
+        further=False,
+    )
+    warnings = (*found.doubts, *doubts, *_remarks(solution))
+    verdict, warnings = numbering.judged(plain.verdict, warnings)
+    assert plain.residuals is not None
+    residuals = replace(plain.residuals, residual=_residuals(solution))
+    if problem.run is not None:
+        plain = replace(plain, raw_data=RawData())
     steps = np.arange(len(angles) - 1)
-    return Result(
-        method=METHOD,
-        angles=angles,
-        deviations={"ECC": solution.deviations},
+    every = of_all_rows(
+        replace(plain, residuals=residuals), problem, lengths, absent.repeated | absent.unfit
+    )
+    return replace(
+        every,
         std={"ECC": solution.std},
         covariance={"ECC": covariance},
-        sigma0=found.sigma0,
-        dof=found.fit.dof,
-        n_observations=len(solution.problem.length),
-        rejected=tuple(Rejection(*each) for each in sorted(_rejected(solution).items())),
         verdict=verdict,
         warnings=warnings,
         adjacent_deviations=np.diff(solution.deviations),
         adjacent_std=np.sqrt(difference_variance(covariance, steps, steps + 1)),
-        residuals=_residuals(solution),
-        details=_details(solution, closing),
-        protections=ordered(every.values()),
-        raw_data=_raw_data(solution),
         zeros=Zeros("first angle"),
         budget=_budget(solution),
         placement=Placement.upwards(
@@ -100,13 +109,6 @@ def result_of(solution: TracerSolution) -> Result:
     )
 
 
-def _rejected(solution: TracerSolution) -> dict[int, str]:
-    """Return by row of the problem why a length was not used."""
-    row, absent = solution.posed.lengths.row, solution.posed.absent
-    why = {int(row[k]): reason for k, reason in solution.found.why.items()}
-    return absent.repeated | absent.unfit | why
-
-
 def _numbering(solution: TracerSolution) -> Numbering:
     """Return how the stations stand to the start values that a plan or a person has stated."""
     stated, stations = solution.problem.start_stations, solution.stations
@@ -114,40 +116,15 @@ def _numbering(solution: TracerSolution) -> Numbering:
     return Numbering.of("plan.tracer_m", solution.table_angles, solution.motion.radius, bearing)
 
 
-def _residuals(solution: TracerSolution) -> Residuals:
-    """Return one row per length; NaN where it has no place among those that were solved."""
-    problem, fit, row = solution.problem, solution.found.fit, solution.posed.lengths.row
-
-    def of_rows(values: Floats, otherwise: Floats | float) -> Floats:
-        column = np.full(len(problem.length), otherwise, dtype=np.float64)
-        column[row] = values[: len(row)]
-        return column
-
-    residual = fit.residual
-    if solution.printed is not None:
-        lengths, state = solution.posed.lengths, solution.printed
-        apart = state[lengths.position, :3] - solution.grid.targets[lengths.target]
-        computed = np.linalg.norm(apart, axis=1) - state[lengths.position, 3]
-        residual = fit.model.observed[: len(row)] - computed
-    return Residuals(
-        table_position=problem.position,
-        target=problem.target,
-        residual=of_rows(residual, np.nan),
-        redundancy=of_rows(fit.redundancy, 0.0),
-        test_value=of_rows(fit.test_value, 0.0),
-        used=of_rows(fit.used.astype(np.float64), 0.0).astype(np.bool_),
-        std=of_rows(fit.std, problem.length_std),
-    )
-
-
-def _raw_data(solution: TracerSolution) -> RawData:
-    """Return what standard errors of lengths and targets do to ECC, where they are not many."""
-    count = len(solution.posed.lengths.row)
-    influence = solution.found.influence({"ECC": slice(None)}, count, 1)
-    if influence is None or solution.problem.run is not None:
-        return RawData()
-    rows = solution.posed.lengths.row[influence.rows]
-    return RawData(influence=replace(influence, rows=rows))
+def _residuals(solution: TracerSolution) -> Floats:
+    """Return the residuals (k,) of the lengths, m, of the stations that a result has."""
+    fit, lengths, state = solution.found.fit, solution.posed.lengths, solution.printed
+    k = len(lengths.row)
+    if state is None:
+        return fit.residual[:k]
+    apart = state[lengths.position, :3] - solution.grid.targets[lengths.target]
+    computed = np.linalg.norm(apart, axis=1) - state[lengths.position, 3]
+    return np.asarray(fit.model.observed[:k] - computed)
 
 
 def _budget(solution: TracerSolution) -> dict[str, Floats]:
@@ -199,15 +176,6 @@ def _doubts(solution: TracerSolution) -> Iterator[str]:
         yield f"no deviation for station(s) {names}: too few usable lengths"
 
 
-def doubt_closure(closure: Closure) -> str:
-    """Return the sentence about a closure that is larger than its uncertainty allows."""
-    return (
-        f"stations {closure.first} and {closure.last} stand at the same table angle but differ by "
-        f"{closure.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
-        f"{closure.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
-    )
-
-
 def _cause(size: float, std: float, fringe: float) -> str:
     """Return what may have made a zero jump by ``size`` +- ``std``, m."""
     number = round(size / fringe) if fringe else 0
@@ -235,63 +203,48 @@ def _remarks(solution: TracerSolution) -> Iterator[str]:
             "all targets lie in one plane, so the tracer could stand on either side of it: the "
             "lower side was taken; give start_stations to choose the other"
         )
-    yield from (_joined(join) for join in joins_of(solution))
+    for run, offset, std, steps, apart, sigma0, _ in map(dict.values, _joins(solution)):
+        yield (
+            f"run {run} was joined by {steps} steps measured again: its lengths were "
+            f"{offset:+.3g} m off (standard deviation {std:.2g} m); the steps agree within "
+            f"{apart:.2g} m, {sigma0:.2f} times what is expected"
+        )
     if solution.reported is not None and solution.reported.warning:
         yield solution.reported.warning
 
 
-@dataclass(frozen=True, slots=True)
-class Join:
-    """The zero of a ``run`` against the first: ``offset``, m, with the standard deviation ``std``.
+def _joins(solution: TracerSolution) -> list[dict[str, Any]]:
+    """Return how the later runs were joined.
 
+    The zero of a ``run`` against the first: ``offset``, m, with the standard deviation ``std``.
     ``disagreement``: the largest residual of its ``steps`` measured again, m; ``sigma0`` and
     ``probability``: test that nothing but the zero has changed.
     """
-
-    run: int
-    offset: float
-    std: float
-    steps: int
-    disagreement: float
-    sigma0: float
-    probability: float
-
-
-def joins_of(solution: TracerSolution) -> list[Join]:
-    """Return how the later runs were joined."""
-    problem, lengths, fit = solution.problem, solution.posed.lengths, solution.found.fit
-    if problem.run is None or not lengths.later_zeros:
+    problem, lengths, fit = solution.problem, solution.lengths, solution.found.fit
+    if problem.run is None or LATER_RUN not in lengths.blocks:
         return []
-    begin, found = sum(list(fit.model.blocks.values())[:6]), []
-    assert list(fit.model.blocks)[6] == LATER_RUN
-    assert problem.again is not None
+    begin, found, used = lengths.first[LATER_RUN], [], fit.used[: len(lengths.row)]
     for k, run in enumerate(np.unique(problem.run)[1:].tolist()):
-        unit = np.zeros((len(fit.x), 1))
-        unit[begin + k] = 1.0
+        unit = np.eye(1, len(fit.x), begin + k).T
         variance = float(fit.kernel.times(unit)[begin + k, 0])
-        again = (
-            (lengths.later == k) & (problem.again[lengths.row] > 0) & fit.used[: len(lengths.row)]
-        )
-        rows = np.flatnonzero(again)
+        again = (lengths.later == k) & (problem.earlier[lengths.row] > 0)
+        rows = np.flatnonzero(again & used)
         values, ways = np.linalg.eigh(np.eye(len(rows)) - fit.kernel.among(rows))
         seen = values > 1e-6
         squares = float(((ways.T @ fit.white[rows])[seen] ** 2 / values[seen]).sum())
         dof = int(seen.sum())
-        worst = float(np.abs(fit.residual[rows]).max(initial=0.0))
-        std = solution.found.scale * float(np.sqrt(variance))
-        sigma0, chance = float(np.sqrt(squares / dof)) if dof else 0.0, 1.0
-        if dof:
-            chance = chi2_sf(squares, dof)
-        found.append(Join(run, -float(fit.x[begin + k]), std, len(rows), worst, sigma0, chance))
+        found.append(
+            {
+                "run": run,
+                "offset": -float(fit.x[begin + k]),
+                "std": solution.found.scale * float(np.sqrt(variance)),
+                "steps": len(rows),
+                "disagreement": float(np.abs(fit.residual[rows]).max(initial=0.0)),
+                "sigma0": float(np.sqrt(squares / dof)) if dof else 0.0,
+                "probability": chi2_sf(squares, dof) if dof else 1.0,
+            }
+        )
     return found
-
-
-def _joined(join: Join) -> str:
-    return (
-        f"run {join.run} was joined by {join.steps} steps measured again: its lengths were "
-        f"{join.offset:+.3g} m off (standard deviation {join.std:.2g} m); the steps agree within "
-        f"{join.disagreement:.2g} m, {join.sigma0:.2f} times what is expected"
-    )
 
 
 def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str, Any]:
@@ -323,7 +276,7 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         ],
         "target_ids": grid.target_ids,
         "targets": solution.targets,
-        **_corrections(solution),
+        **({} if solution.printed is not None else corrections(found, solution.lengths)),
         "unknowns": found.model.size[1],
         "rank": fit.kernel.rank,
         "weakest": {"station": int(solution.positions[weak]), "direction": direction, "std": std},
@@ -334,9 +287,9 @@ def _details(solution: TracerSolution, closing: tuple[Closure, ...]) -> dict[str
         **found.details(further=False),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in closing],
-        "returned": [asdict(each) for each in returned(solution)],
+        "returned": _returned(solution),
         **({} if solution.reported is None else {"reported_places": asdict(solution.reported)}),
-        **({} if problem.run is None else {"joins": [asdict(j) for j in joins_of(solution)]}),
+        **({} if problem.run is None else {"joins": _joins(solution)}),
     }
 
 
@@ -353,93 +306,24 @@ def circle_details(motion: TableMotion, stations: Floats, angles: Floats) -> dic
     }
 
 
-def _corrections(solution: TracerSolution) -> dict[str, Any]:
-    """Return by what the targets were corrected; nothing where they are taken as known."""
-    if solution.printed is not None:
-        return {}
-    fit, n = solution.found.fit, solution.grid.targets.size
-    begin = sum(list(fit.model.blocks.values())[:4])
-    rows = np.eye(n, len(fit.x), begin)
-    std = solution.found.scale * np.sqrt(np.maximum(fit.kernel.variances(rows), 0.0))
-    return {
-        "target_corrections": solution.targets - solution.grid.targets,
-        "target_corrections_std": std.reshape(-1, 3),
-    }
-
-
 def _zeros(solution: TracerSolution) -> dict[str, Any]:
     """Return the zeros of segments, their walk per length that was used, m, and slips."""
     if solution.problem.segment is None:
         return {}
     slips = solution.slips
     return {
-        "segments": _segments(solution),
+        "segments": segments_of(solution.found, solution.lengths, solution.grid),
         "zero_walk_std": solution.supposed.walk,
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
     }
 
 
-def _segments(solution: TracerSolution) -> list[dict[str, Any]]:
-    """Return one entry per unbroken beam, in the order of time.
-
-    ``zero``, ``std``: range at reading zero where it begins, m. ``step``, ``step_std``: the zero
-    less that at the end of the one before, as stations and targets that both have measured show
-    it, m; ``probability``: how likely it would be if the zero had stayed.
-    """
-    fit, lengths = solution.found.fit, solution.posed.lengths
-    assert solution.grid.segment_ids is not None
-    count = fit.model.blocks["zero"]
-    begin = sum(list(fit.model.blocks.values())[:3])
-    rows = np.eye(count, len(fit.x), begin)
-    covariance = solution.found.scale**2 * (rows @ fit.kernel.times(rows.T))
-    beam = lengths.zero
-    in_time = np.lexsort((lengths.order, beam))
-    last = np.append(np.flatnonzero(np.diff(beam[in_time])), len(in_time) - 1)
-    first = np.append(0, last[:-1] + 1)
-    walks = bool(solution.supposed.walk)
-    value = (lengths.zeros[beam[in_time]] if walks else lengths.zeros) + fit.x[
-        begin : begin + count
-    ]
-    ends = (first, last) if walks else (np.arange(len(first)), np.arange(len(first)))
-    found: list[dict[str, Any]] = []
-    before: int | None = None
-    for k in np.argsort(lengths.order[in_time[first]], kind="stable").tolist():
-        zero, at_end = int(ends[0][k]), int(ends[1][k])
-        used = fit.used[: len(beam)][beam == beam[in_time[first[k]]]]
-        entry = {
-            "segment": int(solution.grid.segment_ids[beam[in_time[first[k]]]]),
-            "lengths": int(used.sum()),
-            "zero": float(value[zero]),
-            "std": float(np.sqrt(covariance[zero, zero])),
-        }
-        if before is not None:
-            step = float(value[zero] - value[before])
-            variance = float(covariance[zero, zero] + covariance[before, before]
-                             - 2.0 * covariance[before, zero])  # fmt: skip
-            entry |= {
-                "step": step, "step_std": float(np.sqrt(variance)),
-                "probability": chi2_sf(step**2 / variance, 1.0),
-            }  # fmt: skip
-        found.append(entry)
-        before = at_end
-    return found
-
-
-@dataclass(frozen=True, slots=True)
-class Returned:
-    """How nearly the tracer came back to a place of its circle after whole turns of the table.
+def _returned(solution: TracerSolution) -> list[dict[str, Any]]:
+    """Return how nearly the tracer came back to its circle after whole turns of the table.
 
     Table positions ``first`` and ``last`` stand at the same angle; along the circle their stations
     lie apart by less than ``within`` (m), with 95 %.
     """
-
-    first: int
-    last: int
-    within: float
-
-
-def returned(solution: TracerSolution) -> tuple[Returned, ...]:
-    """Return what each closing measurement bounds; empty where no angle comes twice."""
     covariance = solution.covariance
     # without the error motion: that is searched for
     budget = 2.0 * (solution.error_motion.used / solution.motion.radius) ** 2
@@ -447,43 +331,8 @@ def returned(solution: TracerSolution) -> tuple[Returned, ...]:
     for c in closures(solution.table_angles, solution.deviations, covariance, solution.positions):
         std = float(np.sqrt(max(c.std**2 - budget, 0.0)))
         within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
-        found.append(Returned(c.first, c.last, within))
-    return tuple(found)
-
-
-def tangential_protection(
-    radius: float,
-    *,
-    alike: str,
-    of: str = "",
-    beside: str = "",
-    within: float | None,
-    shown: str,
-    untested: str,
-) -> Protection:
-    """Return the statement about a tracer that moves along its circle between the angles.
-
-    All its lengths are those of a table that turned further: none can show it, and an angle that
-    was measured again bounds only what does not come back with the angle. ``radius`` (m) of the
-    circle; ``alike``: what else looks like it, ``of`` which deviation the angle is, ``beside``:
-    what else is said. ``within`` (m): how near the tracer came back, 95 %, as ``shown``; None:
-    that is ``untested``.
-    """
-    why = (
-        f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
-        f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{of}"
-    )
-    bound = (
-        "no angle was measured again, which would bound what of it does not come back with "
-        f"{untested}"
-    )
-    if within is not None:
-        bound = (
-            f"what of it does not come back with the angle is less than {within / MICROMETRE:.2g} "
-            f"um, {within / radius / ARCSEC:.2g} arcsec (95 %, {shown})"
-        )
-    why = "; ".join(filter(None, (why, beside, bound)))
-    return Protection("tangential motion", "not protected", why)
+        found.append({"first": c.first, "last": c.last, "within": within})
+    return found
 
 
 def _protections(solution: TracerSolution) -> Iterator[Protection]:
@@ -504,17 +353,17 @@ def _protections(solution: TracerSolution) -> Iterator[Protection]:
     yield _repeatability(solution, arrivals)
     if solution.slips is not None:
         yield solution.slips.protection()
-    nearest = max(returned(solution), key=lambda each: each.within, default=None)
+    nearest = max(_returned(solution), key=lambda each: each["within"], default=None)
     drift = ", or a machine whose origin drifts in step with each turn of the table,"
     yield tangential_protection(
         solution.motion.radius,
         alike=drift if arrivals > 1 else "",
         beside=f"the uncertainty holds {motion.used / MICROMETRE:.2g} um (k = 1), which is "
         "believed and not measured",
-        within=None if nearest is None else nearest.within,
+        within=None if nearest is None else nearest["within"],
         shown=""
         if nearest is None
-        else f"positions {nearest.first} and {nearest.last}, at the same angle",
+        else f"positions {nearest['first']} and {nearest['last']}, at the same angle",
         untested="the angle",
     )
 

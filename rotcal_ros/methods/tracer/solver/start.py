@@ -4,10 +4,9 @@ With r = d + l the squared range |x - P|^2 = (d + l)^2 turns into
 
     |x|^2 - l^2 = 2 x . P + 2 l d - s,      s = |P|^2 - d^2,
 
-which is linear in (P, d, s): five unknowns, one row per target. Without gaps all stations share
-four of the five columns, so that d and P follow from one small eigenproblem for all of them.
-Targets in one plane leave one direction of the five free; the definition of s then is a
-quadratic equation along it, whose two roots are the tracer and its mirror image in that plane.
+which is linear in (P, d, s): five unknowns, one row per target. Targets in one plane leave one
+direction of the five free; the definition of s then is a quadratic equation along it, whose two
+roots are the tracer and its mirror image in that plane.
 
 That finds a station with five lengths from one zero. Stations that share zeros, or have fewer
 lengths, are found together, at the commanded angles of one circle: linearly, and then with the
@@ -49,8 +48,6 @@ def start_candidates(targets: Floats, length: Floats, used: Bools) -> Floats:
     One candidate (c = 1) where the targets determine all stations linearly; otherwise three: the
     linear solution and both roots along the free direction. Metres.
     """
-    if used.all() and (shared := _without_gaps(targets, length)) is not None:
-        return shared[None]
     centre = targets.mean(axis=0)
     scale = float(np.abs(targets - centre).max()) or 1.0
     points = (targets - centre) / scale
@@ -70,33 +67,6 @@ def start_candidates(targets: Floats, length: Floats, used: Bools) -> Floats:
     start = np.stack(candidates)[:, :, :4] * scale
     start[..., :3] += centre
     start[..., 3] -= zero
-    return start
-
-
-def _without_gaps(targets: Floats, length: Floats) -> Floats | None:
-    """Return start values (m, 4) of stations that all see all targets; None if nearly flat.
-
-    The part of l that no linear function of x explains determines d, the rest then determines P.
-    """
-    centre = targets.mean(axis=0)
-    points = targets - centre
-    spread, axes = np.linalg.eigh(points.T @ points)
-    if spread[0] < NEARLY_FLAT**2 * spread[2]:
-        return None
-    to_place = axes / np.sqrt(spread)
-    basis = points @ to_place
-    zero = length.mean(axis=1, keepdims=True)
-    reading = length - zero
-    right = (points * points).sum(axis=1) - reading * reading
-    right -= right.mean(axis=1, keepdims=True)
-    curved = reading - (reading @ basis) @ basis.T
-    bend = np.einsum("ji,ji->j", curved, curved)
-    if (bend < NEARLY_FLAT**2 * np.einsum("ji,ji->j", reading, reading)).any():
-        return None
-    twice = np.einsum("ji,ji->j", curved, right)[:, None] / bend[:, None]
-    start = np.empty((len(length), 4))
-    start[:, :3] = centre + 0.5 * ((right - twice * reading) @ basis) @ to_place.T
-    start[:, 3:] = 0.5 * twice - zero
     return start
 
 
@@ -197,7 +167,7 @@ def _find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tupl
     """
     ambiguous = False
     if given is None:
-        fullest = _fullest_strips(grid)
+        fullest = fullest_strips(grid)
         if (fullest.used.sum(axis=1) >= STATION_MINIMUM).all():
             state, ambiguous = find_start(fullest, None)
             given = _unbent(fullest, state)[:, :3]
@@ -216,7 +186,7 @@ def with_zeros(grid: Grid, standing: Floats) -> Floats:
     return np.column_stack([standing, (total / np.maximum(weight, 1e-300))[zero]])
 
 
-def _fullest_strips(grid: Grid) -> Grid:
+def fullest_strips(grid: Grid) -> Grid:
     """Return the grid of the fullest strip of each station, each with a zero of its own."""
     order = np.lexsort((-grid.used.sum(axis=1), grid.station))
     best = order[np.unique(grid.station[order], return_index=True)[1]]

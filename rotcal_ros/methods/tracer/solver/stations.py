@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.closures import closures, difference_variance
+from rotcal_ros.adjust.closures import Closure, closures, difference_variance
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.model import Model, linear
@@ -22,7 +22,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import Protection, ordered
 from rotcal_ros.foundation.results import ErrorMotion, Placement, Result, Zeros
-from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import UM, WORDS
 from rotcal_ros.methods.tracer.solver.circle import (
     ABSORBED,
@@ -31,11 +31,10 @@ from rotcal_ros.methods.tracer.solver.circle import (
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.posed import ERROR_MOTION, with_motion
+from rotcal_ros.methods.tracer.solver.reporting import tangential_protection
 from rotcal_ros.methods.tracer.solver.solve import (
     METHOD,
     circle_details,
-    doubt_closure,
-    tangential_protection,
 )
 
 EXACT: Final = 1e-10
@@ -86,7 +85,7 @@ def solve(problem: StationProblem) -> Result:
     closing = closures(problem.table_angles, motion.cumulative, covariance, problem.positions)
     warnings = (
         *((_doubt(motion, error_motion),) if contradicted else ()),
-        *(doubt_closure(c) for c in closing if c.open(problem.significance)),
+        *(_doubt_closure(c) for c in closing if c.open(problem.significance)),
     )
     return Result(
         method=METHOD,
@@ -170,6 +169,15 @@ def _doubt(motion: TableMotion, found: ErrorMotion) -> str:
         f"the stations leave their circle by {radial:.2g} um radially ({found.dof} residuals), "
         f"more than the stated {(found.stated or 0.0) / MICROMETRE:.2g} um explain: "
         f"{found.used / MICROMETRE:.2g} um are used in its place"
+    )
+
+
+def _doubt_closure(closure: Closure) -> str:
+    """Return the sentence about a closure that is larger than its uncertainty allows."""
+    return (
+        f"stations {closure.first} and {closure.last} stand at the same table angle but differ by "
+        f"{closure.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
+        f"{closure.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
     )
 
 

@@ -4,14 +4,13 @@
 those before it:
 
 * :mod:`.problem`: lengths as they are given, and in their places;
-* :mod:`.curves`: six curves from the poses of a table, in the frames that define them;
-* :mod:`.start`: poses, places and zeros to start from;
+* :mod:`.poses`: those of the table to start from, and six curves in the frames that define them;
 * :mod:`.model`: the lengths, and what could spoil them, as a model of the engine;
 * :mod:`.solve`: its solution, what only the method can say of it, and the result.
 """
 
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.solve import METHOD, SixTrials, adjust, solve
+from rotcal_ros.methods.tracer_six.solver.solve import METHOD, adjust, solve
 
-__all__ = ["METHOD", "SixProblem", "SixTrials", "TracerSixSolverSettings", "adjust", "solve"]
+__all__ = ["METHOD", "SixProblem", "TracerSixSolverSettings", "adjust", "solve"]

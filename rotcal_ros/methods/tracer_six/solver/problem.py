@@ -1,28 +1,26 @@
 """What the six-deviations method is asked, and its lengths as a grid of stations by targets.
 
 A tracer stood at several places. A station is one arrival of the table at a position in one run.
-On the tracer's grid the stations are its positions, so that its checks of units, repetitions and
-plausibility hold here too.
 """
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, TypeAlias, get_args
+from typing import Final, get_args
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
-from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.columns import indices, matrix, require
 from rotcal_ros.methods.tracer.solver.problem import (
     Grid,
     LengthProblem,
-    TracerProblem,
     arrange,
+    indices,
+    matrix,
+    require,
+    station_minimum,
 )
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
 
@@ -87,6 +85,46 @@ class SixProblem(LengthProblem):
         self._store("place", indices("place", self.place, len(places), k))
         self._store_numbers("arrival")
 
+    @cached_property
+    def _stations(self) -> tuple[Ints, Ints]:
+        """Place, position and arrival of each station (v, 3), and the station of each row (k,)."""
+        arrival = np.zeros_like(self.place) if self.arrival is None else self.arrival
+        columns = np.column_stack([self.place, self.position, arrival])
+        stations, row = np.unique(columns, axis=0, return_inverse=True)
+        return stations, row.ravel()
+
+    @property
+    def stations(self) -> Ints:
+        """Place, position and arrival of each station (v, 3)."""
+        return self._stations[0]
+
+    @property
+    def station(self) -> Ints:
+        """At which station each length (k,) was taken."""
+        return self._stations[1]
+
+    @property
+    def counted(self) -> Ints:
+        """Numbers (k,) of what shares a zero: a segment, a station or a run."""
+        if self.segment is not None:
+            return self.segment
+        return self.station if self.zero == "per_station" else self.place
+
+    @property
+    def own_zero(self) -> bool:
+        """Whether each station has a zero to itself."""
+        return self.zero == "per_station"
+
+    @property
+    def station_minimum(self) -> int:
+        """How many lengths a station needs: as many as one that stands alone has unknowns."""
+        return station_minimum(own_zero=True, on_circle=False)
+
+    def station_name(self, station: int | np.integer) -> str:
+        """Return what a station is, for messages."""
+        place, position, _ = self.stations[station]
+        return f"place {place}, position {position}"
+
     @property
     def measuring_order(self) -> Ints:
         """When each length (k,) was taken: ``order``, or else run by run and angle by angle."""
@@ -100,18 +138,12 @@ IN_A_LINE: Final = 0.02
 """Places whose extent across their longest direction is below this share lie in a line."""
 
 
-_Arranged: TypeAlias = tuple[Grid, dict[int, str]]
-
-
 @dataclass(frozen=True, eq=False)
 class StationLayout:
-    """V stations by n targets: ``grid``, whose positions are the stations, and what they share.
+    """A ``grid`` of a problem, and where its V stations are.
 
     ``position``, ``place`` (V,): indices into ``angles`` (m,) rad and ``places`` (p, 3) m, which
     are those in use; ``position_ids`` (m,), ``place_ids`` (p,): their indices in the problem.
-    ``zero`` (V, n): which of ``n_zeros`` a length has, 0 where there is none; ``offset``
-    (n_zeros,), m: by how much the lengths of each are longer here than in the problem, so that
-    those of a place differ by centimetres only.
     """
 
     grid: Grid
@@ -121,37 +153,6 @@ class StationLayout:
     places: Floats
     position_ids: Ints
     place_ids: Ints
-    zero: Ints
-    offset: Floats
-
-    @property
-    def n_zeros(self) -> int:
-        """The number of zeros."""
-        return len(self.offset)
-
-    @cached_property
-    def most(self) -> Bools:
-        """The lengths (V, n) that have the commonest zero of their station."""
-        if (self.zero == self.zero[:, :1]).all():
-            return self.grid.used
-        pair = np.arange(len(self.zero))[:, None] * self.n_zeros + self.zero
-        count = np.bincount(pair[self.grid.used], minlength=len(self.zero) * self.n_zeros)
-        most_frequent = np.argmax(count.reshape(len(self.zero), -1), axis=1)
-        return np.asarray(self.grid.used & (self.zero == most_frequent[:, None]))
-
-    @cached_property
-    def by_place(self) -> Floats:
-        """Adds up stations by place, (p, V)."""
-        return np.asarray(self.place == np.arange(len(self.places))[:, None], dtype=np.float64)
-
-    def station_name(self, station: int) -> str:
-        """Return what a station is, for messages."""
-        place = self.place_ids[self.place[station]]
-        return f"place {place}, position {self.position_ids[self.position[station]]}"
-
-    def named(self, text: str) -> str:
-        """Return a text with the stations called by their names."""
-        return renamed(text, dict(enumerate(map(self.station_name, range(len(self.position))))))
 
 
 def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
@@ -161,18 +162,17 @@ def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
     lengths and wrong units.
     """
     _check_places(problem, np.unique(problem.place))
-    problem, offset = _aligned(problem)
-    stations, row_station = _stations(problem)
-    grid, why = _arranged(problem, stations, row_station, np.arange(len(problem.length)))
-    while poor := _poor(problem, grid, stations):
-        why |= poor
-        rows = np.setdiff1d(grid.row[grid.row >= 0], list(poor))
-        grid, more = _arranged(problem, stations, row_station, rows)
-        why |= more
-    _check_places(problem, np.unique(stations[grid.position_ids, 0]))
-    place_ids, place = np.unique(stations[grid.position_ids, 0], return_inverse=True)
-    position_ids, position = np.unique(stations[grid.position_ids, 1], return_inverse=True)
-    zero, offset = _zeros(problem, grid, place, offset)
+    why, poor = dict[int, str](), dict[int, str]()
+    while True:
+        grid, absent = arrange(problem, poor)
+        why |= absent.repeated | absent.unfit | absent.spare
+        if not (more := _poor(problem, grid)):
+            break
+        poor |= more
+    stations = problem.stations[grid.position_ids]
+    place_ids, place = np.unique(stations[:, 0], return_inverse=True)
+    position_ids, position = np.unique(stations[:, 1], return_inverse=True)
+    _check_places(problem, place_ids)
     layout = StationLayout(
         grid=grid,
         position=position,
@@ -181,102 +181,17 @@ def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
         places=problem.places[place_ids],
         position_ids=position_ids,
         place_ids=place_ids,
-        zero=zero,
-        offset=offset,
     )
-    return layout, why
+    return layout, why | poor
 
 
-def renamed(text: str, names: dict[int, str]) -> str:
-    """Return a text of the tracer's with its stations called by their ``names``."""
-    return re.sub(r"\bstation (\d+)", lambda found: names[int(found[1])], text)
-
-
-def _stations(problem: SixProblem) -> tuple[Ints, Ints]:
-    """Return place, position and arrival of each station (V, 3), and the station of each row."""
-    arrival = np.zeros_like(problem.place) if problem.arrival is None else problem.arrival
-    columns = np.column_stack([problem.place, problem.position, arrival])
-    stations, row_station = np.unique(columns, axis=0, return_inverse=True)
-    return stations, row_station.ravel()
-
-
-def _as_tracer(
-    problem: SixProblem, stations: Ints, row_station: Ints, rows: Ints
-) -> TracerProblem:
-    return TracerProblem(
-        position=row_station[rows],
-        target=problem.target[rows],
-        length=problem.length[rows],
-        length_std=problem.length_std[rows],
-        targets=problem.targets,
-        target_std=problem.target_std,
-        table_angles=problem.table_angles[stations[:, 1]],
-        variant="joint",
-        datum=problem.datum,
-        settings=problem.settings,
-    )
-
-
-def _aligned(problem: SixProblem) -> tuple[SixProblem, Floats]:
-    """Return ``problem`` with all segments of a place counted from about the zero of the first.
-
-    And by how much each length (k,) has become longer, m. A counter that starts anew may read
-    metres less; the nominal places show that to the centimetre.
-    """
-    offset = np.zeros(len(problem.length))
-    if problem.segment is None:
-        return problem, offset
-    turn = rotation_about_z(problem.table_angles)[problem.position]
-    station = (turn @ problem.places[problem.place][:, :, None])[:, :, 0]
-    distance = np.linalg.norm(problem.targets[problem.target] - station, axis=1)
-    for place in np.unique(problem.place):
-        here = problem.place == place
-        segments = np.unique(problem.segment[here])
-        zeros = [
-            float(np.median((distance - problem.length)[here & (problem.segment == segment)]))
-            for segment in segments
-        ]
-        for segment, zero in zip(segments[1:], zeros[1:], strict=True):
-            offset[here & (problem.segment == segment)] = zero - zeros[0]
-    return replace(problem, length=problem.length + offset), offset
-
-
-def _zeros(problem: SixProblem, grid: Grid, place: Ints, offset: Floats) -> tuple[Ints, Floats]:
-    """Return the zero (V, n) of each length, and the ``offset`` (k,) of the rows by zero (s,)."""
-    shape = grid.used.shape
-    if problem.segment is None:
-        per_station = problem.zero == "per_station"
-        own = np.arange(shape[0]) if per_station else place
-        return np.broadcast_to(own[:, None], shape), np.zeros(int(own.max()) + 1)
-    there = grid.row >= 0
-    rows = grid.row[there]
-    _, first, inverse = np.unique(problem.segment[rows], return_index=True, return_inverse=True)
-    zero = np.zeros(shape, dtype=np.int64)
-    zero[there] = inverse
-    # a place of the grid without a length belongs to a zero that its station has anyway
-    some = zero[np.arange(shape[0]), np.argmax(there, axis=1)]
-    return np.where(there, zero, some[:, None]), offset[rows[first]]
-
-
-def _arranged(problem: SixProblem, stations: Ints, row_station: Ints, rows: Ints) -> _Arranged:
-    """Return the grid of some rows of ``problem``, and why others of them have no place."""
-    names = {s: f"place {k}, position {i}" for s, (k, i, _) in enumerate(stations.tolist())}
-    try:
-        grid, absent = arrange(_as_tracer(problem, stations, row_station, rows))
-    except DataError as error:
-        raise DataError(renamed(str(error), names)) from None
-    grid = replace(grid, row=np.where(grid.row >= 0, rows[grid.row], -1))
-    why = absent.repeated | absent.unfit | absent.spare
-    return grid, {int(rows[row]): renamed(text, names) for row, text in why.items()}
-
-
-def _poor(problem: SixProblem, grid: Grid, stations: Ints) -> dict[int, str]:
+def _poor(problem: SixProblem, grid: Grid) -> dict[int, str]:
     """Return why rows of ``grid`` are of no use: too few places at their position."""
     why = {}
-    positions = stations[grid.position_ids, 1]
+    place, positions, _ = problem.stations[grid.position_ids][grid.station].T
     for position in np.unique(positions).tolist():
         here = positions == position
-        seen = np.unique(stations[grid.position_ids[here], 0])
+        seen = np.unique(place[here])
         if lost_direction(problem.places[seen]) is None:
             continue
         if problem.tilt_std is not None and len(seen) > 1:

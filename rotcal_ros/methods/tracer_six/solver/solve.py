@@ -7,16 +7,15 @@ into the table, positions without a result.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.diagnosis import Limits
-from rotcal_ros.adjust.distributions import chi2_sf
-from rotcal_ros.adjust.engine import Adjusted
+from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.adjust.model import CurveModel
@@ -25,27 +24,26 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import Protection
-from rotcal_ros.foundation.raw_data import RawData
-from rotcal_ros.foundation.results import Placement, Rejection, Residuals, Result, Verdict
+from rotcal_ros.foundation.results import Placement, Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
+from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 from rotcal_ros.methods.tracer.solver.observability import (
     Numbering,
+    limits_of,
     or_prior,
     told_of_a_turned_sign,
 )
-from rotcal_ros.methods.tracer.solver.reported import (
-    Slope,
-    WeighedSolution,
-    noticed,
-    scatter_along,
-    weigh,
+from rotcal_ros.methods.tracer.solver.reported import Reported, along_beams, nearest, weighed
+from rotcal_ros.methods.tracer.solver.reporting import (
+    corrections,
+    of_all_rows,
+    segments_of,
+    tangential_protection,
 )
-from rotcal_ros.methods.tracer.solver.solve import tangential_protection
-from rotcal_ros.methods.tracer_six.solver.curves import Curves, table_curves
-from rotcal_ros.methods.tracer_six.solver.model import SixLengths, model_of
+from rotcal_ros.methods.tracer_six.solver.model import lengths_of, model_of
+from rotcal_ros.methods.tracer_six.solver.poses import Curves, find_start, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out
-from rotcal_ros.methods.tracer_six.solver.start import find_start
 
 METHOD = "tracer_six"
 STEEP: Final = 45.0 * DEGREE
@@ -62,14 +60,15 @@ CURE: Final = (
 class SixSolution:
     """A solved problem: the ``lengths`` in its ``layout``, and what the engine ``found``.
 
-    ``absent``: why rows have no place in it.
+    ``absent``: why rows have no place in it. ``reported``: what was made of reported places.
     """
 
     problem: SixProblem
     layout: StationLayout
-    lengths: SixLengths
+    lengths: CarriedLengths
     found: Adjusted
     absent: dict[int, str]
+    reported: Reported | None = None
 
     def part(self, block: str) -> Floats:
         """Return the solved unknowns of a block; of poses and points (k, 3)."""
@@ -96,11 +95,6 @@ class SixSolution:
         return np.asarray(self.lengths.targets + self.part("target"))
 
     @property
-    def zeros(self) -> Floats:
-        """The zeros (s,) of the counter as the lengths of the problem have them, m."""
-        return np.asarray(self.lengths.zeros + self.part("zero") + self.layout.offset)
-
-    @property
     def positions(self) -> Ints:
         """The table positions (m,) that have a result."""
         return self.layout.position_ids
@@ -109,30 +103,10 @@ class SixSolution:
         """Return the six curves (6, m), m and rad."""
         return np.concatenate([self.curves.translation.T, self.curves.rotation.T])
 
-    def covariance_among(self, block: str) -> Floats:
-        """Return the covariance of a block's unknowns, or of the points that they move, m^2."""
-        rows = self.lengths.picked(block).toarray()
-        if block == "target" and self.lengths.target_ways is not None:
-            rows = self.lengths.target_ways @ rows
-        rows = np.pad(rows, ((0, 0), (0, len(self.found.fit.x) - rows.shape[1])))
-        return np.asarray(self.found.scale**2 * rows @ self.found.fit.kernel.times(rows.T))
-
     @property
-    def trials(self) -> SixTrials:
-        """Draws measurements like the given one."""
-        return SixTrials(self)
-
-
-@dataclass(frozen=True, eq=False)
-class SixTrials:
-    """Draws the curves of measurements like that of a ``solution``, (count, 6 m)."""
-
-    solution: SixSolution
-
-    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles."""
-        drawn = self.solution.found.trials(rng, count) - self.solution.found.value
-        return np.asarray(self.solution.deviations().ravel() + drawn)
+    def trials(self) -> Trials:
+        """Draws the curves of measurements like the given one, (count, 6 m)."""
+        return replace(self.found.trials, value=self.deviations().ravel())
 
 
 def adjust(problem: SixProblem) -> SixSolution:
@@ -146,17 +120,27 @@ def adjust(problem: SixProblem) -> SixSolution:
 
 def _adjusted(problem: SixProblem) -> SixSolution:
     layout, absent = lay_out(problem)
-    lengths = SixLengths.of(problem, layout, find_start(layout))
-    settings = problem.settings
-    limits = Limits(
-        settings.rejection_significance, settings.noise_significance, settings.max_rejected_share
-    )
-    try:
-        found = adjusted(model_of(problem, lengths), limits)
-    except ObservabilityError as error:
-        raise ObservabilityError(f"{error}: {CURE}{or_prior(free=layout.grid.free)}") from None
-    solution = SixSolution(problem, layout, lengths, found, absent)
-    _check_curves(solution, settings.max_station_std)
+    lengths = lengths_of(problem, layout, find_start(problem, layout))
+    along = along_beams(lengths, problem.moved)
+
+    def solved(weight: float, left: float = 0.0) -> SixSolution:
+        moved = lengths
+        if along is not None:
+            observed, std = lengths.observed - weight * along, np.hypot(lengths.std, left)
+            moved = replace(lengths, observed=observed, std=std)
+        try:
+            found = adjusted(model_of(problem, layout, moved), limits_of(problem.settings))
+        except ObservabilityError as error:
+            advice = f"{CURE}{or_prior(free=layout.grid.free)}"
+            raise ObservabilityError(f"{error}: {advice}") from None
+        return SixSolution(problem, layout, moved, found, absent)
+
+    weight = 1.0
+    if along is not None:
+        weight = nearest(model_of(problem, layout, lengths), along)
+    solution, reported = weighed(solved(weight), weight, lengths, along, solved)
+    solution = replace(solution, reported=reported)
+    _check_curves(solution, problem.settings.max_station_std)
     return solution
 
 
@@ -191,8 +175,8 @@ def solve(problem: SixProblem) -> Result:
 
 def result_of(solution: SixSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
-    problem, layout, lengths = solution.problem, solution.layout, solution.lengths
-    m, row = len(layout.angles), lengths.row
+    layout, lengths, problem = solution.layout, solution.lengths, solution.problem
+    m, reported = len(layout.angles), solution.reported
     numbering, upward = _numbering(solution), Upward.of(solution)
     plain = solution.found.result(
         METHOD,
@@ -206,46 +190,22 @@ def result_of(solution: SixSolution) -> Result:
         further=False,
     )
     verdict, warnings = upward.judged(*numbering.judged(plain.verdict, plain.warnings))
-    gone = solution.absent | {int(row[r.index]): layout.named(r.why) for r in plain.rejected}
-    influence = plain.raw_data.influence
-    if influence is not None:
-        influence = replace(influence, rows=row[influence.rows])
+    if reported is not None and reported.warning:
+        warnings = (*warnings, reported.warning)
+
+    def named(text: str) -> str:
+        """Return a text of the engine with the stations called by their names."""
+        return re.sub(r"\bstation (\d+)", lambda at: problem.station_name(int(at[1])), text)
+
+    every = of_all_rows(plain, problem, lengths, solution.absent)
     return replace(
-        plain,
+        every,
         deviations=dict(zip(COMPONENTS, solution.deviations(), strict=True)),
-        n_observations=len(problem.length),
-        rejected=tuple(Rejection(k, why) for k, why in sorted(gone.items())),
+        rejected=tuple(replace(r, why=named(r.why)) for r in every.rejected),
         verdict=verdict,
-        warnings=tuple(map(layout.named, warnings)),
-        protections=tuple(replace(p, why=layout.named(p.why)) for p in plain.protections),
-        residuals=_residuals(problem, row, plain.residuals),
-        raw_data=RawData(influence=influence),
+        warnings=tuple(map(named, warnings)),
+        protections=tuple(replace(p, why=named(p.why)) for p in plain.protections),
         placement=Placement.upwards(solution.curves.origin, solution.curves.axes[:, 2]),
-    )
-
-
-def _residuals(problem: SixProblem, row: Ints, found: Residuals | None) -> Residuals | None:
-    """Return residuals of all lengths of a problem, of which those of ``row`` (k,) were solved."""
-    if found is None:
-        return None
-    count = len(problem.length)
-
-    def every(values: Floats, otherwise: Floats | float) -> Floats:
-        column = np.full(count, otherwise, dtype=np.float64)
-        column[row] = values
-        return column
-
-    used = np.zeros(count, dtype=np.bool_)
-    used[row] = found.used
-    return replace(
-        found,
-        table_position=problem.position,
-        target=problem.target,
-        residual=every(found.residual, np.nan),
-        redundancy=every(found.redundancy, 0.0),
-        test_value=every(found.test_value, 0.0),
-        used=used,
-        std=None if found.std is None else every(found.std, problem.length_std),
     )
 
 
@@ -332,9 +292,10 @@ def _returned(solution: SixSolution, radius: float) -> float | None:
         side[first[which[later]]] = -0.5
         if solution.found.found_effects:  # a drift that was taken off may be just that
             fit = fitted(fit.model, fit.used, fit.std, fit.x)
-        unit, arm = lengths.at_start
+        arm = lengths.stands(lengths.start)[1] @ lengths.axes.T
         along = np.cross([0.0, 0.0, 1.0], arm) / np.hypot(arm[:, 0], arm[:, 1])[:, None]
-        felt = np.pad((unit * along).sum(axis=1) * side[lengths.station], (0, len(fit.std)))
+        felt = -(lengths.toward * along).sum(axis=1) * side[lengths.station]
+        felt = np.pad(felt, (0, len(fit.std)))
         seen = observable_by(fit, felt[: len(fit.std), None])
         size = float(seen.score[0] / seen.information[0, 0])
         each.append((size, solution.found.scale / float(np.sqrt(seen.information[0, 0]))))
@@ -348,59 +309,24 @@ def _details(solution: SixSolution) -> dict[str, Any]:
     the problem's; ``axis``: where the axis meets the machine's z = 0, and its direction.
     """
     problem, curves, grid = solution.problem, solution.curves, solution.layout.grid
-    moved, covariance = solution.part("target"), solution.covariance_among("target")
-    std = np.sqrt(covariance.diagonal()).reshape(moved.shape)
+    found, lengths, places = solution.found, solution.lengths, solution.layout.place_ids
+    reported = solution.reported
     return {
         "datum": problem.datum,
         "zero": problem.zero,
         "position_ids": solution.positions,
-        "place_ids": solution.layout.place_ids,
+        "place_ids": places,
         "places": solution.places,
-        "zeros": solution.zeros,
-        "segments": segment_report(solution),
+        "zeros": lengths.zeros + solution.part("zero"),
+        "segments": [] if problem.segment is None else segments_of(found, lengths, grid, places),
         "target_ids": grid.target_ids,
         "targets": solution.targets,
-        "target_corrections": moved,
-        "target_corrections_std": std,
+        **corrections(found, lengths),
         "axis": {"origin": curves.origin, "direction": curves.axes[:, 2]},
         "coverage_factor": HALF_OF_95_PERCENT,
-        "covariance_scale": solution.found.scale,
+        "covariance_scale": found.scale,
+        **({} if reported is None else {"reported_places": asdict(reported)}),
     }
-
-
-def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
-    """Return one entry per segment, in the order of time; none where no segments are given.
-
-    ``segment``: its number in the problem; ``place_id``: where the tracer stood; ``zero``,
-    ``std``: range at reading zero, m. Behind another segment of the same place also ``step``,
-    ``step_std``: the zero less that of the segment before, as the rigid table and all targets
-    show it, m; ``probability``: how likely it would be if the zero had stayed.
-    """
-    lengths, segment = solution.lengths, solution.problem.segment
-    if segment is None:
-        return []
-    covariance, zero, used = solution.covariance_among("zero"), lengths.zero, _used(solution)
-    begins = {z: int(lengths.order[zero == z].min()) for z in np.unique(zero).tolist()}
-    found, before = [], dict[int, int]()
-    for z in sorted(begins, key=begins.__getitem__):
-        any_of_it = int(np.argmax(zero == z))
-        place = int(lengths.place[any_of_it])
-        entry = {
-            "segment": int(segment[lengths.row[any_of_it]]),
-            "place_id": int(solution.layout.place_ids[place]),
-            "lengths": int(used[zero == z].sum()),
-            "zero": float(solution.zeros[z]),
-            "std": float(np.sqrt(covariance[z, z])),
-        }
-        if place in before:
-            step = float(solution.zeros[z] - solution.zeros[before[place]])
-            (a, b), (_, c) = covariance[np.ix_([before[place], z], [before[place], z])].tolist()
-            variance = a + c - 2.0 * b
-            chance = chi2_sf(step**2 / variance, 1.0)
-            entry |= {"step": step, "step_std": float(np.sqrt(variance)), "probability": chance}
-        found.append(entry)
-        before[place] = z
-    return found
 
 
 def _used(solution: SixSolution) -> Bools:
@@ -462,42 +388,9 @@ class Upward:
         )
 
 
-def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolution[SixSolution]:
-    """Solve a problem with each length as it would be at the mean place of its target.
-
-    ``along`` (k,): how much longer the machine said that each length was, m; believed as far as
-    the lengths follow it (:mod:`rotcal_ros.methods.tracer.solver.reported`).
-    """
-
-    def moved(weight: float, left: float) -> SixSolution:
-        length_std = np.hypot(problem.length_std, left)
-        length = problem.length - weight * along
-        return adjust(replace(problem, length=length, length_std=length_std))
-
-    if not noticed(along, problem.length_std):
-        return WeighedSolution(moved(1.0, 0.0), None)
-    scatter = scatter_along(along, problem.target)
-    return weigh(adjust(problem), moved, lambda solution: slope_along(solution, along), scatter)
-
-
-def slope_along(solution: SixSolution, errors: Floats) -> Slope:
-    """Return what the residuals of a solution say of ``errors`` (k,), m, row by row."""
-    fit, row, noise = solution.found.fit, solution.lengths.row, solution.found.diagnosis.noise
-    column = np.zeros(len(fit.std))
-    column[: len(row)] = errors[row]
-    white = np.where(fit.used, column / fit.std, 0.0)
-    left = fit.left_of(white[:, None])[:, 0]
-    factor, excess = float(noise.factors[0]), 0.0
-    if factor > 1.0 and noise.estimated is not None:
-        beyond = noise.estimated.contradicted(solution.problem.settings.test_significance)
-        stated = float(np.median(solution.problem.length_std))
-        excess = stated * float(np.sqrt(factor**2 - 1.0)) if beyond[0] else 0.0
-    return Slope(float(white @ fit.white), float(left @ left), fit.chi2, fit.dof, excess)
-
-
 def curve_model(solution: SixSolution) -> CurveModel:
     """Return the model of a solution, to be solved with other instruments."""
     lengths, model = solution.lengths, solution.found.model
     every = np.eye(6 * len(solution.layout.angles), model.size[1]).reshape(2, -1, 3, model.size[1])
     curves = {name: every[k // 3, :, k % 3] for k, name in enumerate(COMPONENTS)}
-    return CurveModel(replace(model, outputs=every[0, :0, 0]), lengths.layout.angles, curves)
+    return CurveModel(replace(model, outputs=every[0, :0, 0]), lengths.angles, curves)

@@ -1,7 +1,11 @@
-"""Six curves of a table from its poses, in the frames in which they are defined.
+"""Poses of a table: to start from, and the six curves in the frames that define them.
 
 The deviations have no mean, and those across the axis no part that turns with the table: such
 parts are where the axis stands and leans, in the machine and in the table's own frame.
+
+Start values: stations by multilateration, then poses by rigid fits. Targets in one plane leave two
+images of each station; the nominal places show which is meant. A position without three of its
+stations starts at its commanded angle.
 """
 
 from __future__ import annotations
@@ -11,9 +15,16 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
+from rotcal_ros.geometry.rotations import align, rotation_about_z, rotation_from_vector
+from rotcal_ros.methods.tracer.solver.problem import STATION_MINIMUM
+from rotcal_ros.methods.tracer.solver.start import fullest_strips, start_candidates, with_zeros
+from rotcal_ros.methods.tracer_six.solver.problem import (
+    SixProblem,
+    StationLayout,
+    lost_direction,
+)
 
 GAUGE_STEPS: Final = 20
 """Steps to the gauge; each takes off all but the second order."""
@@ -21,6 +32,10 @@ ROUNDING: Final = 1e-15
 """Motion of the frames (rad or m) that is none."""
 TOO_FAR: Final = 0.05
 """Deviation (rad) from the commanded angles that no table has."""
+NEAR: Final = 0.05
+"""Distance (m) from its nominal place beyond which a multilaterated station is not believed."""
+ROUNDS: Final = 2
+"""Poses from places, then places from poses: each round takes nearly all that nominals lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +116,65 @@ def _check(c: Floats, angles: Floats) -> None:
             "in the right unit and in the order of the positions, that the machine's z is along "
             "the axis, and that its frame is right-handed"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class StartPoses:
+    """``rotation`` (m, 3, 3), ``translation`` (m, 3), m; ``places`` (p, 3), ``zeros`` (s,), m."""
+
+    rotation: Floats
+    translation: Floats
+    places: Floats
+    zeros: Floats
+
+
+def find_start(problem: SixProblem, layout: StationLayout) -> StartPoses:
+    """Return start values for ``layout``; raises DataError when places and lengths contradict."""
+    grid, about = layout.grid, rotation_about_z(layout.angles)
+    nominal = (about[layout.position] @ layout.places[layout.place][:, :, None])[:, :, 0]
+    alone = fullest_strips(grid)
+    found = start_candidates(grid.targets, alone.length, alone.used)[:, :, :3]
+    away = np.linalg.norm(found - nominal, axis=2)
+    best, each = np.argmin(away, axis=0), np.arange(len(nominal))
+    near = away[best, each] < NEAR
+    _check_near(problem, grid.position_ids, near | (alone.used.sum(axis=1) < STATION_MINIMUM),
+                away[best, each])  # fmt: skip
+    stations = np.where(near[:, None], found[best, each], nominal)
+    rotation, translation, places = about, np.zeros((len(about), 3)), layout.places
+    at_place = (layout.place == np.arange(len(places))[:, None]).astype(np.float64)
+    for _ in range(ROUNDS):
+        rotation, translation = _poses(layout, stations, near, places, about)
+        back = (stations - translation[layout.position])[:, None] @ rotation[layout.position]
+        # a place whose stations are all lost keeps its nominal one, which they then stand at
+        weight = at_place * np.where(near, 1.0, 1e-9)
+        places = (weight / weight.sum(axis=1, keepdims=True)) @ back[:, 0]
+    stands = (rotation[layout.position] @ places[layout.place][:, :, None])[:, :, 0]
+    stands = stands + translation[layout.position]
+    zeros = with_zeros(grid, stands[grid.station])[grid.first_of_zero, 3]
+    return StartPoses(rotation, translation, places, zeros)
+
+
+def _poses(
+    layout: StationLayout, stations: Floats, near: Bools, places: Floats, about: Floats
+) -> tuple[Floats, Floats]:
+    """Return rotations (m, 3, 3) and translations (m, 3) that take ``places`` to ``stations``."""
+    rotation, translation = about.copy(), np.zeros((len(about), 3))
+    for i in range(len(about)):
+        here = np.flatnonzero((layout.position == i) & near)
+        own = places[layout.place[here]]
+        if lost_direction(own) is None:
+            rotation[i], translation[i] = align(own, stations[here])
+    return rotation, translation
+
+
+def _check_near(problem: SixProblem, station: Ints, near: Bools, away: Floats) -> None:
+    if np.mean(near) > 0.5:
+        return
+    worst = int(np.argmax(away))
+    raise DataError(
+        f"{problem.station_name(station[worst])}: the lengths put the tracer {away[worst]:.3g} m "
+        f"from its nominal place, and {np.count_nonzero(~near)} of {len(near)} stations are "
+        f"farther than {NEAR:g} m: check the places, the numbering of the positions, the sense of "
+        "the table angles, and whether the targets are in the frame of the machine with z along "
+        "the axis"
+    )
