@@ -7,8 +7,8 @@ BIN := $(VENV)/bin
 DEMO := out/demo$(VENV:.venv%=%)
 # For CI, with known truth: a table of ros2_control and a ball plate behind I++ DME at once, the goals
 # of a trajectory controller, and the closed loop on LinuxCNC.
-JAZZY_TESTS := test/nodes/test_every_reader.py test/nodes/test_two_cells.py test/cli/test_doctor.py \
-	test/extensions/ros2_control/test_table_goals.py test/linuxcnc/test_closed_loop.py
+JAZZY_TESTS := test/nodes/test_every_reader.py packages/rotcal_ipp_dme/test/test_two_cells.py test/cli/test_doctor.py \
+	test/nodes/table_adapter/test_table_goals.py test/linuxcnc/test_closed_loop.py
 # The tests of PACKAGE, rotcal_ros being the core; ALONE=1: with the core and nothing else.
 TESTS = $(patsubst packages/rotcal_ros/test,test,$(PACKAGE:%=packages/%/test))
 HIDING = $(if $(ALONE),$(BIN)/python scripts/alone.py $(filter-out rotcal_ros,$(PACKAGE)) --)

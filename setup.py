@@ -11,23 +11,17 @@ NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
 MODULES = {
     "bridge": "nodes.bridge.node",
     "capture": "nodes.capture.node",
-    "dme_adapter": "extensions.ipp_dme.node",
-    "instrument_driver": "extensions.instrument_plugins.node",
+    "instrument_driver": "nodes.instrument_driver.node",
     "linuxcnc_driver": "nodes.adapters.linuxcnc_driver",
-    "operator_page": "extensions.page.node.operator_page",
+    "operator_page": "nodes.operator_page.node",
     "planner": "nodes.planner.node",
     "recorder": "nodes.recorder.node",
-    "scene": "extensions.scene.node",
+    "scene": "nodes.scene.node",
     "simulated_cell": "nodes.adapters.simulated_cell",
     "solver": "nodes.solver.node",
-    "table_adapter": "extensions.ros2_control.node.table_adapter",
+    "table_adapter": "nodes.table_adapter.node",
 }
 """Node -> its module."""
-VERBS_OF_EXTENSIONS = {
-    "dme": "ipp_dme",
-    "replay": "replay",
-    "web": "page",
-}
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
@@ -168,18 +162,12 @@ setup(
             ),
         ],
         "rotcal_ros.settings": [
-            f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",
-            f"instrument = {NAME}.extensions.instrument_plugins.settings:InstrumentSettings",
-            f"page = {NAME}.extensions.page.settings:PageSettings",
+            f"instrument = {NAME}.nodes.instrument_driver.settings:InstrumentSettings",
+            f"page = {NAME}.page.settings:PageSettings",
         ],
         "rotcal_ros.driver_checks": [
-            f"dme = {NAME}.extensions.ipp_dme.check:CHECK",
-            f"instrument = {NAME}.extensions.instrument_plugins.driver:CHECK",
-            f"table_adapter = {NAME}.extensions.ros2_control.node.check:CHECK",
-        ],
-        "rotcal_ros.verbs": [
-            f"{verb} = {NAME}.extensions.{extension}:VERB"
-            for verb, extension in VERBS_OF_EXTENSIONS.items()
+            f"instrument = {NAME}.nodes.instrument_driver.driver:CHECK",
+            f"table_adapter = {NAME}.nodes.table_adapter.check:CHECK",
         ],
         "rotcal_ros.figures": [f"plot = {NAME}.methods.figures.curves:plot"],
     },

@@ -21,8 +21,7 @@ from rotcal_ros.methods.configuration import SIMULATION, node_parameters
 from rotcal_ros.nodes.adapters.machine_nodes import (
     AS_CONFIGURED,
     OWN,
-    PROBES,
-    TABLES,
+    able,
     machine_nodes,
 )
 
@@ -146,19 +145,17 @@ def machine_arguments():
         argument(
             "table",
             AS_CONFIGURED,
-            "Which node turns the table. as_configured: table_adapter or dme_adapter where "
-            "the configuration has the group table_adapter or dme, else none; own: a node of "
-            "yours; table_adapter: a joint of ros2_control; dme_adapter: a measuring machine "
-            "behind I++ DME; linuxcnc_driver: a rotary axis of LinuxCNC.",
-            choices=[AS_CONFIGURED, OWN, *TABLES],
+            "Which node turns the table. as_configured: one whose group the configuration has, "
+            "such as table_adapter, else none; own: a node of yours; table_adapter: a joint of "
+            "ros2_control; linuxcnc_driver: a rotary axis of LinuxCNC; others belong to packages.",
+            choices=[AS_CONFIGURED, OWN, *able("table")],
         ),
         argument(
             "probe",
             AS_CONFIGURED,
-            "Which node moves the probe or reflector. as_configured: dme_adapter where the "
-            "configuration has the group dme, else none; own: a node of yours; dme_adapter: "
-            "a measuring machine behind I++ DME.",
-            choices=[AS_CONFIGURED, OWN, *PROBES],
+            "Which node moves the probe or reflector. as_configured: one whose group the "
+            "configuration has, else none; own: a node of yours; others belong to packages.",
+            choices=[AS_CONFIGURED, OWN, *able("probe")],
         ),
         argument("linuxcnc_ini", "", "linuxcnc_driver: ini file of LinuxCNC."),
         argument(

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_design.tracer.optimum import ideal_plan
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.results import Result
@@ -279,6 +278,8 @@ def blocked_rows(of: LengthExperiment, cases: int) -> list[dict[str, Any]]:
 def cost_of_protection(of: LengthExperiment) -> dict[str, Any]:
     """Return what the first sweep takes, and how much of that information alone would ask for."""
     reserve = RESERVE_PER_SEGMENT if of.per_segment else RESERVE
+    from rotcal_design.tracer.optimum import ideal_plan  # tests of the core use the rest alone
+
     steps = np.array(first_sweep(of, reserve * GOAL))
     every = np.arange(len(of.plan.steps))
     zeros = 1 if of.per_segment else len(ANGLES)

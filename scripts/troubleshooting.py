@@ -19,12 +19,12 @@ GROUPS = (
         "sessions/", "nodes/", "cli/attach", "foundation/middleware", "foundation/plugins",
     )),
     ("Machine and instruments", "interfaces.md#why-nothing-is-accepted", (
-        "capture/", "extensions/ipp_dme", "extensions/instrument_plugins",
-        "extensions/ros2_control", "methods/simulat", "methods/added_errors",
+        "capture/", "rotcal_ipp_dme/", "nodes/instrument_driver",
+        "nodes/table_adapter", "methods/simulat", "methods/added_errors",
     )),
     ("Bags, tables, replay", "recording.md#checking-and-repairing", (
         "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
-        "methods/measurements", "rotcal_history/fleet", "extensions/replay",
+        "methods/measurements", "rotcal_history/fleet", "nodes/player", "cli/replay",
     )),
     ("Plans", "planning.md", ("planning/", "rotcal_design/", "cli/plan")),
     ("Laser tracer", "tracer.md", ("methods/tracer/",)),
@@ -35,7 +35,8 @@ GROUPS = (
         "compensation/", "rotcal_controllers/", "cli/export",
     )),
     ("Comparing and reporting", "evaluation.md", (
-        "evaluation/", "report/", "rotcal_history/certificate", "extensions/page", "cli/report",
+        "evaluation/", "report/", "rotcal_history/certificate", "page/", "rotcal_tables/",
+        "cli/report",
     )),
     ("Configuration and everything else", "settings.md", ("",)),
 )  # fmt: skip
@@ -102,10 +103,10 @@ def _grouped() -> Iterator[tuple[str, str, list[Refusal]]]:
     places = {path: path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
     beside = (ROOT / "packages").glob("*/rotcal_*/**/*.py")
     places |= {path: "/".join(path.relative_to(ROOT).parts[2:]) for path in beside}
-    left = sorted(places)
+    known = [beginning for *_, beginnings in GROUPS for beginning in beginnings]
+    nearest = {f: max(filter(place.startswith, known), key=len) for f, place in places.items()}
     for title, more, beginnings in GROUPS:
-        here = [file for file in left if places[file].startswith(beginnings)]
-        left = [file for file in left if file not in here]
+        here = [file for file in sorted(places) if nearest[file] in beginnings]
         found = (r for file in here for r in refusals(file.read_text(encoding="utf-8")))
         yield title, more, sorted(set(found), key=_order)
 

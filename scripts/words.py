@@ -13,9 +13,11 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import fields
 from functools import cache
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 from typing import get_args
 
@@ -25,7 +27,6 @@ from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.adjust.model import effect_texts
 from rotcal_ros.evaluation.budget import WHOLE
-from rotcal_ros.extensions.page.web import asked_settings
 from rotcal_ros.foundation.identity import Instruments
 from rotcal_ros.foundation.language import FOLDER, folders, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
@@ -35,7 +36,6 @@ from rotcal_ros.methods.angle_comparison.model import INSTRUMENT, MOVED, REFEREN
 from rotcal_ros.methods.ball_plate.solver.plate_model import AGAIN
 
 PACKAGE = Path(__file__).parents[1] / "rotcal_ros"
-PAGES = PACKAGE / "extensions" / "page" / "static"
 READ = [
     ("**/templates/**/*.j2", "jinja2"),
     ("**/static/*.js", "javascript"),
@@ -79,19 +79,23 @@ def used() -> dict[str, str]:
     found: dict[str, str] = {}
     for name, message in marked(PACKAGE):
         found.setdefault(message, name)
-    page = Shown()
-    for path in sorted(PAGES.glob("*.html")):
-        page.feed(path.read_text(encoding="utf-8"))
-    shown = [text for text in page.texts if any(map(str.isalpha, text)) and text != "rotcal"]
-    fields = (s["meaning"][0] for name in method_names() for s in asked_settings(name))
+    shown = shown_on_pages(PACKAGE)
     titles = [find_method(name).title for name in method_names()]
-    data = (*DATA, *fields, WHOLE, *ALL_EFFECTS, *get_args(Treatment), *titles, *REASONS.values(),
+    data = (*DATA, WHOLE, *ALL_EFFECTS, *get_args(Treatment), *titles, *REASONS.values(),
             *STATES.values(), *INSTRUCTIONS.values())  # fmt: skip
     of_calls = [(where, tuple(texts)) for where, texts in shown_texts().items()]
     for where, texts in (*of_calls, ("static/*.html", tuple(shown)), ("data", data)):
         for text in texts:
             found.setdefault(text, where)
     return {text: where for text, where in found.items() if any(map(str.isalpha, text))}
+
+
+def shown_on_pages(package: Path) -> list[str]:
+    """Return the texts of a package's pages of HTML."""
+    page = Shown()
+    for path in sorted(package.glob("**/static/*.html")):
+        page.feed(path.read_text(encoding="utf-8"))
+    return [text for text in page.texts if any(map(str.isalpha, text)) and text != "rotcal"]
 
 
 def marked(package: Path) -> Iterator[tuple[str, str]]:
@@ -163,10 +167,15 @@ def texts_of(node: ast.AST) -> Iterator[str]:
 def wanted(folder: Path = FOLDER) -> dict[str, str]:
     """Return what a catalogue has to have: what is used, and what another one has.
 
-    That of a package beside the core has what is marked there and not in the core's.
+    That of a package beside the core has what is marked there, on its pages and what it calls
+    ``translated``, and not in the core's.
     """
     if folder != FOLDER:
-        ours, theirs = wanted(), marked(folder.parent)
+        ours, package = wanted(), folder.parent
+        theirs = [*marked(package), *(("static/*.html", t) for t in shown_on_pages(package))]
+        with suppress(ModuleNotFoundError):
+            data = import_module(f"{package.name}.translated").texts()
+            theirs += [("data", text) for text in data]
         found = {message: name for name, message in theirs if message not in ours}
         return {text: name for text, name in found.items() if any(map(str.isalpha, text))}
     known = {text for path in FOLDER.glob("*.po") for text in language(path.stem).texts or ()}

@@ -79,13 +79,6 @@ def test_the_table_names_every_room_that_a_room_imports():
         assert knows == ["all below"] or not unnamed, package
 
 
-def test_the_table_holds_every_extension():
-    places = (ROOT / "rotcal_ros" / "extensions").glob("*/__init__.py")
-    assert [names(row[0])[0] for row in rows("| extension | holds |")] == sorted(
-        place.parent.name for place in places
-    )
-
-
 def test_the_table_and_the_contract_hold_every_package():
     assert [names(row[0])[0] for row in rows("| package beside the core | holds |")] == BESIDE
     assert [sorted(names(layer, "|")) for layer in OF_PACKAGES] == [BESIDE, ["rotcal_ros"]]

@@ -6,7 +6,6 @@ import re
 import runpy
 import subprocess
 import sys
-from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -18,9 +17,6 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 ALONE = runpy.run_path(str(ROOT / "scripts" / "alone.py"))
 INDEX = json.loads(plugins.INDEX.read_text("utf-8"))
-EXTENSIONS = sorted(
-    place.parent.name for place in (ROOT / "rotcal_ros/extensions").glob("*/__init__.py")
-)
 RESULT = ROOT / "examples" / "data" / "result_tracer.json"
 BAG = ROOT / "examples" / "data" / "ball_plate_bag"
 ROTCAL = ("-m", "rotcal_ros.cli.main")
@@ -43,19 +39,13 @@ print(calibration.policy(calibration.from_the_start()).choose().reason)
 
 @pytest.fixture
 def without(tmp_path):
-    """Return what runs Python as if no package, and some extensions not, had been installed."""
-    place = tmp_path / "metadata" / "rotcal_ros.egg-info"
-    place.mkdir(parents=True)
-    ours = distribution("rotcal_ros")
-    (place / "PKG-INFO").write_text(f"Name: rotcal_ros\nVersion: {ours.version}\n")
-    lines = ours.read_text("entry_points.txt").splitlines(keepends=True)
-    ALONE["hide"](place.parent)
+    """Return what runs Python as if no package beside the core had been installed."""
+    place = tmp_path / "hiding"
+    place.mkdir()
+    ALONE["hide"](place)
 
-    def run(names, *arguments):
-        brought = tuple(f"rotcal_ros.extensions.{name}" for name in names)
-        kept = [line for line in lines if not any(module in line for module in brought)]
-        (place / "entry_points.txt").write_text("".join(kept))
-        path = os.pathsep.join([str(place.parent), *filter(None, sys.path)])
+    def run(*arguments):
+        path = os.pathsep.join([str(place), *filter(None, sys.path)])
         return subprocess.run(
             [sys.executable, *map(str, arguments)],
             cwd=place, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True,
@@ -66,19 +56,19 @@ def without(tmp_path):
 
 @pytest.mark.parametrize("arguments", [["--help"], ["settings"]])
 def test_the_core_alone_works(without, arguments):
-    ran = without(EXTENSIONS, *ROTCAL, *arguments)
+    ran = without(*ROTCAL, *arguments)
     assert (ran.returncode, ran.stderr) == (0, "")
     assert "dme" not in ran.stdout
 
 
 def test_the_core_alone_solves_propagates_and_reports(without, tmp_path):
-    solved = without(EXTENSIONS, *ROTCAL, "solve", BAG, "--json")
+    solved = without(*ROTCAL, "solve", BAG, "--json")
     assert json.loads(solved.stdout)["verdict"] == "ok", solved.stderr
-    trials = without(EXTENSIONS, *ROTCAL, "uncertainty", BAG, "--trials", 100)
+    trials = without(*ROTCAL, "uncertainty", BAG, "--trials", 100)
     assert trials.returncode == 0, trials.stderr
-    report = without(EXTENSIONS, *ROTCAL, "report", BAG, "-o", tmp_path / "report.html")
+    report = without(*ROTCAL, "report", BAG, "-o", tmp_path / "report.html")
     assert report.returncode == 0, report.stderr
-    missing = without(EXTENSIONS, *ROTCAL, "report", RESULT, "--dcc")
+    missing = without(*ROTCAL, "report", RESULT, "--dcc")
     assert missing.returncode == 2
     assert re.fullmatch(
         r"rotcal: a certificate needs 'dcc'; its package is not installed: pip install \w+\n",
@@ -87,11 +77,11 @@ def test_the_core_alone_solves_propagates_and_reports(without, tmp_path):
 
 
 def test_the_core_alone_plans_and_measures_until_its_goal_is_reached(without):
-    ordered = without(EXTENSIONS, *ROTCAL, "plan", "order", ROOT / "config" / "ball_plate.yaml")
+    ordered = without(*ROTCAL, "plan", "order", ROOT / "config" / "ball_plate.yaml")
     assert "order interleaved: 876 balls" in ordered.stderr
-    listed = without(EXTENSIONS, *ROTCAL, "plan", "--help").stdout
+    listed = without(*ROTCAL, "plan", "--help").stdout
     assert re.findall(r"^  ([a-z]+)  ", listed, re.M) == ["add", "order", "power", "reliability"]
-    chosen = without(EXTENSIONS, "-c", FIRST_STEP, ROOT / "config" / "tracer_demo.yaml")
+    chosen = without("-c", FIRST_STEP, ROOT / "config" / "tracer_demo.yaml")
     assert (chosen.stdout, chosen.stderr) == ("first sweep\n", "")
 
 
@@ -100,7 +90,7 @@ def test_the_core_alone_plans_and_measures_until_its_goal_is_reached(without):
     [(name, verb) for name in INDEX for verb in INDEX[name].get(plugins.VERBS, ())],
 )
 def test_without_its_package_a_verb_is_told_with_what_to_install(without, package, verb):
-    refused = without([], *ROTCAL, verb)
+    refused = without(*ROTCAL, verb)
     last = refused.stderr.splitlines()[-1]
     assert last == f"Error: no verb {verb!r}; its package is not installed: pip install {package}"
     assert refused.returncode == 2
@@ -132,7 +122,7 @@ def of(group):
 
 @of(plugins.PLANS)
 def test_without_its_package_a_plan_is_told_with_what_to_install(without, name, package):
-    refused = without([], *ROTCAL, "plan", name, "--need", "ECC=1", "GOAL.yaml")
+    refused = without(*ROTCAL, "plan", name, "--need", "ECC=1", "GOAL.yaml")
     assert refused.stderr.splitlines()[-1] == f"Error: no plan {name!r}{hint(package)}"
     assert refused.returncode == 2
 
@@ -142,14 +132,14 @@ def test_without_its_package_a_controller_is_told_with_what_to_install(
     without, tmp_path, name, package
 ):
     asked = ("--to", name, "--replace", "-o", tmp_path)
-    refused = without([], *ROTCAL, "export", RESULT, *asked)
+    refused = without(*ROTCAL, "export", RESULT, *asked)
     assert refused.returncode == 2
     assert refused.stderr == f"rotcal: unknown controller {name!r}{hint(package)}\n"
 
 
 def test_the_core_alone_exports(without, tmp_path):
     def export(name):
-        return without([], *ROTCAL, "export", RESULT, "--to", name, "--replace", "-o", tmp_path)
+        return without(*ROTCAL, "export", RESULT, "--to", name, "--replace", "-o", tmp_path)
 
     assert export("csv").returncode == 0
     assert "did you mean 'linuxcnc'" in export("linuxcmc").stderr
@@ -162,7 +152,7 @@ def test_the_core_alone_exports(without, tmp_path):
 def test_without_its_package_a_name_of_the_front_door_is_told_with_what_to_install(
     without, name, package
 ):
-    called = without([], "-c", f"import rotcal_ros as rc; rc.{name}")
+    called = without("-c", f"import rotcal_ros as rc; rc.{name}")
     text = called.stderr.splitlines()[-1]
     assert text == f"AttributeError: module 'rotcal_ros' has no attribute {name!r}{hint(package)}"
 
@@ -173,5 +163,5 @@ def test_without_its_package_a_name_of_the_front_door_is_told_with_what_to_insta
 def test_without_its_package_a_setting_is_told_with_what_to_install(without, group, name, package):
     change, words = OF_SETTINGS[group]
     config = ROOT / "config" / "tracer_demo.yaml"
-    refused = without([], "-c", CHANGED, config, change.format(name))
+    refused = without("-c", CHANGED, config, change.format(name))
     assert refused.stderr.splitlines()[-1].endswith(f"{words.format(name)}{hint(package)}")

@@ -44,7 +44,7 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }
-WITHOUT_KEYS = {"alembic", "pyarrow", "sqlalchemy"}
+WITHOUT_KEYS = {"alembic", "pyarrow", "sqlalchemy", "starlette"}
 """What pip alone brings: verbs that need it say so."""
 OF_PIP_ALONE = {"mcap-ros2-support", "python3-rosbags-pip"}
 OF_THE_CONTROLLER = {"hal", "linuxcnc"}

@@ -36,7 +36,7 @@ from typing import Any, NoReturn
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rotcal_ros", *(path.parent.name for path in ROOT.glob("packages/*/setup.py")))
 ROTCAL = ("-m", "rotcal_ros.cli.main")
-WITH_ROS = re.compile(r"rotcal_ros\.(nodes|ros|extensions\.\w+\.node)\b|rotcal_\w+\.node\b")
+WITH_ROS = re.compile(r"rotcal_ros\.(nodes|ros)\b|rotcal_\w+\.node\b")
 """What needs ROS, or starts it."""
 START_NODES = ("run", "verify", "doctor")
 """Commands whose own processes begin as copies, too."""

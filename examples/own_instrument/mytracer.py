@@ -16,13 +16,13 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from rotcal_ros.extensions.instrument_plugins.instrument import (
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.nodes.instrument_driver.instrument import (
     InstrumentError,
     Length,
     Place,
     Tracer,
 )
-from rotcal_ros.foundation.errors import ConfigurationError
 
 MICROMETRE = 1e-6
 CONNECT_TIMEOUT_S = 3.0

@@ -40,6 +40,7 @@ OWN_VERBS: Final[Mapping[str, str]] = {
     "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
     "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",
     "bag": "Check, repair and describe recorded bags.",
+    "replay": "Publish a recorded bag again, for nodes and viewers.",
     "settings": "Print the settings to state first for a method, or all settings.",
     "doctor": "Check this machine and say what to do.",
 }
@@ -48,14 +49,14 @@ SECTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "Most used": ("run", "new", "solve", "report", "export", "check", "plan", "doctor"),
     "Measure": ("attach", "cell", "verify"),
     "Evaluate": ("compare", "combine", "iso230", "uncertainty"),
-    "Set-ups and recordings": ("settings", "bag"),
+    "Set-ups and recordings": ("settings", "bag", "replay"),
 }
 """Heading of the help -> its verbs; those of other packages stand behind the one they follow."""
 
 
 @cache
 def verbs() -> Mapping[str, Verb]:
-    """Return all verbs in the order of use: our own, then those of extensions.
+    """Return all verbs in the order of use: our own, then those of other packages.
 
     One that cannot be loaded comes last and says so.
     """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 NODES: Final = ("planner", "capture", "solver", "recorder")
@@ -10,7 +10,6 @@ NODES: Final = ("planner", "capture", "solver", "recorder")
 FURTHER_NODES: Final[Mapping[str, str]] = {
     "bridge": "bridge",
     "table_adapter": "table_adapter",
-    "dme": "dme_adapter",
     "instrument": "instrument_driver",
     "simulation": "simulated_cell",
 }
@@ -24,12 +23,3 @@ EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVE
 """All nodes of the core; each is a command of the package, and setup.py names its module."""
 PREFLIGHT_NODES: Final = tuple(name for name in NODES if name != "planner")
 """Nodes that must beat before anything moves; the planner checks this."""
-
-
-def further_nodes(groups: Collection[str]) -> list[str]:
-    """Return the nodes that a configuration with these groups starts besides those of every cell.
-
-    ``rotcal dme serve`` plays a simulated machine behind I++ DME, which needs no node.
-    """
-    elsewhere = {"simulation"} if "dme" in groups else set()
-    return [node for g, node in FURTHER_NODES.items() if g in groups and g not in elsewhere]

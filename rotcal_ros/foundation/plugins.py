@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 import sys
+from collections.abc import Collection
 from functools import cache
 from importlib.metadata import EntryPoint, distribution, entry_points
 from pathlib import Path
@@ -17,6 +18,7 @@ from types import FrameType
 from typing import Any, Final, NamedTuple
 
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.node_names import FURTHER_NODES
 
 METHODS: Final = "rotcal_ros.methods"
 METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
@@ -33,6 +35,8 @@ DRIVER_CHECKS: Final = "rotcal_ros.driver_checks"
 """Group of a configuration -> what a check of a cell reports about its driver."""
 VERBS: Final = "rotcal_ros.verbs"
 """A :class:`Verb` each, which describes a command without loading it."""
+GROUP_NODES: Final = "rotcal_ros.group_nodes"
+"""Group of a configuration -> the :class:`GroupNode` that is started for it."""
 NODES: Final = "rotcal_ros.nodes"
 """Nodes of packages beside the core: the command of one -> its function."""
 PLANS: Final = "rotcal_ros.plans"
@@ -74,6 +78,19 @@ class Verb(NamedTuple):
     help: str
     module: str
     after: str = ""
+
+
+class GroupNode(NamedTuple):
+    """A node that is started when a configuration has its group.
+
+    ``roles``: what it plays, the ``table``, the ``probe``. ``instead_of``: groups whose nodes are
+    not started then. ``polled``: its table is asked seldom while it has no order.
+    """
+
+    name: str
+    roles: tuple[str, ...] = ()
+    instead_of: tuple[str, ...] = ()
+    polled: bool = False
 
 
 _all = cache(entry_points)
@@ -141,6 +158,19 @@ def node_module(name: str) -> str:
     if found:
         return found[0].module
     raise ConfigurationError(f"no node {name!r}{package_hint(name, NODES)}")
+
+
+def group_nodes() -> dict[str, GroupNode]:
+    """Return group -> node, ours first, then those of installed packages."""
+    found = {group: GroupNode(name) for group, name in FURTHER_NODES.items()}
+    return found | {g: load(GROUP_NODES, g, "node") for g in names(GROUP_NODES) if g not in found}
+
+
+def further_nodes(groups: Collection[str]) -> list[str]:
+    """Return the nodes that a configuration starts for its groups, beside those of every cell."""
+    known = {group: node for group, node in group_nodes().items() if group in groups}
+    elsewhere = {group for node in known.values() for group in node.instead_of}
+    return [node.name for group, node in known.items() if group not in elsewhere]
 
 
 def culprit(error: BaseException) -> str | None:

@@ -74,7 +74,7 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
 """Groups of settings that are the same for all methods."""
 _ORDER: Final = (
     "identity", "sheet", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
-    "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
+    "recorder", "bridge", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """How a configuration is written, with the groups of extensions that may be installed."""
 _KNOWN: Final = {*SHARED_GROUPS, "plan", "solver", "simulation"}

@@ -19,8 +19,8 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.folder_lock import FolderLock
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
-from rotcal_ros.foundation.node_names import NODES, PAGE, VIEWERS, further_nodes
-from rotcal_ros.foundation.plugins import node_module
+from rotcal_ros.foundation.node_names import NODES, PAGE, VIEWERS
+from rotcal_ros.foundation.plugins import further_nodes, node_module
 from rotcal_ros.methods.configuration import node_parameters
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import read_source

@@ -28,13 +28,14 @@ from rotcal_ros.evaluation.verification import Verification, positioning
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.in_force import NONE
+from rotcal_ros.foundation.plugins import group_nodes
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import REQUEST, VERIFICATION, SessionFolder
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import load_json, read_text, why
 from rotcal_ros.methods import Calibration
-from rotcal_ros.methods.configuration import Configuration, read_configuration
+from rotcal_ros.methods.configuration import SIMULATION, Configuration, read_configuration
 from rotcal_ros.methods.simulation.table import true_runs
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
@@ -143,10 +144,12 @@ def begin(
     calibration = checked_calibration(configuration, changes)
     checked_calibration(configuration, (*changes, *request.check))
     _require_known(calibration.configuration, request)
-    if calibration.configuration.simulated and "dme" in calibration.configuration.given:
+    given, known = calibration.configuration.given, group_nodes().items()
+    behind = [group for group, node in known if group in given and SIMULATION in node.instead_of]
+    if calibration.configuration.simulated and behind:
         raise ConfigurationError(
-            f"{configuration}: its group 'dme' puts the simulated cell behind another process, "
-            "whose control takes no table from here; verify one without that group"
+            f"{configuration}: its group {behind[0]!r} puts the simulated cell behind another "
+            "process, whose control takes no table from here; verify one without that group"
         )
     _rehearse(request, calibration)
     above = next(path for path in (folder, *folder.parents) if path.exists())

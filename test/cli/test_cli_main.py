@@ -14,7 +14,7 @@ import rotcal_ros
 from rotcal_ros.cli import main
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, ObservabilityError
-from rotcal_ros.foundation.plugins import Verb
+from rotcal_ros.foundation.plugins import VERBS, Verb, names
 
 
 def run(*arguments):
@@ -84,7 +84,7 @@ def test_help_lists_every_verb_and_loads_none():
     ("typed", "hint"),
     [
         ("slove", "did you mean 'solve'"),
-        ("reproces", "did you mean 'reprocess'"),
+        ("reporrt", "did you mean 'report'"),
         ("xyz", "known: new"),
     ],
 )
@@ -208,5 +208,6 @@ def test_every_verb_of_ours_stands_once_in_the_help():
 def test_a_verb_of_another_package_stands_behind_the_one_it_follows():
     lines = CliRunner().invoke(main.rotcal, ["--help"]).output.splitlines()
     verbs = [line.split()[0] for line in lines if line.startswith("  ") and line[2:3] != " "]
-    assert verbs[verbs.index("solve") + 1] == "web"
+    if "web" in names(VERBS):
+        assert verbs[verbs.index("solve") + 1] == "web"
     assert verbs.index("plan") < verbs.index("attach") < verbs.index("compare")

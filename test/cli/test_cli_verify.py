@@ -71,12 +71,3 @@ def test_an_existing_folder_is_not_overwritten(tmp_path):
     found = CliRunner().invoke(rotcal, ["verify", "config/verify_demo.yaml", "-o", str(tmp_path)])
     assert found.exit_code == 2
     assert "nothing is overwritten" in found.stderr
-
-
-def test_a_cell_behind_dme_is_refused_before_anything_is_made(tmp_path):
-    pytest.importorskip("rclpy")
-    config, out = "config/ball_plate_dme.yaml", str(tmp_path / "out")
-    found = CliRunner().invoke(rotcal, ["verify", config, "-o", out])
-    assert found.exit_code == 2
-    assert "puts the simulated cell behind another process" in " ".join(found.stderr.split())
-    assert not (tmp_path / "out").exists()

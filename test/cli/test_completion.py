@@ -1,5 +1,6 @@
 """What the shell offers when Tab is pressed: names that exist, and at once."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -33,7 +34,7 @@ def asked(line, folder=ROOT, shell="bash"):
         "_ROTCAL_COMPLETE": f"{shell}_complete",
         "COMP_WORDS": line,
         "COMP_CWORD": last if shell == "fish" else str(place),
-        "PYTHONPATH": str(ROOT),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
     }
     ran = subprocess.run(
         [sys.executable, "-c", SCRIPT], cwd=folder, env=env, capture_output=True, text=True

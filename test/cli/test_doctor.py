@@ -142,7 +142,7 @@ def test_a_node_that_cannot_start_is_seen(monkeypatch):
 @pytest.mark.ros
 def test_on_a_busy_machine_a_node_is_given_more_time_to_end(monkeypatch):
     start_trial = pytest.importorskip("rotcal_ros.nodes.check.start_trial")
-    monkeypatch.setattr(start_trial, "patient", lambda seconds: 4.0 * seconds)
+    monkeypatch.setattr(start_trial, "load_scaled_timeout", lambda seconds: 4.0 * seconds)
     waited = []
 
     class Process:

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from rotcal_ros.cli.main import rotcal
+from rotcal_ros.cli.main import rotcal, verbs
 from rotcal_ros.sessions import processes, running
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -27,6 +27,7 @@ WITH_FILE = [
     ["uncertainty", "CONFIG"],
     ["plan", "order", "CONFIG"],
 ]
+WITH_FILE = [words for words in WITH_FILE if words[0] in verbs()]
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
+from rotcal_ros.foundation.plugins import GOALS, names
 
 METHODS = (
     "angle_comparison", "ball_plate", "plane_mirror", "table_balls", "tracer_multistation",
@@ -91,7 +92,8 @@ def test_without_a_method_each_of_them_begins_with_its_own():
 
 def test_with_all_every_setting_and_the_goal_are_printed():
     lines = run("--all").stdout.splitlines()
-    assert {f"plan of {method}" for method in METHODS} | {"goal of a plan", "capture"} <= {*lines}
+    assert {f"plan of {method}" for method in METHODS} | {"capture"} <= {*lines}
+    assert ("goal of a plan" in lines) == bool(names(GOALS))
     of_one = run("ball_plate", "--all").stdout.splitlines()
     assert {"plan of ball_plate", "simulation of ball_plate", "capture"} <= {*of_one}
     assert "goal of a plan" not in of_one

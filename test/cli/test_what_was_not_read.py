@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 
 from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
+from rotcal_ros.nodes.player.replayed_bag import ReplayedBag
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))

@@ -20,7 +20,6 @@ from typing import Any, Final
 import bags_harmed as bags
 import bags_read as reading
 import controllers_read as controllers
-import dme_read as dme
 import metadata_read as metadata
 import texts_harmed as texts
 from properties import require_visible, suppress_rotcal
@@ -263,8 +262,6 @@ TARGETS: Final[Mapping[str, Target]] = {
                controllers.read_machine),
         Target("metadata/metadata.yaml", metadata.descriptions, texts.harmed_yaml,
                metadata.read_description),
-        Target("dme/answers.txt", dme.answers, dme.harmed, dme.read_answers),
-        Target("dmeserver/orders.txt", dme.orders, dme.harmed, dme.read_orders),
         Target("mcap/bag_0.mcap", lambda: bags.mcap_seeds(), bags.harmed_mcap, reading.read_bag),
         Target("mcaprepair/bag_0.mcap", lambda: bags.mcap_seeds(), bags.harmed_mcap,
                reading.repair_bag),

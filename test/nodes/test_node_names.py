@@ -19,17 +19,15 @@ from rotcal_ros.foundation.node_names import (
     NODES,
     PREFLIGHT_NODES,
     VIEWERS,
-    further_nodes,
 )
-from rotcal_ros.foundation.plugins import node_module
+from rotcal_ros.foundation.plugins import further_nodes, node_module
 from rotcal_ros.methods.configuration import GROUPS
 from rotcal_ros.sessions import running
 
 ROOT = Path(__file__).parents[2]
 MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    for place in ("nodes/**/*.py", "extensions/*/node.py", "extensions/*/node/*.py")
-    for path in (ROOT / "rotcal_ros").glob(place)
+    for path in (ROOT / "rotcal_ros").glob("nodes/**/*.py")
     if 'if __name__ == "__main__"' in path.read_text()
 }
 NO_NODES = {
@@ -40,6 +38,7 @@ NO_NODES = {
     "check.start_trial",
     "check.trial_motion",
     "client.json_client",
+    "player.node",
     "readiness",
 }
 """Programs beside the nodes that others start."""
@@ -48,7 +47,7 @@ NO_NODES = {
 def test_every_node_is_a_module_with_a_main_and_every_such_module_is_listed():
     modules = {node_module(name) for name in EXECUTABLES}
     others = {f"rotcal_ros.nodes.{name}" for name in NO_NODES}
-    assert modules == MODULES - others - {"rotcal_ros.extensions.replay.node"}
+    assert modules == MODULES - others
     for module in modules:
         tree = ast.parse((ROOT / module.replace(".", "/")).with_suffix(".py").read_text())
         assert "main" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
@@ -90,10 +89,8 @@ def test_sessions_and_preflight_use_the_same_lists():
     assert running.VIEWERS is VIEWERS
 
 
-def test_a_simulated_machine_behind_dme_is_no_node():
+def test_each_group_starts_its_node():
     assert further_nodes({"simulation", "bridge"}) == ["bridge", "simulated_cell"]
-    assert further_nodes({"simulation", "dme", "cell"}) == ["dme_adapter"]
-    assert further_nodes({"dme", "table_adapter"}) == ["table_adapter", "dme_adapter"]
     assert further_nodes({"instrument", "cell"}) == ["instrument_driver"]
 
 

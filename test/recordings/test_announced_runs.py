@@ -7,8 +7,8 @@ from bag_samples import CONFIGURATION, START_NS, STORE, encode, open_writer, ser
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.publishers import RUN
-from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.nodes.player.replayed_bag import ReplayedBag
 from rotcal_ros.recordings.replay import read_recording
 
 OTHER = CONFIGURATION.replace("window_samples: 30", "window_samples: 20")

@@ -10,8 +10,8 @@ import pytest
 from bag_samples import CONFIGURATION, START_NS, floats, serialised
 from rearranged import Kept, by_topic, run_messages, write_mcap, write_sqlite
 
-from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.nodes.player.replayed_bag import ReplayedBag
 from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.replay import read_recording
 

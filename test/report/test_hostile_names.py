@@ -16,7 +16,6 @@ from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.writing import PROVENANCE
-from rotcal_ros.extensions.page import app
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable, printable_lines, table_cell
@@ -24,6 +23,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import check_ros_name
 from rotcal_ros.methods.figures import style
+from rotcal_ros.page import app
 from rotcal_ros.recordings.result_sources import ResultSource
 from rotcal_ros.report.page import write_result
 from rotcal_ros.report.terminal.columns import Column, Titled, print_tables, print_words

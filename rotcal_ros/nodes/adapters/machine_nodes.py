@@ -2,39 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.node_names import further_nodes
+from rotcal_ros.foundation.plugins import further_nodes, group_nodes
 
 AS_CONFIGURED: Final = "as_configured"
 OWN: Final = "own"
 """A node of the user's own, which is not started here."""
-TABLES: Final[Mapping[str, str]] = {
-    "table_adapter": "table_adapter",
-    "dme_adapter": "dme",
-    "linuxcnc_driver": "",
+_OURS: Final[dict[str, dict[str, str]]] = {
+    "table": {"table_adapter": "table_adapter", "linuxcnc_driver": ""},
+    "probe": {},
 }
-PROBES: Final[Mapping[str, str]] = {"dme_adapter": "dme"}
-"""Nodes that can be asked for: node -> group of the configuration that it needs."""
+
+
+def able(role: str) -> dict[str, str]:
+    """Return the nodes that can be asked for, and the group of the configuration that each needs.
+
+    ``role``: table or probe.
+    """
+    others = {node.name: group for group, node in group_nodes().items() if role in node.roles}
+    return _OURS[role] | others
 
 
 def machine_nodes(groups: Collection[str], table: str, probe: str) -> list[str]:
     """Return the nodes of a cell besides those of every cell, each once.
 
     ``groups`` are those of the configuration, ``table`` and ``probe`` are AS_CONFIGURED, OWN or
-    a node of TABLES and PROBES. ConfigurationError when that node lacks its group.
+    a node that is able to it. ConfigurationError when that node lacks its group.
     """
-    asked = (("table", table, TABLES), ("probe", probe, PROBES))
-    for role, node, able in asked:
-        if (group := able.get(node)) and group not in groups:
+    asked = (("table", table, able("table")), ("probe", probe, able("probe")))
+    for role, node, known in asked:
+        if (group := known.get(node)) and group not in groups:
             raise ConfigurationError(
                 f"{role}:={node} needs a group '{group}' in the configuration, which has "
                 f"{', '.join(sorted(groups)) or 'no group'}; see rotcal settings {group}"
             )
     further = further_nodes(groups)
-    wanted = [node for node in further if node not in {*TABLES, *PROBES}]
-    for _, node, able in asked:
-        wanted += [n for n in further if n in able][:1] if node == AS_CONFIGURED else [node]
+    wanted = [node for node in further if node not in {**asked[0][2], **asked[1][2]}]
+    for _, node, known in asked:
+        wanted += [n for n in further if n in known][:1] if node == AS_CONFIGURED else [node]
     return [node for node in dict.fromkeys(wanted) if node != OWN]

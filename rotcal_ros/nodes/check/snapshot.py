@@ -20,7 +20,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import TOPIC
 from rotcal_ros.capture.instruments.conventions import single_shots
 from rotcal_ros.foundation import plugins
-from rotcal_ros.foundation.node_names import FURTHER_NODES, NODES, further_nodes
+from rotcal_ros.foundation.node_names import FURTHER_NODES, NODES
+from rotcal_ros.foundation.plugins import further_nodes, group_nodes
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
@@ -186,7 +187,7 @@ class CellSnapshot:
     def strangers(self) -> tuple[str, ...]:
         """The suite's own machines that are here although the configuration does not have them."""
         ours = further_nodes(self.configuration.given)
-        others = {*FURTHER_NODES.values()} - {*ours, "bridge"}
+        others = {node.name for node in group_nodes().values()} - {*ours, "bridge"}
         return () if self.calibration is None else tuple(sorted(self.nodes & others))
 
     @property
@@ -208,7 +209,7 @@ def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
     """Return role -> nodes, for what drivers that do not run yet will publish or obey."""
     found: dict[str, list[str]] = {}
     for group, check in _checks(snapshot.configuration):
-        if (node := FURTHER_NODES[group]) not in snapshot.nodes:
+        if (node := group_nodes()[group].name) not in snapshot.nodes:
             for role in check.brings(snapshot.configuration.group(group)):
                 found.setdefault(role, []).append(node)
     return found
@@ -243,14 +244,14 @@ def driver_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     configuration = snapshot.configuration
     for group, check in _checks(snapshot.configuration):
         if check.look is not None:
-            here = FURTHER_NODES[group] in snapshot.nodes
+            here = group_nodes()[group].name in snapshot.nodes
             yield check.look(configuration.group(group), here, configuration.simulated)
 
 
 def _checks(configuration: Configuration) -> Iterator[tuple[str, DriverCheck]]:
     """Yield the drivers whose groups the configuration has."""
     known = plugins.names(plugins.DRIVER_CHECKS)
-    for group in FURTHER_NODES:
+    for group in group_nodes():
         if group in configuration.given and group in known:
             yield group, plugins.load(plugins.DRIVER_CHECKS, group, "driver")
 

@@ -23,6 +23,7 @@ from rotcal_ros.capture.instruments.plausibility import (
 )
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.plugins import group_nodes
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.nodes.runtime.beat_values import (
     FRAME,
@@ -129,10 +130,11 @@ def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator
 def slow_table(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield a doubt if the table's feedback comes so rarely that its rest is noticed late.
 
-    A machine behind I++ DME is polled seldom while it has no order.
+    A machine that is polled is asked seldom while it has no order.
     """
     rate = number_in(values.get(RATE + names.JOINT_STATES, ""))
-    if rate and rate < SLOW_HZ and "dme" not in configuration.given:
+    drivers = (node for group, node in group_nodes().items() if group in configuration.given)
+    if rate and rate < SLOW_HZ and not any(node.polled for node in drivers):
         yield (
             f"{name_in(values, names.JOINT_STATES)} comes at {rate:.3g} Hz: whether the table "
             f"moves or rests is known {1.0 / rate:.2g} s late; 50 Hz are usual, {SLOW_HZ:g} Hz "

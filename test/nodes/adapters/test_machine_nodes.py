@@ -13,14 +13,8 @@ REAL = ("method", "cell", "plan")
     [
         ((), AS_CONFIGURED, AS_CONFIGURED, []),
         (("bridge", "table_adapter"), AS_CONFIGURED, AS_CONFIGURED, ["bridge", "table_adapter"]),
-        (("dme",), AS_CONFIGURED, AS_CONFIGURED, ["dme_adapter"]),
-        (("dme", "simulation"), AS_CONFIGURED, AS_CONFIGURED, ["dme_adapter"]),
         (("simulation",), AS_CONFIGURED, AS_CONFIGURED, ["simulated_cell"]),
-        (("table_adapter", "dme"), AS_CONFIGURED, AS_CONFIGURED, ["table_adapter", "dme_adapter"]),
         (("table_adapter", "bridge"), OWN, AS_CONFIGURED, ["bridge"]),
-        (("table_adapter", "dme"), "table_adapter", OWN, ["table_adapter"]),
-        (("table_adapter", "dme"), "dme_adapter", "dme_adapter", ["dme_adapter"]),
-        (("dme",), "linuxcnc_driver", AS_CONFIGURED, ["linuxcnc_driver", "dme_adapter"]),
         ((), "linuxcnc_driver", OWN, ["linuxcnc_driver"]),
     ],
 )
@@ -29,5 +23,6 @@ def test_table_and_probe_are_started_once_each(groups, table, probe, nodes):
 
 
 def test_a_node_without_its_group_is_refused():
-    with pytest.raises(ConfigurationError, match="table:=dme_adapter needs a group 'dme'"):
-        machine_nodes({"cell"}, "dme_adapter", OWN)
+    words = "table:=table_adapter needs a group 'table_adapter'"
+    with pytest.raises(ConfigurationError, match=words):
+        machine_nodes({"cell"}, "table_adapter", OWN)

@@ -57,7 +57,7 @@ class Cell:
             return machine_load.WaitBudget(seconds, lambda: 1.0, lambda: self.now_s)
 
         for module in (cell_node, goal_watch):
-            monkeypatch.setattr(module, "Patience", patience)
+            monkeypatch.setattr(module, "WaitBudget", patience)
         monkeypatch.setattr(goal_watch.time, "monotonic", lambda: self.now_s)
         monkeypatch.setattr(cell_node, "_next_turn", self.turn)
 
@@ -123,7 +123,7 @@ def test_who_has_not_been_found_for_long_is_published_anew_once(cell, joined_s, 
 
 def test_a_preflight_tells_what_it_lacks_as_soon_as_it_has_lasted(cell, monkeypatch):
     """On a machine that is ten times too busy, too; what comes in time is not told."""
-    monkeypatch.setattr(goal_watch, "patient", lambda seconds: 10.0 * seconds)
+    monkeypatch.setattr(goal_watch, "load_scaled_timeout", lambda seconds: 10.0 * seconds)
     two = "2 publishers on /cell/joint_states"
 
     def missing():

@@ -38,7 +38,7 @@ def clock(monkeypatch):
         end_s = clock.now_s + seconds
         return SimpleNamespace(is_over=lambda: clock.now_s > end_s)
 
-    monkeypatch.setattr(goal_watch, "Patience", patience)
+    monkeypatch.setattr(goal_watch, "WaitBudget", patience)
     return clock
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[3] / "rotcal_ros"
-NODES = [*PACKAGE.glob("nodes/**/*.py"), *PACKAGE.glob("extensions/**/*.py")]
+NODES = [*PACKAGE.glob("nodes/**/*.py"), *PACKAGE.glob("page/*.py")]
 WAITING = re.compile(r"\.create_timer\(|create_rate|time\.time\(\) *[<>-]|sleep_until|wall_timer")
 
 

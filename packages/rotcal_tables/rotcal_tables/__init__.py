@@ -1,0 +1,6 @@
+"""A table of numbers, solved on a page in a browser."""
+
+from rotcal_ros.foundation.plugins import Verb
+
+VERB = Verb("Open a page on which a table of numbers is solved.", f"{__name__}.verbs", "solve")
+"""``rotcal web``: the page for people who do not use the command line."""

@@ -1,0 +1,299 @@
+"""What is done with a table that was dropped on the page: it is explained, solved, written about.
+
+All of it is work for a process of its own. The page names no file: the folder has one place for
+each, and errors use the names that people know.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, is_dataclass, replace
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+from signal import SIG_IGN, SIGINT, signal
+from typing import Any, Final
+
+from rotcal_ros.cli.console import in_lines
+from rotcal_ros.compensation.agreement import UNVERIFIED
+from rotcal_ros.compensation.request import ExportRequest, write_export
+from rotcal_ros.evaluation.marks import marks, withheld
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.errors import Question, RotcalError, UndecidedError
+from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
+from rotcal_ros.foundation.language import Phrase, phrase, speaking
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.sheets.layout import Use
+from rotcal_ros.foundation.sheets.reading import Reading, unit_setting
+from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS, TableColumn
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.untrusted import read_text
+from rotcal_ros.methods.configuration import (
+    Configuration,
+    changed,
+    parse_configuration,
+    read_configuration,
+)
+from rotcal_ros.methods.measurements import read_measurements
+from rotcal_ros.methods.method import Measurements, usable_methods
+from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
+from rotcal_ros.methods.settings_reference import unit_and_meaning
+from rotcal_ros.page.state import Curve, Deviations, PageMark, plain
+from rotcal_ros.recordings.result_sources import read_source
+from rotcal_ros.report.page import write_measured
+from rotcal_ros.report.printing import printed
+
+TABLE, TARGETS, SETUP, IN_FORCE = "table", "targets", "setup", "in_force"
+PLACES: Final = {TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml"}
+"""What was dropped -> its place in the folder; targets are found beside the table."""
+RESULT, OWN_SETUP, REPORT, PDF, DCC = (
+    "result.json", "setup.yaml", "report.html", "report.pdf", "certificate.xml",
+)  # fmt: skip
+_STATED: Final = re.compile(r"--set '?([\w.]+)(?:=[^\s;,]*)?")
+_ADVICE: Final = re.compile(r"[.:;] (?:State a column with another name by|say which:) --set .*$")
+_OPTION: Final = re.compile(r"--(setup|targets)(?: [^\s;,)]+)?")
+_BOXES: Final = {"setup": phrase("Set-up file"), "targets": phrase("Targets")}
+SHOWN_ROWS: Final = 6
+TITLES: Final = {method.name: phrase(method.title) for method in usable_methods()}
+"""Of the methods, which are loaded here: the processes are copies of one that has done so."""
+LABELS: Final = {
+    "identity.item": phrase("Item"),
+    "identity.serial": phrase("Serial number"),
+    "identity.place": phrase("Place"),
+    "identity.operator": phrase("Measured by"),
+    "identity.measured": phrase("Day of the measurement"),
+    "air.temperature_c": phrase("Temperature of the air"),
+    "air.pressure_pa": phrase("Pressure of the air"),
+}
+"""Shorter than what these settings say of themselves."""
+Reply = dict[str, Any]
+"""What the page is given: all that JSON can hold."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The files in ``folder``, what people call them, and what a person has stated.
+
+    ``names`` maps what was dropped to names of files; ``changes`` are ``group.name=value``. The
+    ``method`` counts where no set-up was dropped. ``options`` say how something is made.
+    """
+
+    folder: Path
+    names: Mapping[str, str]
+    method: str
+    changes: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def configuration(self) -> Configuration:
+        """Return the set-up that was dropped, with the changes, or one that is made of these."""
+        if SETUP in self.names:
+            return changed(read_configuration(self.folder / PLACES[SETUP]), self.changes)
+        known = known_settings(self.method)
+        given = (given_value(self.method, known, change) for change in self.changes)
+        values = values_of_tables(self.method) | dict(given)
+        return parse_configuration(setup_text(self.method, known, values), OWN_SETUP)
+
+    def read(self, announce: Callable[[Reading], object] = str) -> Measurements:
+        """Return what was measured, with the names that people know."""
+        configuration = self.configuration()
+        targets = self.folder / PLACES[TARGETS] if TARGETS in self.names else None
+        measured = read_measurements(self.folder / PLACES[TABLE], configuration, targets, announce)
+        known = {self.describe(name): digest for name, digest in measured.sha256.items()}
+        assert is_dataclass(measured)
+        return replace(measured, sha256=known)
+
+    def describe(self, text: str) -> str:
+        """Return a text with the names of files as people know them."""
+        known = {PLACES[role]: name for role, name in self.names.items() if role in PLACES}
+        text = text.replace(f"{self.folder}/", "")
+        places = "|".join(map(re.escape, known))
+        return re.sub(places, lambda place: known[place[0]], text) if known else text
+
+
+def label_of(name: str, meaning: str) -> Phrase:
+    """Return what stands beside the field of a setting."""
+    return LABELS.get(name) or phrase(meaning.replace(", in quotes", ""))
+
+
+def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
+    """Do some work in a process of its own and send its outcome, or the error."""
+    signal(SIGINT, SIG_IGN)  # the page ends this process itself
+    try:
+        reply = work(asked)
+    except Exception as error:
+        reply = {"error": error_reply(error, asked)}
+    sender.send(reply)
+
+
+def error_reply(error: Exception, asked: Asked) -> Reply:
+    """Return an error as the command line says it, with its question, if it asks one."""
+    text, *log = map(asked.describe, in_lines(error))
+    if isinstance(error, UndecidedError):
+        text = asked.describe(error.found)
+    question = error.question if isinstance(error, RotcalError) else None
+    return {
+        "text": at_boxes(text, asked.method),
+        "log": [line for line in log if not line.startswith("--set ")],  # buttons say that
+        "question": question and _in_words(question, asked),
+        "names": [found[1] for found in _STATED.finditer(text)],
+    }
+
+
+def at_boxes(text: str, method: str) -> str:
+    """Return an error with the boxes of the page in the place of options of the command line."""
+    known = known_settings(method) if method else {}
+
+    def box(found: re.Match[str]) -> str:
+        name = found[1]
+        return f'"{label_of(name, unit_and_meaning(known[name])[1])}"' if name in known else name
+
+    text = _STATED.sub(box, _ADVICE.sub("", text))
+    return _OPTION.sub(lambda found: f'"{_BOXES[found[1]]}"', text)
+
+
+def _in_words(question: Question, asked: Asked) -> Reply:
+    answers = [(value, asked.describe(words)) for value, words in question.answers]
+    return {"setting": question.setting, "answers": answers}
+
+
+def explained(asked: Asked) -> Reply:
+    """Return how the tables are understood, as far as they are, and what stands against it."""
+    readings, error = list[Reading](), None
+    try:
+        asked.read(readings.append)
+    except Exception as stopped:
+        error = error_reply(stopped, asked)
+    tables = [_table(each, asked) for read in readings for each in (read, *read.beside)]
+    return {"tables": tables, "error": error}
+
+
+def _table(reading: Reading, asked: Asked) -> Reply:
+    return {
+        "name": asked.describe(reading.table.path.name),
+        "form": plain(reading.form),
+        "rows": len(reading.table.lines),
+        "columns": list(_columns(reading)),
+        "head": reading.head,
+        "aside": reading.aside,
+        "remarks": plain((*reading.remarks, *map(asked.describe, reading.sources))),
+        "left_out": plain(reading.left_out),
+        "header": reading.table.header,
+        "first": reading.table.lines[:SHOWN_ROWS],
+    }
+
+
+def _columns(reading: Reading) -> Iterator[Reply]:
+    """Yield our columns: what of theirs each is, and how that could be understood otherwise."""
+    for header, theirs in reading.columns.items():
+        column = TableColumn.of(header)
+        angle = column.name == "position" and TABLE_ANGLE in reading.uses
+        use = reading.uses.get(TABLE_ANGLE if angle else column.name)
+        quantity = TABLE_ANGLE if angle else column.quantity
+        yield {
+            "header": header,
+            "name": TABLE_ANGLE if angle else column.name,
+            "theirs": plain(theirs),
+            "text": None if use is None else use.text,
+            **_unit(use, quantity, column.name),
+        }
+
+
+def _unit(use: Use | None, quantity: str, name: str) -> Reply:
+    """Return the setting of a unit that the head of a column does not state, and its choices."""
+    if quantity not in UNITS or (use is not None and len(use.units) == 1):
+        return {"setting": None, "units": () if use is None else use.units}
+    return {"setting": unit_setting(name, quantity), "units": tuple(UNITS[quantity])}
+
+
+def solved(asked: Asked) -> Reply:
+    """Solve the table; keep the result, and the set-up with which the command line repeats it."""
+    result = asked.read().solve()
+    write_atomically(asked.folder / RESULT, result.to_json())
+    write_atomically(asked.folder / OWN_SETUP, asked.configuration().text)
+    return {
+        "deviations": plain(shown(result)),
+        "verdict": result.verdict,
+        "simulated": result.circumstances.simulated,
+        "warnings": plain(result.warnings),
+        "rejected": len(result.rejected),
+        "dof": result.dof,
+        "sigma0": result.sigma0,
+        "files": [RESULT, OWN_SETUP],
+    }
+
+
+def shown(result: Result) -> Deviations:
+    """Return a result as the operator's page shows it; without U if that is withheld."""
+    why = withheld(result)
+    curves = []
+    for name in result.components:
+        size, label = unit_of(name)
+        expanded = () if why else tuple(COVERAGE_FACTOR * result.std[name] / size)
+        curves.append(Curve(name, label, tuple(result.deviations[name] / size), expanded))
+    return Deviations(
+        angles_deg=tuple(result.angles / DEGREE),
+        curves=tuple(curves),
+        observations=result.n_observations,
+        final=True,
+        marks=tuple(map(PageMark.of, marks(result))),
+        warnings=result.warnings,
+        withheld=why or "",
+    )
+
+
+def reported(asked: Asked) -> Reply:
+    """Write the report."""
+    with speaking(str(asked.options["language"])):
+        write_measured(asked.read(), asked.folder / REPORT)
+    return {"files": [REPORT]}
+
+
+def as_pdf(asked: Asked) -> Reply:
+    """Print the report."""
+    data = printed(read_text(asked.folder / REPORT))
+    replace_atomically(asked.folder / PDF, partial(write_durably, content=data))
+    return {"files": [PDF]}
+
+
+def certified(asked: Asked) -> Reply:
+    """Write the digital calibration certificate."""
+    (asked.folder / DCC).unlink(missing_ok=True)
+    write = plugins.load(plugins.FUNCTIONS, "write_certificate", "function")
+    write(read_source(asked.folder / RESULT).result, asked.folder / DCC)
+    return {"files": [DCC]}
+
+
+def for_controller(asked: Asked) -> Reply:
+    """Write the files for a controller, by the code of ``rotcal export``."""
+    folder, result, options = asked.folder / "controller", asked.folder / RESULT, asked.options
+    spacing, accepted = options["spacing"], set(map(str, options["accept"]))
+    shutil.rmtree(folder, ignore_errors=True)
+    request = ExportRequest(
+        str(options["controller"]),
+        folder,
+        spacing=None if spacing is None else float(spacing),
+        axis=str(options["axis"]) or None,
+        serial=str(options["serial"]) or None,
+        settings=tuple(filter(None, str(options["settings"]).splitlines())),
+        replace=options["in_force"] == "replace",
+        add_to=asked.folder / IN_FORCE if options["in_force"] == "add" else None,
+        accept=tuple(accepted - {UNVERIFIED}),
+        accept_unverified=UNVERIFIED in accepted,
+    )
+    export, files = write_export(read_source(result), request)
+    words = [asked.describe(line) for line in export.describe()]
+    return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
+
+
+WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
+    "explain": explained,
+    "solve": solved,
+    "report": reported,
+    "pdf": as_pdf,
+    "dcc": certified,
+    "controller": for_controller,
+}
+"""What the page may ask for."""

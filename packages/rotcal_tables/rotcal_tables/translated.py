@@ -1,0 +1,15 @@
+"""Texts of this page that come as data, for its catalogues."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rotcal_ros.methods.method import method_names
+from rotcal_tables.web import asked_settings
+
+
+def texts() -> Iterator[str]:
+    """Yield what the page says of each setting that it asks for."""
+    for method in method_names():
+        for asked in asked_settings(method):
+            yield asked["meaning"][0]

@@ -1,0 +1,28 @@
+"""Packaging, for pip and for colcon, which needs the index of ament."""
+
+from setuptools import find_packages, setup
+
+NAME = "rotcal_tables"
+VERSION = "0.1.0"
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description="Any table of numbers for rotcal_ros: a page in the browser solves it",
+    maintainer="rotcal maintainers",
+    maintainer_email="maintainers@rotcal.invalid",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={"": ["py.typed", "static/*", "translations/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    python_requires=">=3.10",
+    install_requires=["click", f"rotcal_ros=={VERSION}", "starlette", "uvicorn"],
+    entry_points={
+        "rotcal_ros.verbs": [f"web = {NAME}:VERB"],
+        "rotcal_ros.translations": [f"{NAME} = {NAME}"],
+    },
+    zip_safe=False,
+)

@@ -1,0 +1,1 @@
+"""The player: a recorded bag, published again for nodes and viewers."""
