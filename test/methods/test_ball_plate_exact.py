@@ -63,14 +63,6 @@ def test_a_table_that_is_far_off_has_the_errors_that_are_stated():
     assert np.sqrt(np.mean(squares)) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_slightly_tilted_frame_leaves_the_axial_motion_alone():
-    """1 mrad and 0.5 mm were 31 standard deviations of EZC, and nothing was said."""
-    plate = ExactPlate(72, PAPER_PLATE, tilt=(1e-3, 0.0), eccentric=(5e-4, 0.0), seed=5)
-    result = solve(plate.problem(noise=SIGMA, sigma=SIGMA))
-    assert result.verdict == "ok"
-    assert max(worst(result, plate).values()) < 5.0
-
-
 def test_pose_of_axis_and_place_of_the_plate_are_found():
     # the turn of the plate about the axis is that of its mean tangential place
     plate = ExactPlate(72, PAPER_PLATE, **FAR, table=3e-6, seed=2)

@@ -182,6 +182,9 @@ def test_three_groups_have_three_zeros():
         "The offset between the 3 groups of table positions is not measured: each group has its "
         "own zero"
     )
+    assert len(result.zeros.free) == 2 * 10
+    assert "the 3 groups of table positions" in result.verdict_line
+    assert np.linalg.matrix_rank(result.zeros.of("EZC", 24)) == 2
     groups = result.details["groups"]
     assert [group["table_positions"].tolist() for group in groups] == [
         list(range(first, 24, 3)) for first in range(3)

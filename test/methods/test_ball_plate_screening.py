@@ -150,7 +150,8 @@ def test_a_clockwise_table_is_no_mirrored_frame():
     table, ball = grid_rows(GRID, PAPER_PLATE)
     angle = STEP * (ball - table)
     centres = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
-    with pytest.raises(DataError, match="reverse the sign of the table angle") as caught:
+    text = "clockwise while the table positions count up.*reverse the sign of the table angle"
+    with pytest.raises(DataError, match=text) as caught:
         screen(BallPlateProblem(GRID, RADIUS, table, ball, centres))
     assert "left-handed" not in str(caught.value)
 

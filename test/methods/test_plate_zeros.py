@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plate_data import simulated
 from two_groups import ALTERNATING, ANGLES, ARCSEC, GRID, RADIUS, plate_problem
 
 from rotcal_ros.foundation.components import COMPONENTS
@@ -143,14 +142,6 @@ def test_a_stated_allowance_bounds_the_offset():
     )
     with pytest.raises(DataError, match="group allowance"):
         plate_problem(group_allowance=-1.0)
-
-
-def test_three_groups_have_two_offsets_each():
-    problem, _ = simulated(24, [0, 3, 6, 12, 15, 21], separate_groups=True, sigma=5e-8)
-    result = solve(problem)
-    assert len(result.zeros.free) == 2 * 10
-    assert "the 3 groups of table positions" in result.verdict_line
-    assert np.linalg.matrix_rank(result.zeros.of("EZC", 24)) == 2
 
 
 def test_the_table_of_values_shows_what_is_open():

@@ -115,18 +115,10 @@ def test_a_run_that_only_repeats_steps_needs_no_zero_of_its_own():
     assert (found.std["ECC"] <= plain.std["ECC"] * (1 + 1e-9)).all()
 
 
-def test_positions_that_scatter_as_stated_are_no_movement_and_five_times_as_much_is_one():
-    std, quiet = 1e-7, 0.1 * STD
-    verdicts = []
-    for position_std in (std, 0.0):
-        _, _, changed, pairs = interrupted(3, std=0.0)
-        again = np.flatnonzero(pairs.again)
-        rng = np.random.default_rng(3)
-        length = pairs.length.copy()
-        first = pairs.length[: len(changed.length)][pairs.run[: len(changed.length)] == 0]
-        assert len(first)
-        length[again] += rng.normal(scale=np.sqrt(2.0) * std, size=len(again))
-        here = replace(pairs, length=length, position_std=position_std)
-        verdicts.append(solve(here).verdict)
-    assert verdicts[0] == "ok"
-    assert quiet < STD
+def test_positions_that_scatter_as_stated_are_no_movement():
+    std = 1e-7
+    _, _, _, pairs = interrupted(3, std=0.0)
+    again = np.flatnonzero(pairs.again)
+    length = pairs.length.copy()
+    length[again] += np.random.default_rng(3).normal(scale=np.sqrt(2.0) * std, size=len(again))
+    assert solve(replace(pairs, length=length, position_std=std)).verdict == "ok"

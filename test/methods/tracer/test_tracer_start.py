@@ -8,7 +8,7 @@ from rotcal_ros.methods.tracer.solver.problem import arrange
 from rotcal_ros.methods.tracer.solver.start import find_start, start_candidates
 
 
-def exact(layout=low_ring, flat=False, gap=True):
+def exact(layout=low_ring, flat=False):
     """Targets, lengths, which are used, and the true (X, Y, Z, d) of the stations."""
     scene = simulate(n=24, layout=layout, length_std=0.0)
     targets = scene.targets.copy()
@@ -17,16 +17,14 @@ def exact(layout=low_ring, flat=False, gap=True):
     distance = np.linalg.norm(scene.stations[:, None] - targets, axis=2)
     zero = np.linspace(0.2, 0.7, len(distance))
     used = np.ones(distance.shape, dtype=bool)
-    if gap:
-        used[2, 5] = used[4, 7] = False
+    used[2, 5] = used[4, 7] = False
     lengths = np.where(used, distance - zero[:, None], 0.0)
     return targets, lengths, used, np.column_stack([scene.stations, zero])
 
 
 @pytest.mark.parametrize("layout", [low_ring, paper_block])
-@pytest.mark.parametrize("gap", [False, True])
-def test_spread_targets_give_the_stations_at_once(layout, gap):
-    targets, lengths, used, truth = exact(layout, gap=gap)
+def test_spread_targets_give_the_stations_at_once(layout):
+    targets, lengths, used, truth = exact(layout)
     candidates = start_candidates(targets, lengths, used)
     assert len(candidates) == 1
     np.testing.assert_allclose(candidates[0], truth, atol=1e-10)
