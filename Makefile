@@ -88,7 +88,7 @@ setup:  ## make or refresh .venv (PYTHON=python3.12 chooses another Python)
 	@PYTHON="$(PYTHON)" scripts/setup.sh $(ROS_DISTRO)
 
 clean:  ## remove everything that make has made
-	rm -rf .venv .venv-* build install log out *.egg-info packages/*/*.egg-info .coverage .hypothesis .*_cache
+	rm -rf .venv .venv-* build install log out *.egg-info packages/*/*.egg-info packages/*/build .coverage .hypothesis .*_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## show this list

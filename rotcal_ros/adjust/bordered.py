@@ -13,6 +13,7 @@ the border itself that of the rows t and M^-1/2 k. Square roots throughout, no n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -21,8 +22,7 @@ import numpy as np
 from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense
-from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.kernels import OPEN, Design, Kernel, dense, squares_beside
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -39,6 +39,9 @@ SURE: Final = 1e-5
 """Least eigenvalue, per largest, of normal equations whose inverse keeps ten digits."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
+WEAK: Final = 0.01
+"""Share that its group leaves of a combination of rows, below which it counts as nothing at first.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,18 +276,16 @@ class Bordered(Kernel):
         left_known = known - of_own.T @ on_basis.reshape(count * size, known.shape[1])
         white = np.linalg.solve(root.T, left_known)
         flat = border.reshape(count * groups.depth, known.shape[1])
-        length = np.linalg.norm(np.concatenate([flat, known]), axis=0)
+        length = np.sqrt(np.einsum("rc,rc->c", flat, flat) + (known**2).sum(axis=0))
         length = np.where(length > 0.0, length, 1.0)
         beside_own = flat - (basis @ on_basis).reshape(flat.shape)
-        left = np.concatenate([beside_own, white])
-        ways, nothing = _determined(left / length, open_)
+        ways, nothing = _determined((beside_own, white), length, open_)
         by_known = (tied @ white).reshape(on_basis.shape)
         moved = -(on_basis + by_known)
         every = np.zeros((sum(design.shape[1:]), len(length)))
         at = np.append(groups.shared, np.arange(design.few.shape[1], len(every)))
         every[at, np.arange(len(at))] = 1.0
         _to_own(groups, every, inverse @ moved)
-        ways, nothing = ways / length[:, None], nothing / length[:, None]
         below: Floats = np.asarray(np.linalg.solve(root, white @ ways), dtype=np.float64)
         return cls(
             design, np.asarray(every @ nothing), groups, basis, inverse, tied, root, every @ ways,
@@ -343,15 +344,37 @@ class Bordered(Kernel):
             found += (place[:, :, None] == place[:, None]) & ~mine[:, :, None]
         return np.asarray(found)
 
-    def low_rank(self, rows: Ints) -> LowRank | None:
-        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
-        place = self._place[rows]
-        group = np.where(place < len(self.along), place // self.groups.depth, -1 - place)
-        if len(np.unique(group)) < len(rows):
-            return None  # of rows of one group more is in common
-        low = self._every_low[place]
-        own = np.append((self.basis**2).sum(axis=2), np.ones(len(self.root)))[place]
-        return LowRank(own[:, None, None], low, np.diag(self._signs)).if_low()
+    def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
+        """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank.
+
+        What groups leave of their rows, 1 - QQ', is made white along its axes. Where it is nearly
+        nothing it is taken for 1, and what that is too much joins the low rank.
+        """
+        place, of_groups = self._place[rows], len(self.along)
+        mine = place < of_groups
+        number, line = np.divmod(np.minimum(place, of_groups - 1), self.groups.depth)
+        basis = np.where(mine[:, None], self.basis[number, line], 0.0)
+        each = np.where(mine, number, len(self.basis) + place)  # known rows are alone
+        group = np.unique(each, return_inverse=True)[1]
+        at = group, within(group)
+        shape = [int(k.max()) + 1 for k in at]
+
+        def stacked(values: Floats) -> Floats:
+            found = np.zeros((*shape, values.shape[1]))
+            found[at] = values
+            return found
+
+        own = stacked(np.hstack([basis, ~mine[:, None]]))
+        taken, axes = np.linalg.eigh(own @ own.swapaxes(1, 2))
+        weak = taken > 1.0 - WEAK
+        scale = 1.0 / np.sqrt(np.where(weak, 1.0, 1.0 - taken))[:, :, None]
+        turned = axes.swapaxes(1, 2) @ stacked(np.hstack([white[:, None], self._every_low[place]]))
+        turned = (scale * turned).reshape(weak.size, -1)
+        lack = np.zeros((weak.size, int(weak.sum())))
+        lack[np.flatnonzero(weak), np.arange(lack.shape[1])] = np.sqrt(taken[weak])
+        sign = np.append(self._signs, np.ones(lack.shape[1]))
+        squares, rank = squares_beside(turned[:, 0], np.hstack([turned[:, 1:], lack]), sign)
+        return squares, rank - weak.size + len(rows)
 
     @cached_property
     def leverage(self) -> Floats:
@@ -571,17 +594,20 @@ def _to_own(groups: Groups, columns: Floats, own: Floats) -> None:
     columns[groups.own[real]] += own[real]
 
 
-def _determined(rows: Floats, open_: float) -> tuple[Floats, Floats]:
+def _determined(rows: Sequence[Floats], length: Floats, open_: float) -> tuple[Floats, Floats]:
     """Return what ``rows`` (n, c) determine: W, N^-1 = WW' (c, r), and what they do not (c, k).
 
-    They are what is left of columns of length 1: nothing where that is a share ``open_`` of it.
+    They are what is left of columns of a ``length`` (c,): nothing where that is a share ``open_``
+    of it.
     """
-    squares, axes = np.linalg.eigh(rows.T @ rows)
+    products = sum((part.T @ part for part in rows), np.zeros((len(length), len(length))))
+    squares, axes = np.linalg.eigh(products / length / length[:, None])
     if len(squares) and squares[0] > SURE * max(squares[-1], 1.0):  # no digits that matter go
-        return axes / np.sqrt(squares), axes[:, :0]
-    _, share, turn = np.linalg.svd(_triangle(rows))
-    determined = np.arange(rows.shape[1]) < (share > open_ * share.max(initial=1.0)).sum()
-    return turn[determined].T / share[: int(determined.sum())], turn[~determined].T
+        return axes / np.sqrt(squares) / length[:, None], np.zeros((len(length), 0))
+    _, share, turn = np.linalg.svd(_triangle(np.concatenate(rows) / length))
+    determined = np.arange(len(length)) < (share > open_ * share.max(initial=1.0)).sum()
+    ways, nothing = turn[determined].T / share[: int(determined.sum())], turn[~determined].T
+    return ways / length[:, None], nothing / length[:, None]
 
 
 def _triangle(matrix: Floats) -> Floats:

@@ -227,11 +227,7 @@ def _excess(fit: Fit) -> float:
 def _explained_beside_noise(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
-        noise, fit = _settled_noise(diagnosis, bent)
-        if bent and noise.estimated is not None:
-            whole = _settled_noise(replace(diagnosis, noise=noise, start=fit.x), bent=False)
-            if _alike(noise, whole[0]):  # nothing bends it
-                bent, (noise, fit) = False, whole
+        noise, fit, bent = _noise_and_fit(diagnosis, bent)
         # what was judged before is judged anew: large groups are not kept twice
         gathering = replace(diagnosis.gathering, judgement=None)
         diagnosis = replace(diagnosis, noise=noise, start=fit.x, gathering=gathering)
@@ -294,8 +290,19 @@ def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
     return bool(after.used.any())
 
 
-def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
-    """Return the noise as stated, or estimated where that is contradicted, and the fit with it.
+def _noise_and_fit(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit, bool]:
+    """Return the noise, the fit with it, and whether large residuals are still bent for it."""
+    stated = diagnosis.fitted(np.ones(len(diagnosis.model.components)), diagnosis.start)
+    noise, fit = _settled_noise(diagnosis, stated, bent)
+    if bent and noise.estimated is not None:
+        whole = _settled_noise(replace(diagnosis, noise=noise), stated, bent=False)
+        if _alike(noise, whole[0]):  # nothing bends it
+            return *whole, False
+    return noise, fit, bent
+
+
+def _settled_noise(diagnosis: Diagnosis, stated: Fit, bent: bool) -> tuple[Noise, Fit]:
+    """Return the noise as in the fit ``stated``, or estimated where that is contradicted; its fit.
 
     ``bent``: large residuals count no more than some, while outliers are about. A component that
     scatters less than any instrument is exact, made-up data: its statement stays. Where nothing
@@ -303,7 +310,6 @@ def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     """
     model, ones = diagnosis.model, np.ones(len(diagnosis.model.components))
     least = model.least_factors if model.unstated else ones
-    stated = diagnosis.fitted(ones, diagnosis.start)
     if _as_stated(diagnosis, stated, bent):
         return Noise(ones), stated
     evidence = _evidence(stated, bent)

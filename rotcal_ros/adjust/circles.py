@@ -355,11 +355,6 @@ class ByOrder(Kernel):
         lost = order + 1, ways[order, :, which] / length[order, :, 0]
         return cls(turns, inverse, at_root @ at_root.T, open_, lost)
 
-    @property
-    def rank(self) -> int:
-        """How many unknowns are determined."""
-        return self.turns.unknowns - int(self.directions.shape[1])
-
     @cached_property
     def directions(self) -> Floats:  # type: ignore[override]
         """What nothing determines (p, k), as directions of the unknowns.
@@ -494,11 +489,6 @@ class ByOrder(Kernel):
         zero = rows @ self.zero
         orders[:, :, 0] = zero[:, : turns.circles] * np.sqrt(turns.size)
         return np.fft.irfft(orders, turns.size), zero[:, turns.circles :]
-
-    def gains(self, rows: Ints) -> Floats:
-        """Return N^-1 J' of some ``rows`` (k,): what unit errors of them do, (p, k)."""
-        mine = self.turns.rows_of(self.turns.turn[rows], self.turns.place[rows])
-        return self.times(mine.toarray().T)
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
         """Return what unit errors of some ``rows`` (k,) do to ``outputs`` C: C N^-1 J', (o, k)."""

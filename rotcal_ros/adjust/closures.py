@@ -17,7 +17,6 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf, normal_isf
 from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.fit import Fit
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, KnownRelation, Steps
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.units import TURN
@@ -49,7 +48,7 @@ class Closure:
 def closures(
     angles: Floats,
     deviations: Floats,
-    covariance: LowRank,
+    covariance: Floats,
     position_ids: Ints,
     upward: Bools | None = None,
 ) -> tuple[Closure, ...]:
@@ -61,16 +60,22 @@ def closures(
     """
     found = []
     for first, last in coming_again(angles, upward):
-        variance = float(covariance.between(np.array([first]), np.array([last]))[0])
+        variance = float(difference_variance(covariance, first, last))
         found.append(
             Closure(
                 first=int(position_ids[first]),
                 last=int(position_ids[last]),
                 error=float(deviations[last] - deviations[first]),
-                std=float(np.sqrt(max(variance, 0.0))),
+                std=float(np.sqrt(variance)),
             )
         )
     return tuple(found)
+
+
+def difference_variance(covariance: Floats, first: int | Ints, last: int | Ints) -> Floats:
+    """Return the variances (q,) of what rows ``first`` and ``last`` (q,) differ by."""
+    both = covariance[first, first] + covariance[last, last]
+    return np.asarray(np.maximum(both - 2.0 * covariance[first, last], 0.0))
 
 
 def coming_again(angles: Floats, upward: Bools | None = None) -> Iterator[tuple[int, int]]:
@@ -142,14 +147,15 @@ class Closed:
         columns = effect.at(self.fit.computed)
         by = np.where(self.fit.used, 1.0 / self.fit.std, 0.0)
         influence, white = self._root @ (self.response * by), self._root @ self.error
-        if isinstance(columns, Steps):
+        if isinstance(columns, Steps) and not columns.centred:
             parts = [np.zeros((0, columns.width, len(white)))]
             for rows, first in columns.runs:
                 mine = columns.influence[rows][:, :, None] * influence.T[rows][:, None]
                 parts.append(np.cumsum(mine[::-1], axis=0)[::-1][first])
             moved = np.concatenate(parts)
         else:
-            moved = (columns.T @ influence.T).reshape(-1, effect.width, len(white))
+            written = columns.whole() if isinstance(columns, Steps) else columns
+            moved = (written.T @ influence.T).reshape(-1, effect.width, len(white))
         if isinstance(seen, Observable):
             flat = moved.reshape(-1, len(white))
             information, score = seen.information + flat @ flat.T, seen.score + flat @ white

@@ -186,16 +186,14 @@ def expected_weights(seen: ObservableFamily, size: float, probability: float) ->
 def effect_test(
     seen: Observable,
     rest: tuple[float, float] | None = None,
-    least: float = 1e-300,
-    nothing: float = UNSEEN,
     largest: float = np.inf,
 ) -> EffectTest:
     """Test all columns together, but for what sizes far beyond the ``largest`` alone would show.
 
     ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated
-    from it; None: the noise is known. Its variance is ``least`` or more. ``nothing``: as UNSEEN.
+    from it; None: the noise is known.
     """
-    axes, values, _ = _axes(seen, nothing)
+    axes, values, _ = _axes(seen)
     sure = np.linalg.norm(axes, axis=0) < INCREDIBLE * largest * np.sqrt(values)
     axes, values = axes[:, sure], values[sure]
     inverse = (axes / values) @ axes.T
@@ -204,7 +202,7 @@ def effect_test(
     variance, left = 1.0, np.inf
     if rest is not None:
         left = rest[1] - rank
-        variance = max((rest[0] - squares) / max(left, 1.0), least)
+        variance = max((rest[0] - squares) / max(left, 1.0), 1e-300)
     chance = _chance(squares, rank, variance, left)
     return EffectTest(size, inverse, squares, rank, chance, axes, variance=variance)
 
@@ -219,7 +217,7 @@ def family_test(seen: ObservableFamily, rest: tuple[float, float] | None = None)
     return alone._replace(probability=min(chance, 1.0), member=k)
 
 
-def _axes(seen: Observable, nothing: float = UNSEEN) -> tuple[Floats, Floats, Floats]:
+def _axes(seen: Observable) -> tuple[Floats, Floats, Floats]:
     """Return combinations (k, rank) of the columns that leave residuals, and their information.
 
     And the combinations (k, k - rank) that leave none. All columns count as of length one: S is
@@ -227,7 +225,7 @@ def _axes(seen: Observable, nothing: float = UNSEEN) -> tuple[Floats, Floats, Fl
     """
     scale = np.sqrt(np.maximum(seen.whole, np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(seen.information / scale / scale[:, None])
-    axes, checked = vectors / scale[:, None], values > nothing
+    axes, checked = vectors / scale[:, None], values > UNSEEN
     return axes[:, checked], values[checked], axes[:, ~checked]
 
 

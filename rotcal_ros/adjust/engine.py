@@ -39,12 +39,12 @@ from rotcal_ros.adjust.effects import (
     undetected_family,
 )
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
-from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
+from rotcal_ros.adjust.gathering import SUSPECTED
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.look import LARGEST_GROUP
 from rotcal_ros.adjust.model import Disturbing, Model, Steps
 from rotcal_ros.adjust.noise import PRIOR
-from rotcal_ros.adjust.observable import columns_of, family_observable_by, observable_by
+from rotcal_ros.adjust.observable import seen_of
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
@@ -145,8 +145,8 @@ class Adjusted:
         contested = list(self.diagnosis.contested())
         found = [np.sqrt(weight) * change[:, None] for weight, change in contested]
         for effect, size, probability in self.model.expected:
-            columns = effect.at(self.fit.computed)
-            seen = family_observable_by(self.fit, columns, effect.width)
+            seen = seen_of(self.fit, effect)
+            assert isinstance(seen, ObservableFamily)
             weight = expected_weights(seen, size, probability)
             stride = -(-len(weight) * len(self.fit.value) // MOST_AT_ONCE)
             root = np.sqrt(stride * weight[::stride])
@@ -244,7 +244,7 @@ class Adjusted:
         """What the solution makes of each declared effect, and closures beside it."""
         found = []
         for effect in self.model.effects:
-            seen = _seen(self.fit, effect)
+            seen = seen_of(self.fit, effect)
             for closed in self.closed:
                 seen = closed.beside(effect, seen)
             found.append((effect, seen))
@@ -483,7 +483,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     std, counting = every_std[: len(model.outputs)], fit.counting(every_std)
     each = limits.of_each_effect(model)
     every = {
-        e.effect: _undetected(e, _seen(fit, e), counting, each)
+        e.effect: _undetected(e, seen_of(fit, e), counting, each)
         for e in model.effects
         if isinstance(e.columns, Steps) or e.whole(computed).any()
     }
@@ -533,10 +533,9 @@ def _doubts(found: Adjusted) -> Iterator[str]:
             f"brackets their likelihood): {others}; the uncertainty covers them all"
         )
     yield from gathering.doubts(
-        found.diagnosis.gathering,
-        GatheringLimits(limits.gathered_share, limits.significance),
-        model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
-    )
+        found.diagnosis.gathering, limits.gathered_share, limits.significance, model.words,
+        model.unit,
+    )  # fmt: skip
     yield from _open(found)
     if not found.fit.dof:
         yield f"no {model.words.elements} are left to check the others: nothing could contradict"
@@ -614,13 +613,6 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     yield _against_noise(found)
     yield from _against_single(found)
     yield from _against_gathering(found)
-
-
-def _seen(fit: Fit, effect: Disturbing) -> Observable | ObservableFamily:
-    columns = effect.at(fit.computed)
-    if effect.family:
-        return family_observable_by(fit, columns, effect.width)
-    return observable_by(fit, columns_of(columns, slice(None)))
 
 
 def _undetected(
@@ -712,10 +704,16 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
         return
     words, unit = found.model.words, found.model.unit
     worst = hidden(
-        judgement.groups, found.counting_std, SUSPECTED, POWER,
-        LARGEST * float(found.model.std.max()), judgement.gathered, judgement.freedom,
-    )  # fmt: skip
+        judgement, found.counting_std, SUSPECTED, POWER, LARGEST * float(found.model.std.max())
+    )
     if worst is None:
         return
     what = f"several {words.elements} that are off together ({words.cause})"
-    yield gathering.protection(worst, what, unit.shown(worst.size))
+    if not worst.seen:
+        yield Protection("one place", "not protected", f"{what} leave no residual")
+        return
+    why = (
+        f"{what} are looked for; {worst.count} of {worst.name} by {unit.shown(worst.size)} are "
+        "found, the worst case"
+    )
+    yield Protection("one place", "tested", why, worst.error)

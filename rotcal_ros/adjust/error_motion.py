@@ -81,22 +81,17 @@ class Spectrum:
         return cls(tuple(whole), tuple(whole.values()), white)
 
     def root(self, angles: Floats) -> Floats:
-        """Return columns (n, r) whose products add up to :meth:`covariance`, of least number."""
+        """Return columns (n, r) of a motion of size 1 at ``angles`` (n,), rad, of least number.
+
+        Their products add up to its covariance, the sum of share cos(order (theta_i - theta_j));
+        white motion is at each of the angles its own.
+        """
         phase = np.outer(angles, self.orders)
         size = np.sqrt(self.shares)
         columns = [size * np.cos(phase), size * np.sin(phase)]
         if self.white:
             columns.append(np.sqrt(self.white) * np.eye(len(angles)))
         return np.concatenate(columns, axis=1)
-
-    def covariance(self, angles: Floats) -> Floats:
-        """Return the covariance (n, n) of a motion of size 1 between ``angles`` (n,), rad.
-
-        The sum of share cos(order (theta_i - theta_j)); white motion is at each of the angles its
-        own.
-        """
-        columns = self.root(angles)
-        return np.asarray(columns @ columns.T)
 
 
 WHITE: Final = Spectrum(white=1.0)

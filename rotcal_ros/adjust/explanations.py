@@ -30,7 +30,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.groups import Group
-from rotcal_ros.adjust.sensitivity import Moment, total
+from rotcal_ros.adjust.sensitivity import Moment
 from rotcal_ros.adjust.subsets import LEAST, bounds, distinct, most_of
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -75,18 +75,18 @@ class Hypotheses:
         In the standard uncertainties ``std`` (o,); zero or infinite: one that does not count.
         """
         counts = (std > 0.0) & np.isfinite(std)
+        rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
+        for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
+            influence = self.of_rows(rows[some] / std[some, None])
+            np.maximum(most, np.abs(influence, out=influence).max(axis=0, initial=0.0), out=most)
+        return most
+
+    def of_rows(self, matrix: Floats) -> Floats:
+        """Return a ``matrix`` (r, n) of the rows times the mixing, (r, q, d)."""
         if self.times is not None:
-            rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
-            for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
-                influence = self.times(rows[some] / std[some, None])
-                np.maximum(
-                    most, np.abs(influence, out=influence).max(axis=0, initial=0.0), out=most
-                )
-            return most
-        mix, rows = self.mixing(), self.group.sensitivity.dense()[counts] / std[counts, None]
-        influence = rows @ mix.reshape(len(mix), -1)
-        most = np.maximum(influence.max(axis=0, initial=0.0), -influence.min(axis=0, initial=0.0))
-        return np.asarray(most.reshape(mix.shape[1:]))
+            return self.times(matrix)
+        mix = self.mixing()
+        return (matrix @ mix.reshape(len(mix), -1)).reshape(len(matrix), *mix.shape[1:])
 
     def take(self, which: slice) -> Hypotheses:
         """Return some of them."""
@@ -100,16 +100,16 @@ class Hypotheses:
             None if times is None else lambda matrix: times(matrix)[:, which],
         )
 
-    def log_bayes(self, sizes: Floats = SIZES) -> Floats:
-        """Return ln B (q, t) for prior standard deviations ``sizes`` (t,)."""
-        return log_bayes(self.values, self.along, sizes)
+    def log_bayes(self) -> Floats:
+        """Return ln B (q, t) for the prior standard deviations SIZES (t,)."""
+        return log_bayes(self.values, self.along)
 
-    def moment(self, weights: Floats, sizes: Floats = SIZES) -> Moment:
+    def moment(self, weights: Floats) -> Moment:
         """Return what the rows are off by, and its square, in sums over all of them.
 
         ``weights`` (q, t): posterior probabilities.
         """
-        variance = sizes**2
+        variance = SIZES**2
         left = variance / (1.0 + variance * self.values[:, :, None])
         at = left * self.along[:, :, None]  # (q, d, t)
         first = (at @ weights[:, :, None])[:, :, 0]
@@ -120,13 +120,6 @@ class Hypotheses:
         flat = mix.reshape(len(mix), -1)
         spread = (mix.swapaxes(0, 1) @ second).swapaxes(0, 1).reshape(flat.shape)
         return Moment(self.group.sensitivity, flat @ first.ravel(), spread @ flat.T)
-
-    def moments(self, weights: Floats, sizes: Floats = SIZES) -> tuple[Floats, Floats]:
-        """Return sums (o,) of what the outputs are off by, and (o, o) of its square.
-
-        ``weights`` (q, t): posterior probabilities.
-        """
-        return total([self.moment(weights, sizes)], self.group.sensitivity.outputs)
 
 
 def log_bayes_of_each(found: Sequence[Hypotheses]) -> list[Floats]:
@@ -142,9 +135,9 @@ def log_bayes_of_each(found: Sequence[Hypotheses]) -> list[Floats]:
     return [logs[k] for k in range(len(found))]
 
 
-def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
-    """Return ln B (q, t) of ``values`` and ``along`` (q, d), for prior deviations ``sizes``."""
-    variance = sizes**2
+def log_bayes(values: Floats, along: Floats) -> Floats:
+    """Return ln B (q, t) of ``values`` and ``along`` (q, d), for the prior deviations SIZES."""
+    variance = SIZES**2
     grown = 1.0 + variance * values[:, :, None]
     gain = variance * along[:, :, None] ** 2 / grown
     return np.asarray(0.5 * (gain - np.log(grown)).sum(axis=1))
@@ -361,7 +354,7 @@ def shifts_flipped(group: Group, subsets: Bools) -> Floats:
     score = (part @ group.score)[:, None] + change[..., None] * group.score
     values, along, _ = _own_axes(square, score)
     c = square.shape[-1]
-    bayes = log_bayes(values.reshape(-1, c), along.reshape(-1, c), SIZES)
+    bayes = log_bayes(values.reshape(-1, c), along.reshape(-1, c))
     return bayes.reshape(*change.shape, len(SIZES))
 
 

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.linalg import lapack
 
-from rotcal_ros.adjust.effects import ObservableFamily
+from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
-from rotcal_ros.adjust.model import Model, Steps
+from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -110,8 +110,8 @@ class Fit:
         return np.where(self.used, self.residual / self.std, 0.0)
 
     @cached_property
-    def families(self) -> dict[Steps, ObservableFamily]:
-        """What was worked out of moves that may have begun at any moment."""
+    def seen(self) -> dict[Disturbing, Observable | ObservableFamily]:
+        """What it makes of effects that were asked for: they are again and again."""
         return {}
 
     @property

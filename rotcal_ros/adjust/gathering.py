@@ -7,19 +7,19 @@ probable joins the covariance.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import binomial_quantile
-from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, Undivided, group_test
-from rotcal_ros.adjust.judgement import BELIEF, Belief, Blame, Judgement, blame, judge
-from rotcal_ros.adjust.reliability import Hidden
+from rotcal_ros.adjust.distributions import binomial_quantile, sidak
+from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, group_test
+from rotcal_ros.adjust.judgement import Blame, Judgement, judge
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.protection import Protection
-from rotcal_ros.foundation.units import MICROMETRE
+
+if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import Unit
 
 RARE: Final = 0.05
 """Probability that single outliers by chance are as many as are called off together."""
@@ -31,35 +31,18 @@ class Words(NamedTuple):
     """How people call the elements of groups (``lengths``), and what spoils them together.
 
     ``cause``: what to look for, ``where``: what it is about, as "in the beams", ``its``: of one
-    group, as "in its beams". Sizes are shown in ``unit``, ``unit_si`` in SI.
+    group, as "in its beams".
     """
 
     elements: str
     cause: str
     where: str
     its: str
-    unit: str = "um"
-    unit_si: float = MICROMETRE
 
     @property
     def contradicts(self) -> str:
         """What is said of an effect that other elements would show."""
         return f"contradicts other {self.elements}"
-
-    def size(self, size: Floats) -> str:
-        """Return a ``size`` (c,), SI, for people."""
-        return " ".join(f"{x / self.unit_si:+.2g}" for x in size.tolist()) + f" {self.unit}"
-
-
-class GatheringLimits(NamedTuple):
-    """How many of a group may be rejected by chance, and how rarely tests alarm on sound data.
-
-    ``significance``: of the test of groups; ``suspected``: of what cannot be proved.
-    """
-
-    rejected_share: float
-    significance: float
-    suspected: float = SUSPECTED
 
 
 class Count(NamedTuple):
@@ -78,25 +61,16 @@ class Gathering:
 
     ``judgement``: of what is left, None where nothing was judged. ``blamed``: what was left out,
     in the order in which it was found. ``counts``: all groups with the elements that are left.
-    ``contested``: a single outlier was kept, for several that are off together explain it as well.
     """
 
     judgement: Judgement | None = None
     blamed: tuple[Blame, ...] = ()
     counts: tuple[Count, ...] = ()
-    contested: bool = False
 
     @property
     def chance(self) -> float:
         """How probably sound data look as much as if something gathered."""
         return 1.0 if self.judgement is None else self.judgement.chance
-
-    def proved(self, significance: float, belief: Belief = BELIEF) -> Blame | None:
-        """Return what of the most suspicious group is proved to be wrong; None: nothing is."""
-        found = self.judgement
-        if found is None or not found.proved(significance):
-            return None
-        return blame(found.groups[found.worst], belief)
 
     def without(self, case: Blame) -> Gathering:
         """Return it with ``case`` left out, too."""
@@ -112,86 +86,53 @@ class Gathering:
 
 def judged(
     before: Gathering,
-    groups: Sequence[Group | Undivided | JudgedWhole],
+    groups: Sequence[Group | JudgedWhole],
     rest: tuple[float, float] | None,
-    weighed: Sequence[Group] | None = None,
-    belief: Belief = BELIEF,
-    common: Collection[str] = (),
 ) -> Gathering:
-    """Return ``before`` with what ``groups`` say.
+    """Return ``before`` with what ``groups`` say; ``rest`` as in :func:`~.groups.group_test`.
 
-    ``rest`` as in :func:`~.groups.group_test`. ``weighed``: of which it is asked what gathers in
-    them; None: those that name subsets. All are tested, but of kinds that all scatter beyond
-    chance (``common``) no single group is called improbable.
+    All are tested; of those that name subsets it is asked what gathers in them.
     """
-    counts = tuple(
-        Count(
-            g.kind,
-            g.name,
-            replace(test, probability=1.0) if g.kind in common else test,
-            g.size + g.lost,
-            g.lost,
-        )
-        for g, test in ((g, group_test(g, rest)) for g in groups)
-    )
-    if weighed is None:
-        weighed = [g for g in groups if isinstance(g, Group) and len(g.gathered)]
-    found = judge(weighed, belief, rest)
-    return replace(before, judgement=found, counts=counts, contested=False)
+    counts = [Count(g.kind, g.name, group_test(g, rest), g.size + g.lost, g.lost) for g in groups]
+    weighed = [g for g in groups if isinstance(g, Group) and len(g.gathered)]
+    return replace(before, judgement=judge(weighed, rest), counts=tuple(counts))
 
 
-def doubts(gathering: Gathering, limits: GatheringLimits, words: Words) -> list[str]:
-    """Return a sentence about everything that gathers, and about groups that do not fit."""
-    found = [_blamed(case, words) for case in gathering.blamed if _many(case, limits)]
+def doubts(
+    gathering: Gathering, rejected_share: float, significance: float, words: Words, unit: Unit
+) -> Iterator[str]:
+    """Yield a sentence about everything that gathers, and about groups that do not fit.
+
+    ``rejected_share``: how many of a group may be rejected by chance; ``significance``: of the
+    test of groups.
+    """
+    for case in gathering.blamed:
+        whole = case.group.size + case.group.lost
+        # so many are no matter of single outliers
+        if case.subset.sum() > binomial_quantile(1.0 - RARE, whole, rejected_share):
+            yield _blamed(case, words, unit)
     named = {case.group.name for case in gathering.blamed}
     judgement = gathering.judgement
-    suspected = gathering.contested or gathering.chance < limits.suspected
-    if judgement is not None and suspected:
+    if judgement is not None and gathering.chance < SUSPECTED:
         name = judgement.groups[judgement.worst].name
         why = (
-            f"one of the {words.elements} of {name} does not fit, and some of them that are off "
-            "together explain it as well"
-            if gathering.contested
-            else f"the {words.elements} of {name} look as if some of them were off together (p = "
+            f"the {words.elements} of {name} look as if some of them were off together (p = "
             f"{gathering.chance:.2g} on sound {words.elements})"
         )
-        found.append(
+        yield (
             f"{why}, which ones is not certain: the uncertainty holds what that may do; look for "
             f"{words.cause} {words.its}, and measure it again"
         )
-    return found + _counted(gathering.counts, named, limits, words)
+    yield from _counted(gathering.counts, named, rejected_share, significance, words)
 
 
-def protection(
-    worst: Hidden, what: str, size: str, *, searched: str = "", beside: str = ""
-) -> Protection:
-    """Return the statement about ``what`` is off together, of which ``worst`` may stay unseen.
-
-    ``size``: that of the worst, for people. ``searched``: where it is looked for, ``beside``: what
-    else is said.
-    """
-    if not worst.seen:
-        return Protection("one place", "not protected", f"{what} leave no residual")
-    why = (
-        f"{what} are looked for{searched}; {worst.count} of {worst.name} by {size} are found, the "
-        f"worst case{beside}"
-    )
-    return Protection("one place", "tested", why, worst.error)
-
-
-def _many(case: Blame, limits: GatheringLimits) -> bool:
-    """Whether so many are off together that it is no matter of single outliers."""
-    whole = case.group.size + case.group.lost
-    usual = binomial_quantile(1.0 - RARE, whole, limits.rejected_share)
-    return int(case.subset.sum()) > usual
-
-
-def _blamed(case: Blame, words: Words) -> str:
+def _blamed(case: Blame, words: Words, unit: Unit) -> str:
     count = int(case.subset.sum())
+    size = " ".join(f"{x / unit.si:+.2g}" for x in case.size.tolist()) + f" {unit.name}"
     text = (
         f"{count} of the {case.group.size + case.group.lost} {words.elements} of "
-        f"{case.group.name} are off together, by about {words.size(case.size)}, and were left "
-        f"out: look for {words.cause} {words.where}"
+        f"{case.group.name} are off together, by about {size}, and were left out: look for "
+        f"{words.cause} {words.where}"
     )
     if case.ambiguous:
         other = int(case.rivals[0].sum())
@@ -203,29 +144,29 @@ def _blamed(case: Blame, words: Words) -> str:
 
 
 def _counted(
-    counts: Sequence[Count], named: set[str], limits: GatheringLimits, words: Words
-) -> list[str]:
-    """Return sentences about groups whose rejected share or chi-squared is no chance."""
-    found = []
-    significance = 1.0 - (1.0 - limits.significance) ** (1.0 / max(len(counts), 1))
+    counts: Sequence[Count],
+    named: set[str],
+    rejected_share: float,
+    significance: float,
+    words: Words,
+) -> Iterator[str]:
+    """Yield sentences about groups whose rejected share or chi-squared is no chance."""
+    each = sidak(significance, max(len(counts), 1))
     for row in counts:
         if row.name in named:
             continue
-        if row.lost and row.lost > binomial_quantile(
-            1.0 - significance, row.whole, limits.rejected_share
-        ):
-            found.append(
+        if row.lost and row.lost > binomial_quantile(1.0 - each, row.whole, rejected_share):
+            yield (
                 f"{row.lost} of the {row.whole} {words.elements} of {row.name} were rejected, "
                 "which is no chance: something is wrong with all of it; measure it again"
             )
-        elif row.test.probability < significance:
+        elif row.test.probability < each:
             root = float(np.sqrt(row.test.squares / max(row.test.rank, 1)))
-            found.append(
+            yield (
                 f"the {words.elements} of {row.name} disagree {root:.2g} times as much as those "
                 f"of others (chi-squared, p = {row.test.probability:.2g}): something was wrong "
                 "there"
             )
-    return found
 
 
 def details(gathering: Gathering, elements: str) -> dict[str, Any]:

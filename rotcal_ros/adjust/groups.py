@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -31,8 +30,8 @@ class Group:
     ``kind``, ``name``: for people, as "station" and "station 3". ``members`` (e,): the caller's
     numbers of the elements. ``residual`` (e, c): r, observed - computed, whitened. ``cofactor``
     (e, c, e, c): R. ``influence``: returns :attr:`sensitivity`, which of few groups is asked for.
-    ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard deviation;
-    zero where an element lacks the axis, whose other entries are zero too. ``gathered`` (q, e):
+    ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard deviation.
+    ``gathered`` (q, e):
     subsets that lie together, see :mod:`.subsets`. ``lost``: how many elements of the group were
     rejected before, which are no members. ``eigen``: eigenvalues and vectors of R, where a
     layout's are remembered.
@@ -64,10 +63,9 @@ class Group:
     ) -> Group:
         """Return the group of rows whose adjusted values have the covariance ``leverage``.
 
-        (e c, e c), whitened. Rows that are not there are zero, in ``unit`` too. Other arguments
-        as of the class; ``gathered`` None: no subset.
+        (e c, e c), whitened. Other arguments as of the class; ``gathered`` None: no subset.
         """
-        cofactor = np.diag((unit.ravel() > 0.0).astype(np.float64)) - leverage
+        cofactor = np.eye(len(leverage)) - leverage
         cofactor = 0.5 * (cofactor + cofactor.T)
         shape = residual.shape
         if gathered is None:
@@ -104,10 +102,8 @@ class Group:
 
     @cached_property
     def _usual(self) -> float:
-        there = self.unit[self.unit > 0.0]
-        if not there.size or there.min() == there.max():
-            return float(there[0]) if there.size else 1.0
-        return float(np.median(there))
+        first = float(self.unit.flat[0])
+        return first if (self.unit == first).all() else float(np.median(self.unit))
 
     @cached_property
     def score(self) -> Floats:
@@ -142,32 +138,7 @@ class Group:
     @property
     def checks(self) -> tuple[float, int]:
         """Sum of the rows' shares that others check, and the number of rows."""
-        return float(self.axes[0].sum()), int((self.unit > 0.0).sum())
-
-
-@dataclass(frozen=True, eq=False)
-class Undivided:
-    """A group of ``size`` elements that are judged together and no other way, however many.
-
-    ``residual`` (n,) and ``cofactor`` (n, n) of their rows as of a :class:`Group`.
-    """
-
-    kind: str
-    name: str
-    size: int
-    residual: Floats
-    cofactor: LowRank
-    lost: int = 0
-
-    @cached_property
-    def together(self) -> tuple[float, int]:
-        """T = r'R^+r and its degrees of freedom."""
-        return self.cofactor.squares(self.residual, CHECKED)
-
-    @property
-    def checks(self) -> tuple[float, int]:
-        """Sum of the rows' shares that others check, and the number of rows."""
-        return float(self.cofactor.diagonal().sum()), len(self.residual)
+        return float(self.axes[0].sum()), self.unit.size
 
 
 class JudgedWhole(NamedTuple):
@@ -201,9 +172,7 @@ class GroupTest:
     lost_share: float
 
 
-def group_test(
-    group: Group | Undivided | JudgedWhole, rest: tuple[float, float] | None = None
-) -> GroupTest:
+def group_test(group: Group | JudgedWhole, rest: tuple[float, float] | None = None) -> GroupTest:
     """Test ``group`` as a whole.
 
     ``rest``: chi-squared and degrees of freedom of the whole adjustment, where the noise was
@@ -222,105 +191,3 @@ def group_test(
     return GroupTest(
         squares, rank, probability, checked / max(rows, 1), group.lost / whole if whole else 0.0
     )
-
-
-@dataclass(frozen=True, eq=False)
-class SolutionView:
-    """The linear view at a solution, by the covariance of all its unknowns.
-
-    ``covariance`` (p, p): N^-1, of whatever the data and their priors leave of p unknowns;
-    ``outputs`` (o, p): C.
-    """
-
-    covariance: Floats
-    outputs: Floats
-
-    @cached_property
-    def carried(self) -> Floats:
-        """C N^-1, (o, p)."""
-        return np.asarray(self.outputs @ self.covariance)
-
-    @property
-    def std(self) -> Floats:
-        """Standard deviations (o,) of the outputs."""
-        variance = np.einsum("op,op->o", self.carried, self.outputs)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    def group(
-        self,
-        kind: str,
-        name: str,
-        members: Ints,
-        design: Floats,
-        residual: Floats,
-        unit: Floats,
-        gathered: Bools | None = None,
-        lost: int = 0,
-    ) -> Group:
-        """Return the group of rows with the whitened ``design`` (e, c, p) and ``residual`` (e, c).
-
-        Rows that are not there are zero, in ``unit`` (e, c) too. Other arguments as in
-        :class:`Group`.
-        """
-        rows = design.reshape(residual.size, -1)
-        spread = rows @ self.covariance
-
-        def influence() -> Sensitivity:
-            return Sensitivity.whole(np.asarray(self.outputs @ spread.T))
-
-        return Group.of(
-            kind, name, members, residual, unit, spread @ rows.T, influence, gathered, lost
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Dense:
-    """The linear view by the whole design: the reference, and enough for small problems.
-
-    ``design`` (n, p): whitened J, rows of priors included. ``outputs`` (o, p): C. ``residual``
-    (n,): whitened, observed - computed. What the design leaves open is taken as fixed
-    (Moore-Penrose), so the outputs have to be such that they do not feel it.
-    """
-
-    design: Floats
-    outputs: Floats
-    residual: Floats
-
-    @cached_property
-    def view(self) -> SolutionView:
-        """The view by the covariance of the unknowns."""
-        gain = np.linalg.pinv(self.design)
-        return SolutionView(gain @ gain.T, self.outputs)
-
-    @property
-    def std(self) -> Floats:
-        """Standard deviations (o,) of the outputs."""
-        return self.view.std
-
-    def group(
-        self,
-        kind: str,
-        name: str,
-        members: Ints,
-        rows: Ints,
-        unit: Floats | None = None,
-        gathered: Bools | None = None,
-        lost: int = 0,
-    ) -> Group:
-        """Return the group of ``rows`` (e, c) or (e,) of the design; -1: none.
-
-        ``unit`` as ``rows``; None: ones. Other arguments as in :class:`Group`.
-        """
-        at = rows.reshape(len(members), -1)
-        there = at >= 0
-        units = np.ones(at.shape) if unit is None else unit.reshape(at.shape)
-        return self.view.group(
-            kind,
-            name,
-            members,
-            self.design[at] * there[:, :, None],
-            self.residual[at] * there,
-            units * there,
-            gathered,
-            lost,
-        )

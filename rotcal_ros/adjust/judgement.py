@@ -58,6 +58,8 @@ POSSIBLE: Final = 0.9
 """Bayes factor below which nothing is suspected."""
 LARGEST_LOG: Final = 690.0
 """Of a Bayes factor; exp of it, a million times over, is still a number."""
+SEARCHED: Final = 0.01
+"""Probability of a group below which any subset of it is searched for."""
 POLISHED: Final = 20
 """Exchanges of single elements after which a blamed subset stays as it is."""
 
@@ -104,7 +106,6 @@ class Judgement:
 
     groups: tuple[Group, ...]
     freedom: tuple[float, ...]
-    belief: Belief
     log_bayes: float
     weighed: tuple[WeighedHypotheses, ...]
 
@@ -124,8 +125,8 @@ class Judgement:
 
     def _weights(self) -> Iterator[tuple[WeighedHypotheses, Floats]]:
         """Yield what gathers with its posterior probabilities (q, t)."""
-        odds = np.log(self.belief.disturbed) + self.log_bayes
-        evidence = np.logaddexp(np.log(1.0 - self.belief.disturbed), odds)
+        odds = np.log(BELIEF.disturbed) + self.log_bayes
+        evidence = np.logaddexp(np.log(1.0 - BELIEF.disturbed), odds)
         gathers = [
             hypotheses.log_weight[~hypotheses.single].ravel() for hypotheses in self.weighed
         ]
@@ -140,11 +141,6 @@ class Judgement:
         forms = [hypotheses.found for hypotheses in self.weighed if len(hypotheses.single) > 1]
         ends = [(group.size, group.size + len(group.gathered)) for group in self.groups]
         return tuple(found.take(slice(a, b)) for found, (a, b) in zip(forms, ends, strict=True))
-
-    @property
-    def probability(self) -> float:
-        """Posterior probability that something gathers in one of the groups."""
-        return float(self.by_group.sum())
 
     @property
     def worst(self) -> int:
@@ -173,9 +169,9 @@ class Judgement:
         rng, exceeded, drawn = np.random.default_rng(0), 0, 0
         for count in DRAWS:
             total: list[Floats] = []
-            single = [np.full(count, np.log(1.0 - self.belief.outlier))]
+            single = [np.full(count, np.log(1.0 - BELIEF.outlier))]
             for group, freedom in zip(self.groups, self.freedom, strict=True):
-                for part, prior, counts in _drawn(group, freedom, self.belief, rng, count):
+                for part, prior, counts in _drawn(group, freedom, rng, count):
                     (total if counts else single).append(part + prior - np.log(len(self.groups)))
             logs = log_sum(np.array(total).T) - log_sum(np.array(single).T)
             exceeded, drawn = exceeded + int((logs >= self.log_bayes).sum()), drawn + count
@@ -188,32 +184,23 @@ class Judgement:
         return self.moments[1]
 
 
-def judge(
-    groups: Sequence[Group],
-    belief: Belief = BELIEF,
-    rest: tuple[float, float] | None = None,
-    searched: float = 0.01,
-    among: int = 0,
-) -> Judgement:
+def judge(groups: Sequence[Group], rest: tuple[float, float] | None = None) -> Judgement:
     """Return what the residuals of ``groups`` say of disturbances that gather in one of them.
-
-    ``among``: how many there are, where only those that show anything are handed over; then
-    :meth:`Judgement.chance` does not hold.
 
     ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated,
     see :func:`~.groups.group_test`. Any subset is searched for in groups whose own test has a
-    probability below ``searched``.
+    probability below SEARCHED.
     """
     if not groups:
-        return Judgement((), (), belief, -np.inf, ())
+        return Judgement((), (), -np.inf, ())
     groups, freedom = zip(*(_seen(group, rest) for group in groups), strict=True)
-    weighed = tuple(_weighed(groups, belief, searched))
+    weighed = tuple(_weighed(groups))
     logs = np.concatenate([w.log_weight.ravel() for w in weighed])
-    logs -= np.log(max(len(groups), among))
+    logs -= np.log(len(groups))
     single = np.concatenate([np.repeat(w.single, w.log_weight.shape[1]) for w in weighed])
-    calm = float(log_sum(np.append(logs[single], np.log(1.0 - belief.outlier))))
+    calm = float(log_sum(np.append(logs[single], np.log(1.0 - BELIEF.outlier))))
     bayes = float(log_sum(logs[~single])) - calm
-    return Judgement(groups, freedom, belief, bayes, weighed)
+    return Judgement(groups, freedom, bayes, weighed)
 
 
 def _seen(group: Group, rest: tuple[float, float] | None) -> tuple[Group, float]:
@@ -230,29 +217,27 @@ def _seen(group: Group, rest: tuple[float, float] | None) -> tuple[Group, float]
     return studentised(group, max((rest[0] - squares) / left, 1e-9)), left
 
 
-def _families(group: Group, belief: Belief) -> tuple[list[tuple[Bools, Floats]], float]:
+def _families(group: Group) -> tuple[list[tuple[Bools, Floats]], float]:
     """Return subsets (q, e) of each family of shifts with their priors (q,), singles first.
 
     And the prior of a group that is noisier.
     """
     e, many = group.size, len(group.gathered)
-    single = (np.eye(e, dtype=np.bool_), np.full(e, belief.outlier / e))
-    noisier = 1.0 - belief.gathered - belief.scattered
+    single = (np.eye(e, dtype=np.bool_), np.full(e, BELIEF.outlier / e))
+    noisier = 1.0 - BELIEF.gathered - BELIEF.scattered
     if not many:
-        return [single], noisier + belief.gathered
-    return [single, (group.gathered, np.full(many, belief.gathered / many))], noisier
+        return [single], noisier + BELIEF.gathered
+    return [single, (group.gathered, np.full(many, BELIEF.gathered / many))], noisier
 
 
-def _weighed(
-    groups: Sequence[Group], belief: Belief, searched: float
-) -> Iterator[WeighedHypotheses]:
+def _weighed(groups: Sequence[Group]) -> Iterator[WeighedHypotheses]:
     """Yield the families of each group, each with priors that add up to its share of belief."""
     parts, priors, noisier = list[Bools](), list[Floats](), list[float]()
     for group in groups:
-        families, noisy = _families(group, belief)
-        if chi2_sf(*group.together) < searched and len(other := search(group)):
+        families, noisy = _families(group)
+        if chi2_sf(*group.together) < SEARCHED and len(other := search(group)):
             count = other.sum(axis=1).astype(np.float64)
-            families.append((other, belief.scattered * np.exp(any_subset(group.size, count))))
+            families.append((other, BELIEF.scattered * np.exp(any_subset(group.size, count))))
         parts.append(np.concatenate([subsets for subsets, _ in families]))
         priors.append(np.concatenate([prior for _, prior in families]))
         noisier.append(noisy)
@@ -270,7 +255,7 @@ def _weighed(
 
 
 def _drawn(
-    group: Group, freedom: float, belief: Belief, rng: np.random.Generator, count: int
+    group: Group, freedom: float, rng: np.random.Generator, count: int
 ) -> list[tuple[Floats, float, bool]]:
     """Return ln of the mean Bayes factor (count,) of each family on sound residuals.
 
@@ -283,7 +268,7 @@ def _drawn(
     if np.isfinite(freedom):
         drawn /= np.sqrt(rng.chisquare(freedom, count) / freedom)
     whole = log_bayes(np.tile(values, (count, 1)), (vectors.T @ drawn).T)
-    families, noisier = _families(group, belief)
+    families, noisier = _families(group)
     alike = np.log(len(SIZES))
     found = [(log_sum(whole) - alike, float(np.log(noisier)), True)]
     for k, (subsets, prior) in enumerate(families):
@@ -316,15 +301,14 @@ class Blame:
     """Which elements of a group to leave out, and what else explains the residuals as well.
 
     ``subset`` (e,), its ``size`` (c,): by how much its elements are off together, in the unit of
-    a shift; ``probability`` among all that was tried. ``change`` (o,): what leaving it out does to
-    the outputs. ``rivals`` (q, e), best first, with their ``ratios`` (q,) of likelihood, best to
-    rival; ``covariance`` (o, o): what the choice among all of them adds.
+    a shift. ``change`` (o,): what leaving it out does to the outputs. ``rivals`` (q, e), best
+    first, with their ``ratios`` (q,) of likelihood, best to rival; ``covariance`` (o, o): what the
+    choice among all of them adds.
     """
 
     group: Group
     subset: Bools
     size: Floats
-    probability: float
     change: Floats
     rivals: Bools
     ratios: Floats
@@ -336,7 +320,7 @@ class Blame:
         return bool((self.ratios < ALIKE).any())
 
 
-def blame(group: Group, belief: Belief = BELIEF) -> Blame | None:
+def blame(group: Group) -> Blame | None:
     """Return the subset of ``group`` that most probably is wrong; None where none can be.
 
     Candidates: shifts of gathered and of any subsets, their complements, and what a forward
@@ -347,7 +331,7 @@ def blame(group: Group, belief: Belief = BELIEF) -> Blame | None:
     """
     if most_of(group.size) < LEAST:
         return None
-    tried = _Tried(group, belief)
+    tried = _Tried(group)
     part = _candidates(group, tried)
     merit = np.array([tried.merit(subset) for subset in part])
     best = tried.polished(part[int(np.argmax(merit))])
@@ -365,7 +349,6 @@ def blame(group: Group, belief: Belief = BELIEF) -> Blame | None:
         group=group,
         subset=part[0],
         size=_common(group, part[0]),
-        probability=float(probability[0]),
         change=change,
         rivals=part[rivals],
         ratios=np.exp(np.minimum(merit[0] - merit[rivals], 700.0)),
@@ -389,8 +372,8 @@ def _common(group: Group, subset: Bools) -> Floats:
 class _Tried:
     """Merits of subsets that are off together, each worked out once: ``known`` by its bytes."""
 
-    def __init__(self, group: Group, belief: Belief) -> None:
-        self.group, self.belief = group, belief
+    def __init__(self, group: Group) -> None:
+        self.group = group
         self.known: dict[bytes, float] = {}
         self._gathered = {subset.tobytes() for subset in group.gathered}
 
@@ -418,10 +401,10 @@ class _Tried:
         """Return ln of the mean of Bayes factors (q, t) times the prior of ``subsets`` (q, e)."""
         count, size = subsets.sum(axis=1).astype(np.float64), subsets.shape[1]
         any_ = np.where(count > 1.0, any_subset(size, np.maximum(count, 1.0)), -np.log(size))
-        prior = np.log(self.belief.scattered) + any_
+        prior = np.log(BELIEF.scattered) + any_
         if self._gathered:
             listed = np.array([subset.tobytes() in self._gathered for subset in subsets])
-            share = np.log(self.belief.gathered / len(self._gathered))
+            share = np.log(BELIEF.gathered / len(self._gathered))
             prior = np.where(listed, np.logaddexp(prior, share), prior)
         return np.asarray(prior + log_sum(bayes) - np.log(bayes.shape[1]))
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag, lapack
 from scipy.sparse import coo_array, csr_array
 
-from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -190,9 +190,12 @@ class Kernel(ABC):
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         return np.stack([self.among(each) for each in rows])
 
-    def low_rank(self, rows: Ints) -> LowRank | None:
-        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
-        return None
+    def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
+        """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
+        values, vectors = np.linalg.eigh(np.eye(len(rows)) - self.among(rows))
+        seen = values > CHECKED
+        along = vectors[:, seen].T @ white
+        return float((along**2 / values[seen]).sum()), int(seen.sum())
 
     @property
     @abstractmethod
@@ -333,9 +336,9 @@ class Whole(Kernel):
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return np.asarray(self.basis[rows] @ self.basis[rows].T)
 
-    def low_rank(self, rows: Ints) -> LowRank | None:
-        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
-        return LowRank.outer(self.basis[rows]).if_low()
+    def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
+        """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
+        return squares_beside(white, self.basis[rows], np.ones(self.rank))
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
@@ -497,15 +500,6 @@ class Updated(Kernel):
         found += low @ self.core @ low.T
         return np.asarray(found)
 
-    def low_rank(self, rows: Ints) -> LowRank | None:
-        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
-        base, share = self.base.low_rank(rows), self.share[rows, None]
-        if base is None or base.columns is None:
-            return None
-        alone = LowRank(base.blocks * share[:, :, None] ** 2, base.columns * share, base.core)
-        low = self._low[rows]
-        return (alone + LowRank(0.0 * base.blocks, low, self.core)).if_low()
-
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
         share = self.share[rows]
@@ -589,9 +583,9 @@ class Defined(Kernel):
         """Return J N^-1 J' between some ``rows`` (k,), (k, k)."""
         return self.base.among(rows)
 
-    def low_rank(self, rows: Ints) -> LowRank | None:
-        """Return :meth:`among` some ``rows`` as a diagonal and a low rank; None: it is none."""
-        return self.base.low_rank(rows)
+    def together(self, rows: Ints, white: Floats) -> tuple[float, int]:
+        """Return T = r'R^+r of the residuals r = ``white`` (k,) of some ``rows``, and R's rank."""
+        return self.base.together(rows, white)
 
     def among_each(self, rows: Ints) -> Floats:
         """Return J N^-1 J' between the rows of each of many groups (g, e), (g, e, e)."""
@@ -654,6 +648,19 @@ class Defined(Kernel):
     def squares_between(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
         return self.base.squares_between(share)
+
+
+def squares_beside(white: Floats, columns: Floats, sign: Floats) -> tuple[float, int]:
+    """Return T = r'R^+r and the rank of R = 1 - ``columns`` (k, r) ``sign`` (r,) times their own.
+
+    Of r = ``white`` (k,), which R can make. Eigenvalues up to CHECKED are taken for zero.
+    """
+    basis, triangle = np.linalg.qr(columns)
+    taken, axes = np.linalg.eigh((triangle * sign) @ triangle.T)
+    along, left = (white @ basis) @ axes, 1.0 - taken
+    seen = left > CHECKED
+    beside = (along[seen] ** 2 / left[seen]).sum() - along @ along
+    return float(white @ white + beside), len(white) - int((~seen).sum())
 
 
 def fixed_by(rows: Floats, directions: Floats, lengths: Floats) -> tuple[Floats, Floats]:

@@ -26,11 +26,10 @@ from rotcal_ros.adjust.effects import (
 )
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import judged
-from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole, Undivided
+from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole
 from rotcal_ros.adjust.judgement import ALIKE, blame
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
-from rotcal_ros.adjust.observable import columns_of, family_observable_by, observable_by
+from rotcal_ros.adjust.observable import columns_of, observable_by, seen_of
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
@@ -249,13 +248,10 @@ class Look:
         for effect in self.before.model.effects:
             if not effect.family and effect in taken:
                 continue
-            columns = effect.at(self.fit.computed)
-            seen: Observable | ObservableFamily
-            if effect.family:
-                seen = family_observable_by(self.fit, columns, effect.width)
+            seen = seen_of(self.fit, effect)
+            if isinstance(seen, ObservableFamily):
                 test = family_test(seen, self.rest)
             else:
-                seen = observable_by(self.fit, columns_of(columns, slice(None)))
                 test = effect_test(seen, self.rest, largest=effect.largest)
             if test.rank:
                 found.append((effect, seen, test))
@@ -293,7 +289,7 @@ class Look:
         support, price = self._support(test.squares, test.rank, RARER * among)
         where = ""
         if isinstance(every, Steps):
-            touched = np.flatnonzero(columns.any(axis=1))
+            touched = np.flatnonzero((columns > 0.0 if every.centred else columns).any(axis=1))
             where = f" from {self.before.model.names[touched[every.when[touched].argmin()]]} on"
         elif effect.family:
             touched = np.flatnonzero(columns.any(axis=1))
@@ -307,10 +303,10 @@ class Look:
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
         )  # fmt: skip
 
-    def _groups(self) -> list[Group | JudgedWhole | Undivided]:
+    def _groups(self) -> list[Group | JudgedWhole]:
         """Return the groups of what is used, with which of their members lie together."""
         fit, model = self.fit, self.before.model
-        found = list[Group | JudgedWhole | Undivided | _Members]()
+        found = list[Group | JudgedWhole | _Members]()
         first, each = model.elements[:, 0], model.elements.shape[1]
         used, rejectable = fit.used[first], model.rejectable[first]
         for grouping in (g.at(first) for g in model.groupings):
@@ -355,7 +351,7 @@ class Look:
                     found[k] = replace(group, eigen=own)
         return iter([found[k] for k in range(len(asked))])
 
-    def _together_each(self, grouping: Grouping) -> list[JudgedWhole | Undivided]:
+    def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
         """Return groups of which it is not asked what gathers, those of one size at once."""
         fit, model = self.fit, self.before.model
         first = model.elements[:, 0]
@@ -364,7 +360,7 @@ class Look:
         kept = {number: each for number, each in kept.items() if 1 < len(each) < len(used)}
         of = {number: model.rows_of(each) for number, each in kept.items()}
         lost = {number: len(every[number]) - len(each) for number, each in kept.items()}
-        found = dict[int, JudgedWhole | Undivided]()
+        found = dict[int, JudgedWhole]()
         for size in {len(rows) for rows in of.values()}:
             numbers = [number for number, rows in of.items() if len(rows) == size]
             names = {number: f"{grouping.kind} {number}" for number in numbers}
@@ -438,21 +434,16 @@ def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
     return [np.sort(part) for part in np.array_split(ordered, count)]
 
 
-def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole | Undivided:
+def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole:
     """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
 
-    Where they have little in common T follows from that; else it is what chi-squared is less by in
-    the solution without them, where that is firm.
+    Of circles T is what chi-squared is less by in the solution without them, where that is firm.
     """
-    elements = len(np.unique(fit.model.of_element[rows]))
-    low = fit.kernel.low_rank(rows)
-    rest = fit.without(rows) if low is None and not fit.jacobian.divided else None
+    rest = None if fit.jacobian.divided else fit.without(rows)
     if rest is None:
-        taken = low or LowRank.whole(fit.kernel.among(rows))
-        return Undivided(
-            kind, name, elements, fit.white[rows], taken.scaled(-1.0).lifted(1.0), lost
-        )
-    rank = len(rows) - (fit.kernel.rank - rest[1])
-    checked = float(fit.redundancy[rows].sum())
-    together, checks = (fit.chi2 - rest[0], rank), (checked, len(rows))
+        together = fit.kernel.together(rows, fit.white[rows])
+    else:
+        together = fit.chi2 - rest[0], len(rows) - (fit.kernel.rank - rest[1])
+    elements = len(np.unique(fit.model.of_element[rows]))
+    checks = float(fit.redundancy[rows].sum()), len(rows)
     return JudgedWhole(kind, name, elements, together, checks, lost)

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import block_diag, csc_array, csr_array, hstack
+from scipy.sparse import block_diag, csr_array, hstack
 
 from rotcal_ros.adjust.bordered import FewEach, Groups, within
 from rotcal_ros.adjust.designs import Derivatives, dense, design_of
@@ -111,11 +111,15 @@ class Steps:
     They are written out when they are asked for: of many observations they are very many.
     ``run`` (n,): -1 for none; ``when`` (n,): the order or the time. ``ways`` (n, w): what each
     observation feels of w ways to move by one unit; None: of one way, by which all shift alike.
+    ``most``: of far more moments than this only some, evenly: one between two is seen nearly as
+    well. ``centred``: moves count from their mean in the run.
     """
 
     run: Ints
     when: Floats
     ways: Floats | None = None
+    most: int | None = None
+    centred: bool = False
 
     @property
     def influence(self) -> Floats:
@@ -135,7 +139,12 @@ class Steps:
             mine = np.flatnonzero(self.run == number)
             rows = mine[np.argsort(self.when[mine], kind="stable")]
             found.append((rows, np.unique(self.when[rows], return_index=True)[1][1:]))
-        return found
+        ends = np.cumsum([0, *(len(first) for _, first in found)])
+        stride = max(1, int(ends[-1]) // (self.most or int(ends[-1]) + 1))
+        return [
+            (rows, first[-end % stride :: stride])
+            for (rows, first), end in zip(found, ends.tolist(), strict=False)
+        ]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -146,41 +155,22 @@ class Steps:
         """Return the same beside observations, below and above, that belong to no run."""
         rows = (above, below)
         ways = None if self.ways is None else np.pad(self.ways, (rows, (0, 0)))
-        return Steps(np.pad(self.run, rows, constant_values=-1), np.pad(self.when, rows), ways)
-
-    @cached_property
-    def _touched(self) -> list[tuple[int, Ints]]:
-        """Of each column its way, and the rows that it touches."""
-        every = range(self.width)
-        return [
-            (way, rows[k:]) for rows, first in self.runs for k in first.tolist() for way in every
-        ]
-
-    def few(self, which: slice | Ints = slice(None)) -> csr_array:
-        """Return some columns (n, m) by those entries that are not zero."""
-        ways, every = self.influence, self._touched
-        touched = every[which] if isinstance(which, slice) else [every[k] for k in which.tolist()]
-        begin = np.append(0, np.cumsum([len(rows) for _, rows in touched], dtype=np.int64))
-        rows = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in touched)])
-        values = np.concatenate([np.zeros(0), *(ways[rows, way] for way, rows in touched)])
-        shape = (len(self.run), len(touched))
-        return csr_array(csc_array((values, rows, begin), shape=shape))
+        run = np.pad(self.run, rows, constant_values=-1)
+        return replace(self, run=run, when=np.pad(self.when, rows), ways=ways)
 
     def whole(self, which: slice | Ints = slice(None)) -> Floats:
-        """Return some columns (n, m), zeros included."""
-        return np.asarray(self.few(which).toarray())
-
-    def some(self, most: int) -> Floats:
-        """Return all columns, of far more moments than ``most`` those of some, evenly.
-
-        One between two is seen nearly as well.
-        """
-        moments = self.shape[1] // self.width
-        stride = max(1, moments // most)
-        if stride == 1:
-            return self.whole()
-        every = [slice(k * self.width, (k + 1) * self.width) for k in range(0, moments, stride)]
-        return np.column_stack([self.whole(which) for which in every])
+        """Return some columns (n, m), written out."""
+        at, begin = np.arange(self.shape[1])[which], 0
+        found = np.zeros((len(self.run), len(at)))
+        for rows, first in self.runs:
+            mine = np.flatnonzero((at >= begin) & (at < begin + self.width * len(first)))
+            moment, way = np.divmod(at[mine] - begin, self.width)
+            later = (np.arange(len(rows))[:, None] >= first[moment]).astype(np.float64)
+            if self.centred:
+                later -= later.mean(axis=0)
+            found[rows[:, None], mine] = later * self.influence[rows][:, way]
+            begin += self.width * len(first)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +209,7 @@ class Disturbing:
     def whole(self, computed: Floats) -> Floats:
         """Return the same, written out; of very many moments some, evenly."""
         found = self.at(computed)
-        return found.some(MOST_MOMENTS) if isinstance(found, Steps) else found
+        return replace(found, most=MOST_MOMENTS).whole() if isinstance(found, Steps) else found
 
     def mapped(
         self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats], *, apart: bool
@@ -320,12 +310,9 @@ def recurring(run: Ints, when: Floats) -> Floats:
     return np.asarray(np.where((run >= 0)[:, None], shapes, 0.0))
 
 
-def knocks(run: Ints, when: Floats, most: int | None = None) -> Floats:
-    """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k).
-
-    Of far more moments than ``most`` some, evenly: one between two is seen nearly as well.
-    """
-    return Steps(run, when).some(most or len(run))
+def knocks(run: Ints, when: Floats) -> Floats:
+    """Return shifts by one unit from each moment within a ``run`` (n,) on, in time: (n, k)."""
+    return Steps(run, when).whole()
 
 
 def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str, str]:

@@ -44,32 +44,6 @@ MAX_ITERATIONS: Final = 40
 Fit = TypeVar("Fit")
 
 
-@dataclass(frozen=True, slots=True)
-class GlobalTest:
-    """A chi-squared test: ``sigma0`` = sqrt(chi2 / dof), and the chance to exceed it."""
-
-    sigma0: float
-    probability: float
-
-    @classmethod
-    def of(cls, chi2: float, dof: int, effective: float | None = None) -> GlobalTest:
-        """Return the test of ``chi2``, which has the degrees of freedom ``effective`` if given."""
-        if dof <= 0:
-            return UNTESTED
-        sigma0 = float(np.sqrt(chi2 / dof))
-        if effective is None:
-            return cls(sigma0, chi2_sf(chi2, dof))
-        return cls(sigma0, chi2_sf(chi2 * effective / dof, effective))
-
-    def enlargement(self, significance: float) -> float:
-        """Return by how much standard deviations are too small where the test fails; else 1."""
-        return max(self.sigma0, 1.0) if self.probability < significance else 1.0
-
-
-UNTESTED: Final = GlobalTest(1.0, 1.0)
-"""Of nothing: no degree of freedom is left."""
-
-
 @dataclass(frozen=True, eq=False)
 class NoiseEvidence:
     """What the residuals say about the components ``present`` (c,) at their factors of now.

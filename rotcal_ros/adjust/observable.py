@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
 from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.fit import Fit
-from rotcal_ros.adjust.model import Steps
+from rotcal_ros.adjust.model import Disturbing, Steps
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 
@@ -26,6 +26,18 @@ def columns_of(columns: Floats | Steps, which: slice) -> Floats:
     return columns.whole(which) if isinstance(columns, Steps) else columns[:, which]
 
 
+def seen_of(fit: Fit, effect: Disturbing) -> Observable | ObservableFamily:
+    """Return what a solution makes of an ``effect``."""
+    if effect not in fit.seen:
+        columns = effect.at(fit.computed)
+        fit.seen[effect] = (
+            family_observable_by(fit, columns, effect.width)
+            if effect.family
+            else observable_by(fit, columns_of(columns, slice(None)))
+        )
+    return fit.seen[effect]
+
+
 def observable_by(fit: Fit, columns: Floats) -> Observable:
     """Return what a solution makes of ``columns`` (n, k) of errors that are there together."""
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
@@ -37,21 +49,44 @@ def observable_by(fit: Fit, columns: Floats) -> Observable:
 
 def family_observable_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> ObservableFamily:
     """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
-    if isinstance(columns, Steps):  # which are asked for again and again
-        if columns not in fit.families:
-            fit.families[columns] = _steps_observable_by(fit, columns)
-        return fit.families[columns]
+    if isinstance(columns, Steps) and not columns.centred:
+        return _steps_observable_by(fit, columns)
+    parts, count = list[ObservableFamily](), columns.shape[1] // width
+    for begin in range(0, max(count, 1), AT_A_TIME):
+        end = begin + AT_A_TIME  # of each part the first member of the next comes last
+        written = columns_of(columns, slice(begin * width, (end + 1) * width))
+        parts.append(_part_observable_by(fit, written, width, end < count))
+    moved, own, beside, score, whole = (
+        np.concatenate([getattr(part, each.name) for part in parts])
+        for each in fields(ObservableFamily)
+    )
+    return ObservableFamily(moved, own, beside, score, whole)
+
+
+def _part_observable_by(
+    fit: Fit, columns: Floats, width: int, beside_next: bool
+) -> ObservableFamily:
+    """Return the same of some members, without the last one if it only counts ``beside_next``."""
     white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0)
     gain, back = fit.kernel.solve(white), fit.kernel.design.adjoint(white)
-    mine, solved, adjoint = (
-        each.reshape(len(each), -1, width).transpose(1, 2, 0) for each in (white, gain, back)
-    )
-    whole, own = (mine**2).sum(axis=2), mine @ mine.swapaxes(1, 2)
-    own = own - adjoint @ solved.swapaxes(1, 2)
-    beside = mine[:-1] @ mine[1:].swapaxes(1, 2) - adjoint[:-1] @ solved[1:].swapaxes(1, 2)
+    mine, solved, adjoint = (each.reshape(len(each), -1, width) for each in (white, gain, back))
+    beside = _products(mine[:, :-1], mine[:, 1:]) - _products(adjoint[:, :-1], solved[:, 1:])
+    if beside_next:
+        mine, solved, adjoint = (each[:, :-1] for each in (mine, solved, adjoint))
+    white, gain = (each.reshape(len(each), -1) for each in (mine, solved))
+    own = _products(mine, mine)
+    whole = own.diagonal(axis1=1, axis2=2)
+    own = own - _products(adjoint, solved)
     _firm_up(fit, own, whole, lambda which: white[:, which])
     moved, score = fit.moved_by(gain, white).T, (white.T @ fit.white).reshape(-1, width)
     return ObservableFamily(moved, own, beside, score, whole)
+
+
+def _products(first: Floats, second: Floats) -> Floats:
+    """Return the scalar products (k, w, w) of the columns of each of k members, (n, k, w)."""
+    ways = range(first.shape[2])
+    found = [[np.einsum("nk,nk->k", first[:, :, a], second[:, :, b]) for b in ways] for a in ways]
+    return np.moveaxis(np.array(found), 2, 0)
 
 
 def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[Ints], Floats]) -> None:

@@ -6,15 +6,15 @@ power; carried to the outputs, in their standard uncertainties, that is what sta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import detected
-from rotcal_ros.adjust.explanations import Hypotheses, shifts
+from rotcal_ros.adjust.explanations import Hypotheses
 from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.judgement import Judgement
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats
 
@@ -40,34 +40,23 @@ class Hidden:
 
 
 def hidden(
-    groups: Sequence[Group],
-    std: Floats,
-    significance: float,
-    power: float,
-    largest: float,
-    gathered: Sequence[Hypotheses] | None = None,
-    freedom: Sequence[float] | None = None,
+    judgement: Judgement, std: Floats, significance: float, power: float, largest: float
 ) -> Hidden | None:
     """Return the worst of all gathered subsets; None where no group has one.
 
     ``std`` (o,): standard uncertainties of the outputs; zero: one that does not count.
     ``significance``: that of the test of :meth:`~.judgement.Judgement.proved`, whose limit
     for a shift is 2 ln(1 / significance) and what choosing among all subsets takes away.
-    ``gathered``: those of a :class:`~.judgement.Judgement` of the same groups, if there is one.
-    ``largest``: a shift of this size, in its own unit, nobody would overlook. ``freedom``: of each
-    group, degrees of freedom from which its noise was estimated; None: it is known.
+    ``largest``: a shift of this size, in its own unit, nobody would overlook.
     """
-    many = sum(len(group.gathered) for group in groups)
+    many = sum(len(group.gathered) for group in judgement.groups)
     if not many:
         return None
     limit = float(np.sqrt(2.0 * np.log(max(many, 2) / significance)))
-    if freedom is None:
-        freedom = [np.inf] * len(groups)
-    if gathered is None:
-        gathered = [shifts(group, group.gathered) for group in groups]
+    every = zip(judgement.groups, judgement.gathered, judgement.freedom, strict=True)
     unseen = [
         _Undetected.of(group, found, detected(limit, power, dof), largest)
-        for group, found, dof in zip(groups, gathered, freedom, strict=True)
+        for group, found, dof in every
         if len(group.gathered)
     ]
     reach = _Reach.of(unseen[0].found.group.sensitivity, std)
@@ -141,13 +130,10 @@ class _Reach:
         sensitivity = unseen.found.group.sensitivity
         if self.root is None or sensitivity.common is None:
             return np.inf
-        times = unseen.found.times
-        if times is None:
-            mix = unseen.found.mixing()
-            flat = mix.reshape(len(mix), -1)
-            along, own = sensitivity.along @ flat, sensitivity.own @ flat
-        else:  # runs, by differences of leading sums
-            along, own = (times(part)[:, :, 0] for part in (sensitivity.along, sensitivity.own))
+        along, own = (
+            unseen.found.of_rows(part).reshape(len(part), -1)
+            for part in (sensitivity.along, sensitivity.own)
+        )
         share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
         counted = self.std[sensitivity.at] > 0.0
         at = sensitivity.at[counted]

@@ -1,18 +1,15 @@
-"""Where a function of one variable is zero.
-
-Like :func:`scipy.optimize.brentq`, to the last bit; importing scipy.optimize takes longer than to
-solve a bag.
-"""
+"""Where a function of one variable is zero: importing scipy.optimize takes longer than a solve."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Final
+
+import numpy as np
 
 from rotcal_ros.foundation.errors import DataError
 
-RELATIVE: Final = 4.0 * 2.0**-52
-"""Share of the root below which an interval is not made smaller."""
 MAX_ITERATIONS: Final = 100
 
 
@@ -21,56 +18,29 @@ def root_between(
 ) -> float:
     """Return where ``function`` is zero between ``a`` and ``b``, to about ``tolerance``.
 
-    Inverse quadratic steps while they shrink, bisection else (Brent 1973, Algorithms for
-    Minimization without Derivatives, chapter 4). Raises DataError when the function has the same
-    sign at both ends.
+    By Ridders' method (IEEE Transactions on Circuits and Systems 26, 979, 1979). Raises DataError
+    when the function has the same sign at both ends.
     """
-    before, here, opposite = a, b, 0.0
-    f_before, f_here, f_opposite = function(a), function(b), 0.0
-    step_before = step = 0.0
-    if f_before == 0.0:
-        return before
-    if f_here == 0.0:
-        return here
-    if (f_before < 0.0) == (f_here < 0.0):
-        raise DataError(f"no change of sign between {a:g} and {b:g}: {f_before:g} and {f_here:g}")
+    at_a, at_b = function(a), function(b)
+    if at_a == 0.0 or at_b == 0.0:
+        return a if at_a == 0.0 else b
+    if (at_a < 0.0) == (at_b < 0.0):
+        raise DataError(f"no change of sign between {a:g} and {b:g}: {at_a:g} and {at_b:g}")
+    before = np.inf
     for _ in range(MAX_ITERATIONS):
-        if f_before != 0.0 and (f_before < 0.0) != (f_here < 0.0):
-            opposite, f_opposite = before, f_before
-            step_before = step = here - before
-        if abs(f_opposite) < abs(f_here):
-            before, here, opposite = here, opposite, here
-            f_before, f_here, f_opposite = f_here, f_opposite, f_here
-        least = 0.5 * (tolerance + RELATIVE * abs(here))
-        halving = 0.5 * (opposite - here)
-        if f_here == 0.0 or abs(halving) < least:
-            break
-        trial = None
-        if abs(step_before) > least and abs(f_here) < abs(f_before):
-            trial = _interpolated(before, here, opposite, f_before, f_here, f_opposite)
-        if trial is not None and 2.0 * abs(trial) < min(
-            abs(step_before), 3.0 * abs(halving) - least
-        ):
-            step_before, step = step, trial
-        else:
-            step_before = step = halving
-        before, f_before = here, f_here
-        here += step if abs(step) > least else least if halving > 0.0 else -least
-        f_here = function(here)
+        middle = 0.5 * (a + b)
+        at_middle = function(middle)
+        if at_middle == 0.0:
+            return middle
+        bent = float(np.sqrt(at_middle**2 - at_a * at_b))  # |f| or more: here is between a and b
+        share = at_middle / bent if bent else 0.0  # squares of next to nothing are none
+        here = middle + (middle - a) * float(np.sign(at_a)) * share
+        at_here = function(here)
+        if at_here == 0.0 or abs(here - before) <= tolerance or abs(b - a) <= tolerance:
+            return here
+        before = here
+        ends = sorted([(a, at_a), (middle, at_middle), (here, at_here), (b, at_b)])
+        (a, at_a), (b, at_b) = next(
+            pair for pair in pairwise(ends) if (pair[0][1] < 0.0) != (pair[1][1] < 0.0)
+        )
     return here
-
-
-def _interpolated(
-    before: float, here: float, opposite: float, f_before: float, f_here: float, f_opposite: float
-) -> float | None:
-    """Return the step to the zero of the line or the inverse parabola through the points.
-
-    None where their differences are too small for a number.
-    """
-    if before == opposite:
-        return -f_here * (here - before) / (f_here - f_before)
-    first = (f_before - f_here) / (before - here)
-    second = (f_opposite - f_here) / (opposite - here)
-    slope = f_opposite * second - f_before * first
-    bent = second * first * (f_opposite - f_before)
-    return -f_here * slope / bent if bent else None

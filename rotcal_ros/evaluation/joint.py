@@ -22,7 +22,6 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
-from scipy.optimize import brentq
 from threadpoolctl import threadpool_limits
 
 from rotcal_ros.adjust.designs import dense
@@ -33,6 +32,7 @@ from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import CurveModel, Disturbing, Model, Unit, linear
 from rotcal_ros.adjust.observable import observable_by
+from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.adjust.stacking import places_of, reparametrised, stacked, whitened
 from rotcal_ros.evaluation.combination import (
     Combination,
@@ -648,7 +648,7 @@ def _common_variance(shared: _Shared, views: _Views, known: Mapping[Members, _Kn
     high = variance * (views.fit.chi2 / views.fit.dof - 1.0)
     while missing(high) < 0.0:
         high *= 1.5
-    return float(brentq(missing, 0.0, high, xtol=1e-6 * high, rtol=1e-9))
+    return root_between(missing, 0.0, high, 1e-9 * high)
 
 
 def solve_together(instruments: Sequence[JointInput]) -> Combination:

@@ -1,6 +1,11 @@
 """Small linear worlds, and the same answers by plain linear algebra of the whole problem."""
 
+from dataclasses import dataclass
+
 import numpy as np
+
+from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.sensitivity import Sensitivity
 
 
 def places_on_a_ring(e):
@@ -40,3 +45,30 @@ def in_residual_space(design):
     left, values, _ = np.linalg.svd(design)
     rank = int((values > 1e-9 * values[0]).sum())
     return left[:, rank:]
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """A whitened design (n, p), outputs (o, p) and residuals (n,), by the pseudo inverse."""
+
+    design: np.ndarray
+    outputs: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def gain(self):
+        return np.linalg.pinv(self.design)
+
+    @property
+    def std(self):
+        return np.linalg.norm(self.outputs @ self.gain, axis=1)
+
+    def group(self, kind, name, members, rows, unit=None, gathered=None, lost=0):
+        """Rows (e, c) or (e,) of the design as a group."""
+        at = rows.reshape(len(members), -1)
+        unit = np.ones(at.shape) if unit is None else unit.reshape(at.shape)
+        gain = self.gain[:, at.ravel()]
+        return Group.of(
+            kind, name, members, self.residual[at], unit, self.design[at.ravel()] @ gain,
+            lambda: Sensitivity.whole(self.outputs @ gain), gathered, lost,
+        )  # fmt: skip

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from linear_worlds import lines, outputs, residuals
+from linear_worlds import Dense, lines, outputs, residuals
 from scipy import stats
 
-from rotcal_ros.adjust.groups import Dense, group_test
+from rotcal_ros.adjust.groups import group_test
 
 RNG = np.random.default_rng(20240511)
 
@@ -54,15 +54,3 @@ def test_rejected_elements_stay_in_the_count():
     errors = RNG.standard_normal(len(design))
     group = view(design, errors).group("station", "one", np.arange(6), np.arange(6), lost=2)
     assert group_test(group).lost_share == pytest.approx(0.25)
-
-
-def test_missing_axes_of_an_element_are_zero_and_do_not_count():
-    design = lines()
-    errors = RNG.standard_normal(len(design))
-    rows = np.array([[0, 1], [2, -1]])
-    group = view(design, errors).group("plate", "two", np.arange(2), rows)
-    assert group.unit.tolist() == [[1.0, 1.0], [1.0, 0.0]]
-    assert not group.cofactor[1, 1].any()
-    assert not group.cofactor[:, :, 1, 1].any()
-    assert not group.response[:, 1, 1].any()
-    assert group.residual[1, 1] == 0.0

@@ -5,10 +5,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from linear_worlds import lines, outputs, places_on_a_ring, residuals
+from linear_worlds import Dense, lines, outputs, places_on_a_ring, residuals
 
 from rotcal_ros.adjust.explanations import shifts, without
-from rotcal_ros.adjust.groups import Dense
 from rotcal_ros.adjust.judgement import blame, judge
 from rotcal_ros.adjust.subsets import neighbourhoods, runs
 

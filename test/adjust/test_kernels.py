@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.bordered import Bordered, FewEach
 from rotcal_ros.adjust.circles import Circular
-from rotcal_ros.adjust.kernels import Updated, Whole, WholeMatrix
+from rotcal_ros.adjust.kernels import Defined, Updated, Whole, WholeMatrix
 from rotcal_ros.adjust.outputs import Outputs
 
 
@@ -166,26 +166,30 @@ def test_rows_left_out_and_effects_beside_any_kernel(drawn, left_out, effects, w
     agrees(kernel, expected, random)
 
 
-def test_rows_of_as_many_groups_are_a_diagonal_and_a_low_rank():
+@pytest.mark.parametrize("each", [1, 3, 5])
+@pytest.mark.parametrize("form", ["groups", "whole", "defined", "changed"])
+def test_what_many_rows_show_together(form, each):
+    """T and rank by eigenvalues; all rows of a group leave its own unknown open."""
     random = np.random.default_rng(7)
-    group = np.repeat(np.arange(60), 5)
-    matrix = np.hstack([np.eye(60)[group], random.standard_normal((300, 3))])
+    matrix = np.hstack([np.eye(60)[np.repeat(np.arange(60), 5)], random.standard_normal((300, 3))])
     matrix[:, :60] *= random.uniform(0.5, 2.0, 300)[:, None]
     design = FewEach(csr_array(matrix), random.standard_normal((2, 63)))
-    rows = np.arange(60) * 5 + 2
-    share, extra = np.ones(302), random.standard_normal((302, 1))
-    share[0], extra[0] = 0.0, 0.0
-    base = design.kernel()
-    rest = design.weighted(share)
-    changed = (design.rows(np.array([0])), -np.ones(1))
-    for kernel in (base, Updated.of(base, rest, share, changed, extra)):
-        found = kernel.low_rank(rows)
-        assert found.columns is not None
-        assert alike(found.dense(), kernel.among(rows))
-        cofactor, white = found.scaled(-1.0).lifted(1.0), random.standard_normal(60)
-        expected = white @ np.linalg.solve(np.eye(60) - kernel.among(rows), white)
-        assert cofactor.squares(white, 1e-6) == pytest.approx((expected, 60), rel=1e-9)
-    assert base.low_rank(np.arange(60)) is None  # of a few groups: much in common
+    rows = np.append((np.arange(40)[:, None] * 5 + np.arange(each)).ravel(), 301)
+    kernel = {
+        "groups": design.kernel,
+        "whole": lambda: Whole.of(design, np.zeros(0, dtype=int)),
+        "defined": lambda: Defined.of(design.kernel(), np.ones((1, 63))),
+        "changed": lambda: Updated.of(
+            design.kernel(), design, np.ones(302), (design.rows(rows[:0]), np.zeros(0)),
+            random.standard_normal((302, 1)),
+        ),
+    }[form]()  # fmt: skip
+    values, vectors = np.linalg.eigh(np.eye(len(rows)) - kernel.among(rows))
+    seen = values > 1e-6
+    assert len(rows) - seen.sum() == 39 * (each == 5)  # one combination of them is known
+    white = (vectors * values) @ random.standard_normal(len(rows))
+    expected = ((vectors[:, seen].T @ white) ** 2 / values[seen]).sum()
+    assert kernel.together(rows, white) == (pytest.approx(expected, rel=1e-9), seen.sum())
 
 
 @given(st.integers(5, 12), st.integers(0, 2), st.integers(0, 2**32))

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from linear_worlds import lines, outputs, places_on_a_ring, residuals
+from linear_worlds import Dense, lines, outputs, places_on_a_ring, residuals
 
-from rotcal_ros.adjust.groups import Dense
+from rotcal_ros.adjust.judgement import judge
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.adjust.subsets import runs
 
@@ -22,7 +22,7 @@ def view_of(e):
 
 def test_a_shift_of_the_hidden_size_moves_an_output_by_the_hidden_error():
     view, group = view_of(12)
-    found = hidden([group], view.std, 0.01, 0.95, 1e3)
+    found = hidden(judge([group]), view.std, 0.01, 0.95, 1e3)
     gain = view.outputs @ np.linalg.pinv(view.design) / view.std[:, None]
     errors = [
         np.abs(gain[:, 12 + np.flatnonzero(one)].sum(axis=1)).max()
@@ -35,18 +35,18 @@ def test_a_shift_of_the_hidden_size_moves_an_output_by_the_hidden_error():
 
 
 def test_more_observations_hide_less_and_none_hide_nothing():
-    few = hidden([view_of(8)[1]], view_of(8)[0].std, 0.01, 0.95, 1e3)
-    assert few.size > hidden([view_of(24)[1]], view_of(24)[0].std, 0.01, 0.95, 1e3).size
+    few = hidden(judge([view_of(8)[1]]), view_of(8)[0].std, 0.01, 0.95, 1e3)
+    assert few.size > hidden(judge([view_of(24)[1]]), view_of(24)[0].std, 0.01, 0.95, 1e3).size
     view, _ = view_of(8)
     bare = view.group("station", "x", np.arange(8), np.arange(8))
-    assert hidden([bare], view.std, 0.01, 0.95, 1.0) is None
+    assert hidden(judge([bare]), view.std, 0.01, 0.95, 1.0) is None
 
 
 def test_what_no_residual_shows_is_not_seen():
     design = np.eye(4)
     view = Dense(design, np.ones((1, 4)), np.zeros(4))
     group = view.group("position", "p", np.arange(4), np.arange(4), gathered=runs(np.arange(4.0)))
-    assert not hidden([group], view.std, 0.01, 0.95, 1e3).seen
+    assert not hidden(judge([group]), view.std, 0.01, 0.95, 1e3).seen
 
 
 def test_of_groups_that_hide_the_same_the_first_is_named():
@@ -55,6 +55,6 @@ def test_of_groups_that_hide_the_same_the_first_is_named():
     twin = replace(
         group, name="station 2", influence=lambda: group.sensitivity.weighted(1.0 + 1e-12)
     )
-    assert hidden([group, twin], view.std, 0.01, 0.95, 1e3).name == "station 1"
+    assert hidden(judge([group, twin]), view.std, 0.01, 0.95, 1e3).name == "station 1"
     worse = replace(twin, influence=lambda: group.sensitivity.weighted(1.001))
-    assert hidden([group, worse], view.std, 0.01, 0.95, 1e3).name == "station 2"
+    assert hidden(judge([group, worse]), view.std, 0.01, 0.95, 1e3).name == "station 2"

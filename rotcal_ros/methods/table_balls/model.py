@@ -45,12 +45,13 @@ from rotcal_ros.adjust.model import (
     Disturbing,
     Grouping,
     Model,
+    Steps,
     Unit,
     block_rows,
     drifts,
-    knocks,
     recurring,
 )
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
@@ -606,7 +607,7 @@ def model_of(
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
-    shifts = _from_mean(knocks(zero, when, MOST_MOMENTS), zero)
+    shifts = Steps(zero, when, most=MOST_MOMENTS, centred=True)  # their mean is the axis's place
     model = Model(
         blocks=balls.blocks,
         observed=read.value if count == 1 else read.points.ravel(),
@@ -661,19 +662,25 @@ def _returning(balls: BallsOnTable, read: Readings, zero: Ints) -> Floats:
         arm = alone.sent[balls.tilt, balls.position, balls.ball] - arm
         along = arm / np.linalg.norm(arm, axis=1)[:, None]
         felt = np.insert(along, 3, 1.0, axis=1)[:, None]
-    return _from_mean(np.einsum("nca,ns->ncas", felt, shapes).reshape(len(zero), -1), zero)
+    columns = np.einsum("nca,ns->ncas", felt, shapes).reshape(len(zero), -1)
+    for mine in (zero == number for number in np.unique(zero)):
+        columns[mine] -= columns[mine].mean(axis=0)  # that is where the axis is
+    return np.asarray(columns)
 
 
-def _outputs(balls: BallsOnTable) -> Floats:
+def _outputs(balls: BallsOnTable) -> Outputs:
     outputs = [_deviation(balls, name) for name in components_of(balls)]
     lines = AXIS if balls.tilting is None else (*AXIS, *balls.tilting.line)
-    return np.concatenate([*outputs, *(block_rows(balls.blocks, name) for name in lines)])
+    rows = np.concatenate([*outputs, *(block_rows(balls.blocks, name) for name in lines)])
+    return Outputs.alone(csr_array(rows))
 
 
-def _also(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:
+def _also(balls: BallsOnTable, places: Floats) -> dict[str, Outputs]:
     found = {} if set(balls.shown) == set(COMPONENTS) else _motions(balls, places)
     found |= {name: block_rows(balls.blocks, name) for name in balls.known if name in ALSO}
-    return found if balls.tilting is None else found | _by_tilt(balls, balls.tilting)
+    if balls.tilting is not None:
+        found |= _by_tilt(balls, balls.tilting)
+    return {name: Outputs.alone(csr_array(rows)) for name, rows in found.items()}
 
 
 def _names(balls: BallsOnTable, read: Readings) -> Iterator[str]:
@@ -681,14 +688,6 @@ def _names(balls: BallsOnTable, read: Readings) -> Iterator[str]:
     for k, at, number in np.column_stack([read.target, read.position, read.station]).tolist():
         where = f"{k} at position {at}, {run} {number}"
         yield from [f"bar {where}"] if len(balls.bars) else [f"{a} of ball {where}" for a in "xyz"]
-
-
-def _from_mean(columns: Floats, axis: Ints) -> Floats:
-    """Return shifts (n, k) along each ``axis`` (n,) from their mean: that is where the axis is."""
-    found: Floats = columns.copy()
-    for mine in (axis == number for number in np.unique(axis)):
-        found[mine] -= found[mine].mean(axis=0)
-    return found
 
 
 def _motions(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:

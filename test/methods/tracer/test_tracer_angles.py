@@ -52,8 +52,10 @@ def test_bearing_slopes_against_central_differences():
         forward = table_motion(points + shift.reshape(8, 3), COMMANDED).cumulative
         backward = table_motion(points - shift.reshape(8, 3), COMMANDED).cumulative
         numeric[:, column] = (forward - backward) / (2 * step)
-    jacobian = bearing_slopes(points, motion).dense()
+    slopes = bearing_slopes(points, motion)
+    jacobian = slopes.dense()
     assert jacobian - jacobian[0] == pytest.approx(numeric, abs=2e-7)
+    assert slopes.from_first.times(np.eye(24)) == pytest.approx(numeric, abs=2e-7)
     # the plane's share is small but has to be there: out-of-plane columns are not zero
     assert np.abs(numeric[:, 2::3]).max() > 1e-3
 

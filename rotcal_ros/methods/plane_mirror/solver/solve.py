@@ -17,7 +17,6 @@ import numpy as np
 from rotcal_ros.adjust.closures import Closure, closures
 from rotcal_ros.adjust.distributions import chi2_sf, normal_isf
 from rotcal_ros.adjust.engine import Adjusted, Trials, adjust
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.mapped import MappedFit, mapped
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -179,10 +178,9 @@ class MirrorSolution:
     def repeats(self) -> tuple[Closure, ...]:
         """What should agree: positions at one angle, from the same side."""
         layout, upward = self.layout, self.layout.problem.upward
-        covariance = LowRank.whole(self.found.covariance)
         side = None if upward is None else upward[layout.positions]
         each = np.arange(len(layout.angles))
-        return closures(layout.angles, self.found.value, covariance, each, side)
+        return closures(layout.angles, self.found.value, self.found.covariance, each, side)
 
     @cached_property
     def whole_turn(self) -> dict[str, float]:

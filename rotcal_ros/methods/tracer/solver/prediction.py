@@ -8,14 +8,13 @@ import numpy as np
 
 from rotcal_ros.adjust.closures import Closed
 from rotcal_ros.adjust.effects import (
-    Observable,
     ObservableFamily,
     Undetected,
     undetected,
     undetected_family,
 )
 from rotcal_ros.adjust.fit import Fit, fitted, require_determined
-from rotcal_ros.adjust.observable import family_observable_by, observable_by
+from rotcal_ros.adjust.observable import seen_of
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Effect
 from rotcal_ros.methods.tracer.solver.observability import check_counts, limits_of
@@ -59,12 +58,7 @@ class Prediction:
             if effect.effect not in ("drift", "knock"):
                 continue
             known = effect.beside(self.fit.model.size[0] - len(lengths.row))
-            columns = known.at(np.zeros(0))
-            seen: Observable | ObservableFamily
-            if known.family:
-                seen = family_observable_by(self.fit, columns, known.width)
-            else:
-                seen = observable_by(self.fit, np.asarray(columns))
+            seen = seen_of(self.fit, known)
             for relation in closed:
                 seen = relation.beside(known, seen)
             if isinstance(seen, ObservableFamily):

@@ -8,9 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.closures import Closure, closures
+from rotcal_ros.adjust.closures import Closure, closures, difference_variance
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Protection
@@ -68,10 +67,9 @@ def result_of(solution: TracerSolution) -> Result:
     found, motion, angles = solution.found, solution.motion, solution.table_angles
     problem, lengths, absent = solution.problem, solution.posed.lengths, solution.posed.absent
     covariance = solution.covariance
-    spread = LowRank.whole(covariance)
     closing: tuple[Closure, ...] = ()
     if not problem.repeated_runs:
-        closing = closures(angles, solution.deviations, spread, solution.positions)
+        closing = closures(angles, solution.deviations, covariance, solution.positions)
     doubts, numbering = tuple(_doubts(solution)), _numbering(solution)
     plain = found.result(
         METHOD,
@@ -101,7 +99,7 @@ def result_of(solution: TracerSolution) -> Result:
         verdict=verdict,
         warnings=warnings,
         adjacent_deviations=np.diff(solution.deviations),
-        adjacent_std=np.sqrt(np.maximum(spread.between(steps, steps + 1), 0.0)),
+        adjacent_std=np.sqrt(difference_variance(covariance, steps, steps + 1)),
         zeros=Zeros("first angle"),
         budget=_budget(solution),
         placement=Placement.upwards(
@@ -326,11 +324,11 @@ def _returned(solution: TracerSolution) -> list[dict[str, Any]]:
     Table positions ``first`` and ``last`` stand at the same angle; along the circle their stations
     lie apart by less than ``within`` (m), with 95 %.
     """
-    whole = LowRank.whole(solution.covariance)
+    covariance = solution.covariance
     # without the error motion: that is searched for
     budget = 2.0 * (solution.error_motion.used / solution.motion.radius) ** 2
     found = []
-    for c in closures(solution.table_angles, solution.deviations, whole, solution.positions):
+    for c in closures(solution.table_angles, solution.deviations, covariance, solution.positions):
         std = float(np.sqrt(max(c.std**2 - budget, 0.0)))
         within = solution.motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * std)
         found.append({"first": c.first, "last": c.last, "within": within})

@@ -14,11 +14,10 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.adjust.closures import Closure, closures
+from rotcal_ros.adjust.closures import Closure, closures, difference_variance
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted, adjust
-from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.model import Model, linear
-from rotcal_ros.adjust.noise import UNTESTED, GlobalTest
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import Protection, ordered
@@ -74,15 +73,16 @@ def solve(problem: StationProblem) -> Result:
         )
     motion = table_motion(problem.stations, problem.table_angles)
     check_sense(motion, problem.stations, problem.table_angles, problem.positions)
-    stated, test = problem.error_motion_std or None, UNTESTED  # 0 m of places is no promise
+    stated = problem.error_motion_std or None  # 0 m of places is no promise
+    sigma0, contradicted = 1.0, False
     if stated is not None:
-        test = GlobalTest.of(float(motion.radial @ motion.radial) / stated**2, m - ABSORBED)
-    contradicted = test.probability < problem.significance
+        squares = float(motion.radial @ motion.radial) / stated**2
+        sigma0 = float(np.sqrt(squares / (m - ABSORBED)))
+        contradicted = chi2_sf(squares, m - ABSORBED) < problem.significance
     solved = adjust(model_of(motion, problem.table_angles, None if contradicted else stated))
     error_motion = _error_motion(motion, solved, stated)
     covariance, std, every = solved.covariance, solved.std, np.arange(m)
-    spread = LowRank.whole(covariance)
-    closing = closures(problem.table_angles, motion.cumulative, spread, problem.positions)
+    closing = closures(problem.table_angles, motion.cumulative, covariance, problem.positions)
     warnings = (
         *((_doubt(motion, error_motion),) if contradicted else ()),
         *(_doubt_closure(c) for c in closing if c.open(problem.significance)),
@@ -93,13 +93,13 @@ def solve(problem: StationProblem) -> Result:
         deviations={"ECC": motion.cumulative},
         std={"ECC": std},
         covariance={"ECC": covariance},
-        sigma0=test.sigma0,
+        sigma0=sigma0,
         dof=m - ABSORBED,
         n_observations=m,
         verdict="suspect" if warnings else "ok",
         warnings=warnings,
         adjacent_deviations=motion.adjacent,
-        adjacent_std=np.sqrt(np.maximum(spread.between(every[:-1], every[1:]), 0.0)),
+        adjacent_std=np.sqrt(difference_variance(covariance, every[:-1], every[1:])),
         details={
             "variant": "stations",
             "station_ids": problem.positions,
