@@ -6,7 +6,6 @@ import pytest
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.methods import find_method, prepare
 from rotcal_ros.methods.configuration import (
-    GROUPS,
     changed,
     configuration_text,
     dump_configuration,
@@ -59,16 +58,6 @@ def test_unknown_method_names_the_known_ones() -> None:
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"cannot read .*nothing\.yaml"):
         read_configuration(tmp_path / "nothing.yaml")
-
-
-def test_a_group_whose_extension_is_missing_is_refused_with_what_to_install(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    groups = tuple(name for name in GROUPS if name != "page")
-    monkeypatch.setattr("rotcal_ros.methods.configuration.GROUPS", groups)
-    text = dump_configuration("ball_plate", {"page": {"port": 8001}})
-    with pytest.raises(ConfigurationError, match=r"group 'page'; .* pip install rotcal_ros"):
-        parse_configuration(text)
 
 
 GROUPS_AT_THE_TOP = """
