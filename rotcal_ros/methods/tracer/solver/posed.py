@@ -449,7 +449,7 @@ def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
     machine = np.hstack([toward, turning])
     again = passes(lengths.place, lengths.position, lengths.order)
     returning = np.hstack([machine * shape[:, None] for shape in recurring(again, when).T])
-    gone, frame = drifts(once, when), "the machine's frame drifts"
+    gone = drifts(once, when)
     each = slips = list[Disturbing]()
     if 1 < len(np.unique(beam)) <= PLACES // len(beam):
         read = drifts(beam, when)
@@ -458,11 +458,12 @@ def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
         slips = [Disturbing("slip", "lengths shifted", Steps(beam, when), LARGEST_MOVE, UM,
                             family=True, stays=True)]  # fmt: skip
     return [
-        Disturbing("drift", frame, gone * toward, LARGEST_MOVE, UM),
+        Disturbing("drift", "the machine's frame drifts", gone * toward, LARGEST_MOVE, UM),
         Disturbing("drift", "the machine's frame turns", gone * turning, LARGEST_MOVE, UM),
         Disturbing("drift", "all lengths drift", gone, LARGEST_MOVE, UM),
         *each,
-        Disturbing("recurring drift", f"{frame} or turns in each turn of the table alike",
+        Disturbing("recurring drift",
+                   "the machine's frame drifts or turns in each turn of the table alike",
                    returning, LARGEST_MOVE, UM),
         Disturbing("knock", "the tracer moved on the table", _knocks(lengths), LARGEST_MOVE, UM,
                    family=True, of_each=3, stays=True),
