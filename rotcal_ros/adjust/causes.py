@@ -114,7 +114,10 @@ def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:
     """Return what is believed where ``gross`` observations (k,) wait outside."""
     if not len(gross):
         return _explained(whole)
-    apart = _come_back(_explained(_outside(whole, gross)), gross)
+    try:
+        apart = _come_back(_explained(_outside(whole, gross)), gross)
+    except ObservabilityError:
+        return _explained(whole)  # so many that unknowns are open without them
     try:
         together = _explained(whole)
     except RotcalError:

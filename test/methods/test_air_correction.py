@@ -47,7 +47,7 @@ def test_corrected_lengths_give_the_truth_and_raw_ones_do_not(measured):
         error = np.abs(values - truth[component])
         assert error.max() < 4.0 * result.std[component].max()
     raw = rc.solve(observations, configured(name))
-    assert raw.verdict == "failed"
+    assert raw.verdict != "ok"
 
 
 @pytest.mark.slow

@@ -128,6 +128,7 @@ def test_the_verb_writes_files_and_overwrites_none(tmp_path):
     names = {path.name for path in folder.iterdir()}
     assert names == {
         "deviations.csv", "steps.csv", "stations.csv", "targets.csv", "circle.csv",
+        "target_corrections.csv",
     }  # fmt: skip
     page = (tmp_path / "a.html").read_text()
     assert "<summary>Stations of the tracer, and as projected on their plane</summary>" in page
