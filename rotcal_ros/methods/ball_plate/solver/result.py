@@ -438,7 +438,7 @@ def _of_growth(found: FoundEffect, material: str) -> str:
 
 
 def _warnings(solution: PlateSolution) -> Iterator[str]:
-    problem, found = solution.fitted, solution.found
+    problem = solution.fitted
     left_out = np.setdiff1d(np.arange(problem.n_positions), solution.table_positions)
     if len(left_out):
         yield (
@@ -458,14 +458,21 @@ def _warnings(solution: PlateSolution) -> Iterator[str]:
             "squares took its place (they are the same where both exist)"
         )
     if problem.drift:
-        first = slice(solution.layout.unknowns, solution.layout.unknowns + 3)
-        size = found.fit.x[first] / MICROMETRE
-        band = 2.0 * np.linalg.norm(found.fit.gain(first), axis=1) / MICROMETRE
+        drift = _drift(solution)
+        size, band = drift["amount"][0] / MICROMETRE, 2.0 * drift["std"][0] / MICROMETRE
         shown = ", ".join(f"{a:.3f} +- {u:.3f}" for a, u in zip(size, band, strict=True))
         yield (
             f"the origin of the CMM drifts by ({shown}) um over the run in x, y, z; it is "
             "estimated and taken off"
         )
+
+
+def _drift(solution: PlateSolution) -> dict[str, Floats]:
+    """Return the drift (q, 3) of the origin over the run by order, along x, y, z, m; its std."""
+    fit, first = solution.found.fit, solution.layout.unknowns
+    own = slice(first, first + 3 * solution.fitted.drift)
+    std = np.linalg.norm(fit.gain(own), axis=1)
+    return {"amount": fit.x[own].reshape(-1, 3), "std": std.reshape(-1, 3)}
 
 
 def _details(solution: PlateSolution) -> dict[str, Any]:
@@ -479,9 +486,12 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
     of_group = {"plate_errors": ball, "cmm_errors": cmm}
     back = np.swapaxes(solution.rows.frame, 1, 2)
     left = (back @ found.fit.residual.reshape(-1, 3, 1))[:, :, 0]
+    noise = found.fit.std[: 3 * len(layout.row)].reshape(-1, 3)
     return {
         "grid": problem.grid,
         "radius": problem.radius,
+        "sigma_axes": np.sqrt((noise**2).mean(axis=0)),
+        **({"origin_drift": _drift(solution)} if problem.drift else {}),
         "groups": [
             {
                 "table_positions": np.sort(layout.table_positions[table == group]),
