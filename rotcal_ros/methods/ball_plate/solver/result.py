@@ -159,7 +159,7 @@ class PlateSolution:
         table, _, ball = self.layout.counts
         complete = len(self.fitted.centres) == table * ball // self.layout.groups
         square = ball == table == self.problem.grid and not self.problem.bidirectional
-        alike = self.fitted.weighed_alike and bool(self.found.fit.used.all())
+        alike = self.fitted.weighed_alike and not self.by_axis and bool(self.found.fit.used.all())
         return square and complete and alike
 
 
