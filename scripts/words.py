@@ -136,11 +136,10 @@ def shown_texts() -> dict[str, list[str]]:
 
 @cache
 def modules() -> dict[str, list[ast.AST]]:
-    """Return all syntax in the files of the package by their names; extensions mark theirs."""
+    """Return all syntax in the files of the package by their names."""
     return {
         str(path.relative_to(PACKAGE)): [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
         for path in sorted(PACKAGE.rglob("*.py"))
-        if "extensions" not in path.parts
     }
 
 

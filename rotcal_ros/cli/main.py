@@ -129,10 +129,11 @@ class LazyGroup(click.Group):
         others = dict(verbs())
         listed = dict[str, list[tuple[str, str]]]()
         for heading, own in SECTIONS.items():
-            behind = [
-                (name, [n for n, verb in others.items() if verb.after == name]) for name in own
+            names = [
+                each
+                for name in own
+                for each in (name, *(n for n, verb in others.items() if verb.after == name))
             ]
-            names = [n for name, followers in behind for n in (name, *followers)]
             listed[heading] = [(name, others.pop(name).help) for name in names]
         listed["More"] = [(name, verb.help) for name, verb in others.items()]
         for heading, lines in listed.items():

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -89,22 +89,22 @@ def prepare_location(
         "serial": result.circumstances.identity.serial,
         "verdict": result.verdict,
         "verdict_line": result.verdict_line,
-        "axes": {
-            line.letter: {
-                "point_m": line.point.tolist(),
-                "direction": line.direction.tolist(),
-                "sense": line.sense,
-                "found": {
-                    name: {"value": float(value), "std": float(std)}
-                    for name, value, std in zip(line.names, line.value, line.std, strict=True)
-                },
-            }
-            for line in result.axes
-        },
+        "axes": {line.letter: _facts_of(line) for line in result.axes},
         "values": dict(located.values),
         "notes": list(notes),
     }
     return with_side(located.files, name, side), (*head, *notes)
+
+
+def _facts_of(line: AxisLine) -> dict[str, Any]:
+    """Return an axis in plain types, SI."""
+    found = zip(line.names, line.value, line.std, strict=True)
+    return {
+        "point_m": line.point.tolist(),
+        "direction": line.direction.tolist(),
+        "sense": line.sense,
+        "found": {name: {"value": float(v), "std": float(std)} for name, v, std in found},
+    }
 
 
 def millimetres(values: Sequence[float] | Floats, unit_m: float = MILLIMETRE) -> Floats:

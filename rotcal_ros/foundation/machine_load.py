@@ -95,10 +95,10 @@ class WaitBudget:
     def __init__(
         self,
         seconds: float,
-        crowd: Callable[[], float] = load_factor,
+        load: Callable[[], float] = load_factor,
         read: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._left_s, self._crowd = seconds, crowd
+        self._left_s, self._load = seconds, load
         self._clock = AwakeClock(read)
         self._last_s = self._clock.now_s()
 
@@ -110,7 +110,7 @@ class WaitBudget:
         now_s = self._clock.now_s()
         passed_s, self._last_s = now_s - self._last_s, now_s
         if not pausing:
-            self._left_s -= passed_s / self._crowd()
+            self._left_s -= passed_s / self._load()
         return self._left_s < 0.0
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 from rotcal_ros.adjust.distributions import noncentrality
@@ -183,6 +184,22 @@ def test_a_move_in_three_ways_of_the_size_that_is_found_is_found_as_often():
     )
     assert silent.hidden
     assert silent.error >= 1e3 * np.abs([1.0, 2.0] / std).max()
+
+
+def test_what_nothing_shows_of_a_move_does_all_that_it_does_to_the_outputs():
+    """Residuals show one mixture of three ways; the others are as large as any may be."""
+    design, columns = steps()
+    std, shown = np.sqrt(np.linalg.inv(design.T @ design).diagonal()), np.array([1.0, 2.0, 3.0])
+    ways = np.array([[500.0, 100.0], [2.0, 7.0], [4.0, 1.0]])
+    member = design @ ways.T + np.outer(columns[:, 0], shown)
+    hides = undetected_family(
+        family(design, member, np.eye(2), np.zeros(60), 3), std, 1e6, significance=0.01, power=0.95
+    )
+    moved = np.linalg.pinv(design) @ member / std[:, None]
+    assert hides.hidden
+    assert hides.error == pytest.approx(
+        1e6 * np.linalg.norm(moved @ null_space(shown[None]), axis=1).max(), rel=1e-5
+    )
 
 
 def test_the_member_of_a_family_is_named_and_its_hidden_size_found():

@@ -108,3 +108,19 @@ def test_exact_places_say_nothing_of_the_scatter_of_others():
     chi2, dof = Look(found, found.fit).rest
     assert chi2 / dof == pytest.approx(1.0, abs=0.02)
     assert found.fit.chi2 / found.fit.dof < 0.985
+
+
+@pytest.mark.parametrize(("noise", "stated"), [(0.0, True), (1e-6, False)])
+def test_what_is_stated_beside_made_up_readings_stays(noise, stated):
+    """Places that were read twice, and stated to be zero within 1; they are off by a fifth."""
+    rng, places = np.random.default_rng(4), 20
+    read = np.vstack([np.eye(places)] * 2)
+    observed = read @ (0.2 * rng.standard_normal(places)) + noise * rng.standard_normal(len(read))
+    model = Model(
+        {"place": places}, observed, np.full(len(read), 1e-6), linear(read), np.eye(places),
+        Words("reading", "readings", "readings", "contradicts other readings"),
+    )  # fmt: skip
+    known = model.with_prior("what is stated", np.eye(places), np.zeros(places), 1.0)
+    factors = found_causes(known, Limits()).noise.factors
+    assert factors[0] == pytest.approx(1.0, abs=0.3)
+    assert (factors[1] == 1.0) == stated

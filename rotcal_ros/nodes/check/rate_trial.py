@@ -64,8 +64,8 @@ class TrialListener:
 def publish(peer: Peer, count: int) -> None:
     """Publish so many readings at the rate, and make up for late ones."""
     publisher = peer.node.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
-    patience = WaitBudget(MATCH_S)
-    while not publisher.get_subscription_count() and not patience.is_over():
+    budget = WaitBudget(MATCH_S)
+    while not publisher.get_subscription_count() and not budget.is_over():
         time.sleep(0.01)
     begin_s = time.monotonic()
     for number in range(count):
@@ -88,8 +88,8 @@ def try_rate(folder: Path) -> tuple[bool, str]:
     sending = threading.Thread(target=publish, args=(here, count))
     sending.start()
     there.work_until(lambda: not sending.is_alive(), 2.0 * TRIAL_S + MATCH_S)
-    patience = WaitBudget(REST_S)
-    there.work_until(lambda: heard.understood >= count or patience.is_over(), 10.0 * REST_S)
+    budget = WaitBudget(REST_S)
+    there.work_until(lambda: heard.understood >= count or budget.is_over(), 10.0 * REST_S)
     listening.drain()
     sending.join()
     recording.close({})

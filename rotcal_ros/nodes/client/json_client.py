@@ -79,7 +79,7 @@ class Client:
 
     def _planner_came(self, timeout_s: float) -> bool:
         """Wait for the planner; False if the client has to end, CalibratorError if none comes."""
-        patience = WaitBudget(timeout_s)
+        budget = WaitBudget(timeout_s)
         listen_until = time.monotonic() + LISTEN_S
         while True:
             self._calibrator.listen(PERIOD_S)
@@ -88,7 +88,7 @@ class Client:
             require_own_session(self._calibrator.health, os.environ)
             if ready or self._end:
                 return not self._end
-            if patience.is_over():
+            if budget.is_over():
                 raise CalibratorError(self._calibrator.no_answer())
 
     def _followed(self) -> Outcome:

@@ -62,11 +62,11 @@ async def until(
     The time does not count while ``pausing`` is true (a slow node is waited for), nor while this
     process stands still.
     """
-    patience = WaitBudget(timeout_s)
+    budget = WaitBudget(timeout_s)
     while not condition():
         if check is not None:
             check()
-        if patience.is_over(pausing=pausing()):
+        if budget.is_over(pausing=pausing()):
             return False
         await _next_turn()
     return True

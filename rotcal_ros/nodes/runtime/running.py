@@ -159,9 +159,9 @@ def _spin(make: Callable[[], CellNode]) -> None:
 def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
     """Let a node end its work, for a limited time."""
     node.begin_stop()
-    patience = WaitBudget(STOP_TIMEOUT_S)
+    budget = WaitBudget(STOP_TIMEOUT_S)
     while not node.stopped():
-        if patience.is_over():
+        if budget.is_over():
             return
         executor.spin_once(timeout_sec=_TURN_S)
 
