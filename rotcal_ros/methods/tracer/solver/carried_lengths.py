@@ -39,6 +39,8 @@ WORDS: Final = Words(
 LATER_RUN: Final = "zero of a later run"
 SCATTER: Final = "scatter of an arrival"
 """The block of how far each station is off, when the table does not repeat."""
+LAG: Final = "lag"
+"""The block of how late the feedback of a table that turns is behind its lengths, s."""
 
 
 class KnownBeforehand(NamedTuple):
@@ -89,6 +91,7 @@ class CarriedLengths:
     more: Mapping[str, int] = field(default_factory=dict)
     later: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     beam: Ints | None = None
+    speed: Floats | None = None
     poses: tuple[Floats, Floats] | None = None
 
     @cached_property
@@ -131,7 +134,7 @@ class CarriedLengths:
     def part(self, x: Floats, block: str) -> Floats:
         """Return the unknowns of a block; of poses and points (k, 3), turns in all ways."""
         found = x[self.first[block] : self.first[block] + self.blocks[block]]
-        if block in ("zero", LATER_RUN):
+        if block in ("zero", LATER_RUN, LAG):
             return found
         if block == "turn":
             turns = np.zeros((len(self.angles), 3))
@@ -147,14 +150,19 @@ class CarriedLengths:
 
     def stands(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Return where it stands (k, 3), its arms R(c) Rz q (k, 3), and R(c) Rz (k, 3, 3)."""
-        stands, arm, carry = self._stands(x, self.position, self.place)
+        ahead = None if self.speed is None else self.speed * self.part(x, LAG)
+        stands, arm, carry = self._stands(x, self.position, self.place, ahead)
         if SCATTER in self.blocks:
             stands = stands + self.part(x, SCATTER)[self.station]
         return stands, arm, carry
 
-    def _stands(self, x: Floats, position: Ints, place: Ints) -> tuple[Floats, Floats, Floats]:
+    def _stands(
+        self, x: Floats, position: Ints, place: Ints, ahead: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats]:
         turned = rotation_from_vector(self.part(x, "turn")) @ rotation_about_z(self.angles)
         carry = turned[position]
+        if ahead is not None:
+            carry = carry @ rotation_about_z(ahead)
         arm = np.einsum("kij,kj->ki", carry, (self.places + self.part(x, "place"))[place])
         out = self.part(x, "shift")[position] + arm
         return self.origin + out @ self.axes.T, arm, carry
@@ -173,13 +181,15 @@ class CarriedLengths:
             found.append((LATER_RUN, np.maximum(self.later, 0), None))
         if SCATTER in self.blocks:
             found.append((SCATTER, self.station, None))
+        if self.speed is not None:
+            found.append((LAG, np.zeros_like(self.position), None))
         return found
 
     @cached_property
     def _entries(self) -> tuple[Ints, Ints]:
         """Columns of what each length feels, and where those of each begin (k + 1,)."""
         every, k = list[Ints](), len(self.row)
-        widths = {"turn": len(self.turning), "zero": 1, LATER_RUN: 1}
+        widths = {"turn": len(self.turning), "zero": 1, LATER_RUN: 1, LAG: 1}
         for block, number, ways in self._felt:
             first = self.first[block]
             if ways is None:
@@ -208,6 +218,9 @@ class CarriedLengths:
             values.append(-later[:, None])
         if SCATTER in self.blocks:
             values.append(unit)
+        if self.speed is not None:  # about the axis of the table as it turned
+            along = np.cross(carry[:, :, 2], arm)
+            values.append((self.speed * (felt * along).sum(axis=1))[:, None])
         for k, (_, number, ways) in enumerate(self._felt):
             if ways is not None:
                 own = ways.reshape(-1, 3, ways.shape[1])[number]

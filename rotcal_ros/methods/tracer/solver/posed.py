@@ -41,8 +41,10 @@ from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
+from rotcal_ros.methods.tracer.solver import turning
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KNOWN,
+    LAG,
     LARGEST_MOVE,
     LARGEST_RATIO,
     LATER_RUN,
@@ -76,6 +78,8 @@ FREE_CIRCLE: Final = 1e-4
 """Error motion (m) that nobody would overlook."""
 USUAL: Final = 3e-7
 """Error motion (m) from which that of very many stations is searched for."""
+SMALL_MOTION: Final = 2e-8
+"""The same of what is beside the low orders of a table that turns, from which it is estimated."""
 MOST_WITNESSES: Final = 500
 """Stations up to which it is asked of which orders an error motion is, or how large it may be; of
 more its size is no question, and it is noise like that of the lengths."""
@@ -191,6 +195,9 @@ class Posed:
             lengths = _wandering(lengths)
         if self.problem.circle_std is not None:
             lengths = replace(lengths, more={**lengths.more, "lean": 3})
+        if lengths.speed is not None and self.motion is None:
+            orders = len(turning.low_orders(SPECTRA))
+            lengths = replace(lengths, more={**lengths.more, turning.MOTION: 4 * orders})
         return lengths
 
     def model(self, supposed: Supposed) -> Model:
@@ -244,14 +251,38 @@ class Posed:
 
     def _about_axis(self, lengths: CarriedLengths, model: Model) -> Model:
         """Return the model with what is known of how the table's axis moves."""
-        turning, motion, along = about_axis(lengths, self.motion, self.problem.circle_std)
+        across, motion, along = about_axis(lengths, self.motion, self.problem.circle_std)
         for known in along:
             model = known.beside(model)
         size = None if self.motion is None else float(motion.std[0])
-        model = with_motion(model, motion.what, motion.rows, size, lengths.angles, turning)
+        if lengths.speed is None:
+            model = with_motion(model, motion.what, motion.rows, size, lengths.angles, across)
+        else:
+            model = self._turning(lengths, model, motion, across)
         significance = self.problem.settings.test_significance
         scattering = [replace(each, significance=significance) for each in model.scatterings]
         return replace(model, correlated=scattering)
+
+    def _turning(
+        self, lengths: CarriedLengths, model: Model, motion: KnownBeforehand, across: csr_array
+    ) -> Model:
+        """Return the model of a table that turns, with its motion and the lag of its feedback.
+
+        An unstated motion has low orders, common to all runs, and is another at every angle beside
+        them. Sizes of both are estimated.
+        """
+        problem = self.problem
+        if self.motion is None:
+            low = across @ turning.moved(lengths, SPECTRA)
+            rows = csr_array(motion.rows - low)
+            motion = KnownBeforehand(motion.what, rows, np.full(rows.shape[0], SMALL_MOTION))
+        model = motion.beside(model)
+        if self.motion is None:
+            model = turning.with_motion(model, lengths, SPECTRA, FREE_CIRCLE)
+        if problem.lag is not None:
+            row = lengths.rows_of(LAG)
+            model = model.with_prior("the stated lag", row, np.array([problem.lag]), problem.lag_std)
+        return turning.of_one_table(model, lengths, lag_is_stated=problem.lag is not None)
 
 
 def about_axis(
@@ -351,8 +382,11 @@ def _lengths(
         axes=axes,
         origin=origin,
         place_ways=outward(place),
-        more={"frame": 2} | ({LATER_RUN: later_zeros} if later_zeros else {}),
+        more={"frame": 2}
+        | ({LATER_RUN: later_zeros} if later_zeros else {})
+        | ({} if problem.speed is None else {LAG: 1}),
         later=later,
+        speed=None if problem.speed is None else problem.speed[row],
     )
 
 

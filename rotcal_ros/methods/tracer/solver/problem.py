@@ -256,6 +256,10 @@ class TracerProblem(LengthProblem):
     ``run`` (k,), optional: an interruption begins another run, all lengths of which count from
     another zero; a target stands elsewhere then by ``position_std`` (m).
 
+    ``speed`` (k,), optional: rad/s, at which the table turned when each length was read, negative
+    back; each position is then passed at one speed. Its feedback is late by ``lag`` +-
+    ``lag_std`` (s); None: not stated (:mod:`.turning`). None: the table stood.
+
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
     all targets lie in one plane, and show how the positions are numbered
@@ -274,6 +278,9 @@ class TracerProblem(LengthProblem):
     again: Ints | None = None
     run: Ints | None = None
     position_std: float = 0.0
+    speed: Floats | None = None
+    lag: float | None = None
+    lag_std: float = 0.0
     start_stations: Floats | None = None
 
     def __post_init__(self) -> None:
@@ -284,6 +291,9 @@ class TracerProblem(LengthProblem):
         super().__post_init__()
         self._store_numbers("again", "run")
         self._check_ties()
+        if self.speed is not None:
+            speed = self._store("speed", vector("speed", self.speed, len(self.position)))
+            require(speed != 0.0, speed, "speed", "a table that turns")
         if self.start_stations is not None:
             start = matrix("start_stations", self.start_stations)
             if len(start) != len(self.table_angles):

@@ -23,6 +23,7 @@ from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.observable import family_observable_by
 from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.robust_start import robust_start
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
@@ -52,6 +53,7 @@ from rotcal_ros.methods.tracer.solver.posed import (
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
 from rotcal_ros.methods.tracer.solver.reported import Reported, nearest, weighed
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
+from rotcal_ros.methods.tracer.solver.turning import InTime
 
 NEARLY: Final = 1e-3
 """How well (m) the targets of a free network are known where it starts."""
@@ -114,6 +116,7 @@ class TracerSolution:
     printed: Floats | None = None
     slips: UnseenSlips | None = None
     reported: Reported | None = None
+    in_time: InTime | None = None
 
     @property
     def problem(self) -> TracerProblem:
@@ -177,7 +180,8 @@ class TracerSolution:
 
     @property
     def _unknowns(self) -> Floats:
-        return self.found.fit.x[: self.found.model.size[1]]
+        x = self.found.fit.x[: self.found.model.size[1]]
+        return x if self.in_time is None else np.asarray(self.in_time.places @ x)
 
     @cached_property
     def stations(self) -> Floats:
@@ -235,7 +239,10 @@ class TracerSolution:
         unknown, felt = self._moved_by
         begin = np.arange(0, 6 * unknown.size + 1, unknown.shape[1])
         rows = (both @ felt).ravel(), np.repeat(unknown, 6, axis=0).ravel(), begin
-        outputs = Outputs.alone(csr_array(rows, shape=(6 * m, self.found.model.size[1])))
+        places = csr_array(rows, shape=(6 * m, self.found.model.size[1]))
+        if self.in_time is not None:
+            places = csr_array(places @ self.in_time.places)
+        outputs = Outputs.alone(places)
         variance = fit.kernel.variances_of(outputs).reshape(m, 6)
         blocks = np.zeros((m, 3, 3))
         for a, (first, second) in enumerate(((0, 1), (1, 2), (0, 2))):
@@ -271,12 +278,12 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
     walk = LIKELY_WALK if problem.zero_walk_std is None else problem.zero_walk_std
     begin, along = Supposed(walk=walk, weight=0.0), posed.moved
     begin = replace(begin, weight=1.0 if along is None else nearest(posed.model(begin), along))
-    solution = TracerSolution(posed, _solved(posed, begin), begin)
+    solution = _first(posed, begin)
     for _ in range(MOST_STEPS):
         if solution.lean < LEAN:
             break
         posed = posed.again(solution.stations)
-        solution = TracerSolution(posed, _solved(posed, begin), begin)
+        solution = _first(posed, begin)
     solution = _weighed(solution)
     scales = (e.sizes for e in solution.found.found_effects if e.effect.effect == "scale")
     if any(sizes.min() < -1.0 for sizes in scales):
@@ -299,8 +306,21 @@ def _adjusted(problem: TracerProblem) -> TracerSolution:
     return solution
 
 
-def _solved(posed: Posed, supposed: Supposed) -> Adjusted:
-    model = posed.model(supposed)
+def _first(posed: Posed, supposed: Supposed) -> TracerSolution:
+    found, in_time = _solved(posed, supposed)
+    return TracerSolution(posed, found, supposed, in_time=in_time)
+
+
+def _solved(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
+    model, limits = posed.model(supposed), limits_of(posed.problem.settings)
+    in_time = None
+    if posed.lengths.speed is not None:
+        start, gross = robust_start(model, limits)
+        kept = ~np.isin(np.arange(len(model.observed)), gross)
+        in_time = InTime.of(posed.lengths_of(supposed), fitted(model, kept, model.std, start))
+        if not in_time.independent:
+            return adjusted(in_time.model(model), limits), in_time
+        in_time = None
     if posed.grid.free:  # too limber to be found from afar
         std = np.full_like(posed.grid.target_std, NEARLY)
         near = replace(posed, grid=replace(posed.grid, free=False, target_std=std))
@@ -308,7 +328,7 @@ def _solved(posed: Posed, supposed: Supposed) -> Adjusted:
         every = np.ones(loose.size[0], dtype=np.bool_)
         missed = np.abs(loose.observed - loose.equations(loose.first)[0])
         model = replace(model, start=fitted(loose, every, loose.std + missed, loose.first).x)
-    return adjusted(model, limits_of(posed.problem.settings))
+    return adjusted(model, limits), in_time
 
 
 def _weighed(solution: TracerSolution) -> TracerSolution:
@@ -323,7 +343,8 @@ def _weighed(solution: TracerSolution) -> TracerSolution:
 
 
 def _again(solution: TracerSolution, supposed: Supposed) -> TracerSolution:
-    return replace(solution, found=_solved(solution.posed, supposed), supposed=supposed)
+    found, in_time = _solved(solution.posed, supposed)
+    return replace(solution, found=found, supposed=supposed, in_time=in_time)
 
 
 def _contradicted(solution: TracerSolution) -> TracerSolution:

@@ -38,6 +38,8 @@ FAIR: Final = 1e-4
 """Misfit (m) up to which a length counts in full where others are gross."""
 UNBENDING: Final = 12
 """Times that gross lengths are weighed anew."""
+SHOWING: Final = 100
+"""Stations that show a circle as well as any more."""
 LOST: Final = 1e-3
 """Root mean square misfit (m) of stations that are not where the commanded angles say."""
 
@@ -235,7 +237,8 @@ def _on_circle(grid: Grid, angles: Floats) -> tuple[Floats, bool]:
     if min(misfit for misfit, _ in found) > LOST**2:
         found += _circles(grid, -angles)
     least = min(misfit for misfit, _ in found)
-    variance = DEVIATES**2 + float((grid.length_std**2).max() + (grid.target_std**2).max())
+    length_std = float(grid.length_std[grid.used].max())
+    variance = DEVIATES**2 + length_std**2 + float((grid.target_std**2).max())
     equal = (least + CHANCE * variance / grid.used.sum()) >= np.array([m for m, _ in found])
     alike = [each for (_, each), close in zip(found, equal.tolist(), strict=True) if close]
     lowest = min(alike, key=lambda each: float(each[:, 2].mean()))
@@ -244,11 +247,16 @@ def _on_circle(grid: Grid, angles: Floats) -> tuple[Floats, bool]:
 
 
 def _circles(grid: Grid, angles: Floats) -> list[tuple[float, Floats]]:
-    """Return mean square misfits (m^2) and stations (m, 3) from several heights to start from."""
+    """Return mean square misfits (m^2) and stations (m, 3) from several heights to start from.
+
+    Of very many stations some, evenly, show the circle.
+    """
     from scipy.optimize import least_squares  # slow to load, and rarely needed
 
-    linear = _linear_circle(grid, angles)
-    strip, target = np.nonzero(grid.used)
+    some = grid.station % -(-grid.n_stations // SHOWING) == 0
+    used = grid.used & some[:, None]
+    linear = _linear_circle(replace(grid, used=used), angles)
+    strip, target = np.nonzero(used)
     station = grid.station[strip]
     zero = station if grid.zero is None else grid.zero[strip]
     cos, sin = np.cos(angles), np.sin(angles)
@@ -280,13 +288,15 @@ def _linear_circle(grid: Grid, angles: Floats) -> Floats:
     centre = grid.targets.mean(axis=0)
     scale = float(np.abs(grid.targets - centre).max()) or 1.0
     x = (grid.targets[i] - centre) / scale
-    of_zero, station = zero[p], grid.station[p]
-    count = np.bincount(of_zero)
-    mean = np.bincount(of_zero, weights=grid.length[p, i]) / np.maximum(count, 1)
+    of_zero = zero[p]
+    seen, station = np.unique(grid.station[p], return_inverse=True)
+    count = np.bincount(of_zero, minlength=grid.n_zeros)
+    total = np.bincount(of_zero, weights=grid.length[p, i], minlength=grid.n_zeros)
+    mean = total / np.maximum(count, 1)
     reading = (grid.length[p, i] - mean[of_zero]) / scale
-    cos, sin = np.cos(angles[station]), np.sin(angles[station])
+    cos, sin = np.cos(angles[seen])[station], np.sin(angles[seen])[station]
     turned = np.column_stack([x[:, 0] * cos + x[:, 1] * sin, x[:, 1] * cos - x[:, 0] * sin])
-    k, m, s = len(p), grid.n_stations, grid.n_zeros
+    k, m, s = len(p), len(seen), grid.n_zeros
     system = np.zeros((k, 5 + m + 2 * s))
     system[:, :5] = 2.0 * np.column_stack([x, turned])
     rows = np.arange(k)

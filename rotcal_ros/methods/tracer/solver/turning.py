@@ -1,0 +1,347 @@
+"""Lengths of a table that turns: the lag of its feedback, its motion, noise correlated in time.
+
+A turn passes all angles at one speed while the tracer reads one target, from one zero. Each run,
+all turns at one speed, places the table at every angle by itself:
+
+* **Lag.** A table that turns at w is ahead of its feedback by w times the lag. One speed and its
+  reverse leave open which part of a constant reversal that is: unless it is stated, the mean
+  reversal is called zero. Two speeds in one direction show the same table, so they tell it.
+* **Error motion.** Hundreds of angles see its low orders well. They are unknowns, common to all
+  runs, that scatter by a size which may be unknown; what is beside them is another at every angle,
+  and as large along the circle as across it.
+* **Noise in time.** Readings follow each other so quickly that drifting air spoils neighbours
+  alike. What an angle's redundant lengths leave over is correlated as their noise is, for all of
+  them see the table move alike. An autoregression (Yule and Walker, Burnham's order by BIC)
+  describes it: e_i = sum phi_k e_{i-k} + w_i. Lengths less what it foretells,
+  W y, are independent.
+
+What W does to places P of the table, of which beams change their directions slowly, is U (W P): so
+q = W P are unknowns in their place, which lengths feel as before, and P = W^-1 q. All is linear
+about the solution of lengths that are held to be independent. The same place of all targets is
+spoiled by W alike; where a length is missing, W goes on with what the solution says in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
+from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
+
+from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.diagnosis import Limits
+from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.adjust.error_motion import WHITE, Spectrum
+from rotcal_ros.adjust.fit import Fit
+from rotcal_ros.adjust.model import Model, linear
+from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.methods.tracer.solver.carried_lengths import UM, WORDS, CarriedLengths
+
+MOTION: Final = "motion"
+"""The block of the error motion's low orders: cosines and sines of x and y, order by order."""
+LOW_ORDERS: Final = "the error motion's orders"
+MOST_COEFFICIENTS: Final = 8
+"""Readings before, from which the noise of the next may be foretold."""
+FORGOTTEN: Final = 1e-4
+"""Share of a reading's noise that is no matter to a later one."""
+SAME: Final = 1e-9
+"""By how much (rad) runs of one direction may differ in their mean: they show one table."""
+NORMAL_QUARTILE: Final = 0.6745
+"""Median of |x| for a standard normal x."""
+GROSS: Final = 4.0
+"""Residuals, in their scatter, beyond which one is no noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Which run each position of a table that turns is passed in, and when.
+
+    ``number`` (m,): of the run; ``place`` (m,): how many positions of it were passed before;
+    ``speed`` (r,): of each run, rad/s.
+    """
+
+    number: Ints
+    place: Ints
+    speed: Floats
+
+    @classmethod
+    def of(cls, lengths: CarriedLengths) -> Runs:
+        """Return the runs of ``lengths``, by the speed at which each position was passed."""
+        assert lengths.speed is not None
+        at = np.zeros(len(lengths.angles))
+        at[lengths.position] = lengths.speed
+        speed, number = np.unique(at, return_inverse=True)
+        along = lengths.angles * np.sign(speed)[number]
+        in_time = np.lexsort((along, number))
+        place = np.empty(len(at), dtype=np.int64)
+        place[in_time] = np.arange(len(at))
+        first = np.searchsorted(number[in_time], np.arange(len(speed)))
+        return cls(number, place - first[number], speed)
+
+    def before(self, position: Ints, count: int) -> Ints:
+        """Return the positions (k, count) that were passed before those given, -1 for none."""
+        whole = np.full((len(self.speed), int(self.place.max()) + 1 + count), -1)
+        whole[self.number, self.place + count] = np.arange(len(self.number))
+        steps = count - 1 - np.arange(count)
+        return np.asarray(whole[self.number[position, None], self.place[position, None] + steps])
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseInTime:
+    """The noise of a run as an autoregression, of variance 1: ``coefficients`` (order,) of it.
+
+    ``ahead`` (order + 1, order) and ``left`` (order + 1,): how the first reading, the second and
+    so on follow from those before, and the standard deviation of what is new; the last ones hold
+    for all others.
+    """
+
+    ahead: Floats
+    left: Floats
+
+    @classmethod
+    def of(cls, correlations: Floats, count: float) -> NoiseInTime:
+        """Return what ``correlations`` (p + 1,) of ``count`` readings support, from lag 0 on."""
+        most = len(correlations) - 1
+        every = [np.zeros(0)]
+        every += [solve_toeplitz(correlations[:k], correlations[1 : k + 1]) for k in range(1, most + 1)]
+        left = np.array([1.0 - c @ correlations[1 : len(c) + 1] for c in every])
+        stable = np.minimum.accumulate(np.where(left > 0.0, left, np.inf))
+        order = int(np.argmin(count * np.log(stable) + np.log(count) * np.arange(most + 1)))
+        ahead = np.zeros((order + 1, order))
+        for k in range(order + 1):
+            ahead[k, :k] = every[k]
+        return cls(ahead, np.sqrt(left[: order + 1]))
+
+    @property
+    def order(self) -> int:
+        """How many readings before count."""
+        return self.ahead.shape[1]
+
+    @property
+    def independent(self) -> float:
+        """The share of readings that would say as much of a slow effect were they independent."""
+        return float(((1.0 - self.ahead[-1].sum()) / self.left[-1]) ** 2)
+
+    def places(self, count: int) -> csr_array:
+        """Return W^-1 (count, count): from what is new at each place to the noise."""
+        impulse = lfilter([1.0], np.append(1.0, -self.ahead[-1]), np.eye(1, count)[0])
+        reach = 1 + int(np.flatnonzero(np.abs(impulse) > FORGOTTEN).max())
+        column, row, value = [], [], []
+        for k in range(min(self.order, count)):
+            begun = np.zeros(count)
+            begun[k] = self.left[k]
+            for i in range(k + 1, min(count, reach + self.order)):
+                ahead = self.ahead[min(i, self.order)]
+                near = begun[max(i - self.order, 0) : i][::-1]
+                begun[i] = near @ ahead[: len(near)]
+            there = np.flatnonzero(begun)
+            row.append(there), column.append(np.full(len(there), k)), value.append(begun[there])
+        rest = np.arange(self.order, count)[:, None]
+        to = rest + np.arange(reach)
+        inside = to < count
+        row.append(to[inside])
+        column.append(np.broadcast_to(rest, to.shape)[inside])
+        value.append(np.broadcast_to(self.left[-1] * impulse[:reach], to.shape)[inside])
+        entries = np.concatenate(value), (np.concatenate(row), np.concatenate(column))
+        return csr_array(entries, shape=(count, count))
+
+
+@dataclass(frozen=True, eq=False)
+class InTime:
+    """A table's ``lengths`` beside the ``noise`` (r) of its ``runs``, about the unknowns ``x``."""
+
+    lengths: CarriedLengths
+    runs: Runs
+    noise: tuple[NoiseInTime, ...]
+    x: Floats
+
+    @classmethod
+    def of(cls, lengths: CarriedLengths, fit: Fit) -> InTime:
+        """Return what the residuals of a ``fit`` of independent lengths show."""
+        runs, k = Runs.of(lengths), len(lengths.row)
+        series = np.full((len(lengths.targets), len(lengths.angles)), np.nan)
+        white = np.where(fit.used[:k], fit.white[:k], np.nan)
+        usual = float(np.nanmedian(np.abs(white)) / NORMAL_QUARTILE)
+        white[np.abs(white) > GROSS * usual] = np.nan
+        series[lengths.target, lengths.position] = white
+        checked = np.bincount(lengths.position, fit.redundancy[:k], len(lengths.angles))
+        found: dict[float, NoiseInTime] = {}
+        for speed in np.unique(np.abs(runs.speed)).tolist():
+            here = [np.flatnonzero(runs.number == r) for r in np.flatnonzero(np.abs(runs.speed) == speed)]
+            each = [series[:, mine[np.argsort(runs.place[mine])]] for mine in here]
+            products = np.array([_product(each, lag) for lag in range(MOST_COEFFICIENTS + 1)])
+            count = float(sum(checked[mine].sum() for mine in here))
+            found[speed] = NoiseInTime.of(products / products[0], count)
+        return cls(lengths, runs, tuple(found[speed] for speed in np.abs(runs.speed).tolist()), fit.x)
+
+    @property
+    def independent(self) -> bool:
+        """Whether all readings are."""
+        return not any(noise.order for noise in self.noise)
+
+    def _foretold(self, position: Ints) -> tuple[Ints, Floats, Floats]:
+        """Return the positions (k, p) before those given, what they foretell, and what is left."""
+        order = max(noise.order for noise in self.noise)
+        ahead, left = np.zeros((len(position), order)), np.ones(len(position))
+        for number, noise in enumerate(self.noise):
+            mine = self.runs.number[position] == number
+            step = np.minimum(self.runs.place[position[mine]], noise.order)
+            ahead[mine, : noise.order], left[mine] = noise.ahead[step], noise.left[step]
+        return self.runs.before(position, order), ahead, left
+
+    @cached_property
+    def at_places(self) -> csr_array:
+        """W (m, m) of what belongs to a position."""
+        position = np.arange(len(self.lengths.angles))
+        before, ahead, left = self._foretold(position)
+        return _news(position, before, ahead, left)
+
+    @cached_property
+    def _of_lengths(self) -> tuple[csr_array, csr_array, Floats]:
+        """W (k, k) of lengths and of what changes slowly with them; what gaps add to their noise."""
+        lengths, k = self.lengths, np.arange(len(self.lengths.row))
+        row = np.full((len(lengths.targets), len(lengths.angles) + 1), -1)
+        row[lengths.target, lengths.position] = k
+        before, ahead, left = self._foretold(lengths.position)
+        there = row[lengths.target[:, None], before]
+        gone = np.where((there < 0) & (before >= 0), ahead, 0.0)
+        own = _news(k, there, ahead, left)
+        slow = own - csr_array((gone.sum(axis=1) / left, (k, k)), shape=own.shape)
+        return own, slow, np.sqrt(1.0 + (gone**2).sum(axis=1))
+
+    @cached_property
+    def places(self) -> csr_array:
+        """What takes the unknowns of the model to those of the lengths, (p, p)."""
+        m, size = len(self.lengths.angles), self.lengths.size
+        column, row, value = [], [], []
+        for number, noise in enumerate(self.noise):
+            mine = np.flatnonzero(self.runs.number == number)
+            mine = mine[np.argsort(self.runs.place[mine])]
+            each = noise.places(len(mine)).tocoo()
+            row.append(mine[each.coords[0]]), column.append(mine[each.coords[1]]), value.append(each.data)
+        entries = np.concatenate(value), (np.concatenate(row), np.concatenate(column))
+        whole = csr_array(entries, shape=(m, m))
+        shifts = csr_array(_kron(whole, 3))
+        return csr_array(block_diag([shifts, whole, eye_array(size - 4 * m)], format="csr"))
+
+    def model(self, model: Model) -> Model:
+        """Return the ``model`` of independent lengths as one of these, about where it was solved."""
+        computed, design = model.linearised(self.x)
+        assert isinstance(design, FewEach)
+        k, m, to = len(self.lengths.row), len(self.lengths.angles), self.places
+        news, slowly, grown = self._of_rows(design.few[:, : 4 * m], model.of_component)
+        few = hstack([design.few[:, : 4 * m], slowly @ design.few[:, 4 * m :]], format="csr")
+        whole = FewEach(csr_array(few), design.known @ to)
+        x = self.x.copy()
+        x[: 3 * m] = _kron(self.at_places, 3) @ x[: 3 * m]
+        x[3 * m : 4 * m] = self.at_places @ x[3 * m : 4 * m]
+        n = few.shape[0]
+        left = model.observed - computed
+        left[:n] = news @ left[:n]
+        rows = model.outputs
+        assert isinstance(rows, Outputs)
+
+        def mixed(columns: Floats) -> Floats:
+            return np.concatenate([slowly @ columns[:n], columns[n:]])
+
+        return replace(
+            model,
+            observed=left + whole.times(x),
+            std=np.append(model.std[:k] * grown, model.std[k:]),
+            equations=linear(whole),
+            outputs=Outputs(csr_array(rows.few @ to), rows.common @ to, rows.share),
+            effects=[e.mapped(mixed, lambda of: of, apart=False) for e in model.effects],
+            definitions=None if model.definitions is None else model.definitions @ to,
+            start=x,
+        )
+
+    def _of_rows(self, local: csr_array, component: Ints) -> tuple[csr_array, csr_array, Floats]:
+        """Return W (n, n) of rows, of what changes slowly with them, and how gaps add to noise.
+
+        Those below the lengths are of positions if they feel the ``local`` unknowns; else they
+        stand by themselves.
+        """
+        k, m, n = len(self.lengths.row), len(self.lengths.angles), local.shape[0]
+        own, slow, grown = self._of_lengths
+        parts = []
+        for rows in np.split(np.arange(k, n), np.flatnonzero(np.diff(component[k:n])) + 1):
+            whole = local[rows].nnz and len(rows) % m == 0
+            parts.append(_kron(self.at_places, len(rows) // m) if whole else eye_array(len(rows)))
+        news, slowly = (csr_array(block_diag([w, *parts], format="csr")) for w in (own, slow))
+        return news, slowly, grown
+
+
+def _product(series: list[Floats], lag: int) -> float:
+    """Return the sum of products of each series (n, m) with itself ``lag`` places later."""
+    return float(sum(np.nansum(each[:, : each.shape[1] - lag] * each[:, lag:]) for each in series))
+
+
+def _kron(each: csr_array, ways: int) -> csr_array:
+    """Return what does the same as ``each`` (m, m) to each of several ways of a position."""
+    return csr_array(kron(each, eye_array(ways), format="csr"))
+
+
+def _news(own: Ints, before: Ints, ahead: Floats, left: Floats) -> csr_array:
+    """Return W of rows ``own`` (k,): each less what those ``before`` it (k, p) foretell."""
+    there = before >= 0
+    row = np.broadcast_to(np.arange(len(own))[:, None], before.shape)[there]
+    value = np.concatenate([1.0 / left, -(ahead / left[:, None])[there]])
+    entries = value, (np.concatenate([np.arange(len(own)), row]), np.concatenate([own, before[there]]))
+    return csr_array(entries, shape=(len(own), len(own)))
+
+
+def with_motion(
+    model: Model, lengths: CarriedLengths, spectra: Mapping[Spectrum, float], free: float
+) -> Model:
+    """Return the model whose MOTION scatters by a size that is not known.
+
+    ``spectra``: which orders it may have, with what probability; ``free``: a size (m) that nobody
+    would overlook.
+    """
+    orders, ways = np.repeat(low_orders(spectra), 4), []
+    for spectrum, share in spectra.items():
+        if spectrum != WHITE:
+            size = np.zeros(len(orders))
+            for order, part in zip(spectrum.orders, spectrum.shares, strict=True):
+                size[orders == order] = np.sqrt(part)
+            ways.append((share, np.diag(size)[:, size > 0.0]))
+    return model.scattering(LOW_ORDERS, lengths.rows_of(MOTION), None, free, ways)
+
+
+def low_orders(spectra: Mapping[Spectrum, float]) -> Ints:
+    """Return the orders that a motion of these ``spectra`` may have."""
+    return np.unique([order for spectrum in spectra for order in spectrum.orders])
+
+
+def moved(lengths: CarriedLengths, spectra: Mapping[Spectrum, float]) -> csr_array:
+    """Return by how much the MOTION moves the axis along x and y at each position, (2 m, p)."""
+    phase = np.outer(lengths.angles, low_orders(spectra))
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
+    return csr_array(csr_array(np.kron(waves, np.eye(2))) @ lengths.rows_of(MOTION))
+
+
+def of_one_table(model: Model, lengths: CarriedLengths, *, lag_is_stated: bool) -> Model:
+    """Return the model whose runs show one table: its mean reversal, or lag, by what is known.
+
+    Runs of one direction have the same mean. One speed and its reverse have so by definition,
+    unless the lag is stated: nothing else tells them apart.
+    """
+    runs, begin = Runs.of(lengths), lengths.first["turn"]
+    mean = np.zeros((len(runs.speed), lengths.size))
+    for number in range(len(runs.speed)):
+        mine = np.flatnonzero(runs.number == number)
+        mean[number, begin + mine] = 1.0 / len(mine)
+    speeds, sides = np.abs(runs.speed), [np.flatnonzero(runs.speed * s > 0.0) for s in (1.0, -1.0)]
+    same = [mean[side[1:]] - mean[side[:1]] for side in sides if len(side) > 1]
+    if same:
+        rows = np.concatenate(same)
+        model = model.with_prior("runs of one direction", rows, np.zeros(len(rows)), SAME)
+    elif len(speeds) == 2 and not lag_is_stated:
+        model = replace(model, definitions=mean[:1] - mean[1:])
+    return model
