@@ -78,8 +78,8 @@ FREE_CIRCLE: Final = 1e-4
 """Error motion (m) that nobody would overlook."""
 USUAL: Final = 3e-7
 """Error motion (m) from which that of very many stations is searched for."""
-SMALL_MOTION: Final = 2e-8
-"""The same of what is beside the low orders of a table that turns, from which it is estimated."""
+LOOSE: Final = 1e-5
+"""Error motion (m) beside its low orders that leaves a place free across its circle."""
 MOST_WITNESSES: Final = 500
 """Stations up to which it is asked of which orders an error motion is, or how large it may be; of
 more its size is no question, and it is noise like that of the lengths."""
@@ -111,12 +111,14 @@ class Supposed:
 
     ``walk``: standard deviation of a zero's step from one length to the next, m; 0: it stands.
     ``weight``: share of the reported moves of the targets that lengths follow, ``left``: what that
-    leaves unknown of each, m.
+    leaves unknown of each, m. ``other``: standard deviations of an error motion beside its low
+    orders, across the circle and along it, of a table that turns, m.
     """
 
     walk: float = 0.0
     weight: float = 1.0
     left: float = 0.0
+    other: tuple[float, float] = (LOOSE, ROUND)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +229,7 @@ class Posed:
         )
         for known in stated:
             model = known.beside(model)
-        return replace(self._about_axis(lengths, model), closures=self._closures)
+        return replace(self._about_axis(lengths, model, supposed), closures=self._closures)
 
     @property
     def _closures(self) -> list[KnownRelation]:
@@ -249,7 +251,7 @@ class Posed:
         stated = self.problem.error_motion_std
         return self.problem.circle_std if stated is None else stated
 
-    def _about_axis(self, lengths: CarriedLengths, model: Model) -> Model:
+    def _about_axis(self, lengths: CarriedLengths, model: Model, supposed: Supposed) -> Model:
         """Return the model with what is known of how the table's axis moves."""
         across, motion, along = about_axis(lengths, self.motion, self.problem.circle_std)
         for known in along:
@@ -258,26 +260,26 @@ class Posed:
         if lengths.speed is None:
             model = with_motion(model, motion.what, motion.rows, size, lengths.angles, across)
         else:
-            model = self._turning(lengths, model, motion, across)
+            model = self._turning(lengths, model, motion, across, supposed)
         significance = self.problem.settings.test_significance
         scattering = [replace(each, significance=significance) for each in model.scatterings]
         return replace(model, correlated=scattering)
 
     def _turning(
-        self, lengths: CarriedLengths, model: Model, motion: KnownBeforehand, across: csr_array
-    ) -> Model:
+        self, lengths: CarriedLengths, model: Model, motion: KnownBeforehand, across: csr_array,
+        supposed: Supposed,
+    ) -> Model:  # fmt: skip
         """Return the model of a table that turns, with its motion and the lag of its feedback.
 
-        An unstated motion has low orders, common to all runs, and is another at every angle beside
-        them. Sizes of both are estimated.
+        An unstated motion has low orders, common to all runs, of a size that is estimated; beside
+        them it is another at every angle, and as large as is supposed.
         """
-        problem = self.problem
-        if self.motion is None:
-            low = across @ turning.moved(lengths, SPECTRA)
-            rows = csr_array(motion.rows - low)
-            motion = KnownBeforehand(motion.what, rows, np.full(rows.shape[0], SMALL_MOTION))
-        model = motion.beside(model)
-        if self.motion is None:
+        problem, m = self.problem, len(lengths.angles)
+        if self.motion is not None:
+            model = motion.beside(model)
+        else:
+            rows = csr_array(motion.rows - across @ turning.moved(lengths, SPECTRA))
+            model = KnownBeforehand(motion.what, rows, np.tile(supposed.other, m)).beside(model)
             model = turning.with_motion(model, lengths, SPECTRA, FREE_CIRCLE)
         if problem.lag is not None:
             row = lengths.rows_of(LAG)

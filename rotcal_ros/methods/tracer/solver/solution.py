@@ -46,6 +46,7 @@ from rotcal_ros.methods.tracer.solver.observability import (
 from rotcal_ros.methods.tracer.solver.posed import (
     ERROR_MOTION,
     FREE_CIRCLE,
+    ROUND,
     STATED_CIRCLE,
     Posed,
     Supposed,
@@ -53,7 +54,7 @@ from rotcal_ros.methods.tracer.solver.posed import (
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
 from rotcal_ros.methods.tracer.solver.reported import Reported, nearest, weighed
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
-from rotcal_ros.methods.tracer.solver.turning import InTime
+from rotcal_ros.methods.tracer.solver.turning import InTime, Runs, other_motion
 
 NEARLY: Final = 1e-3
 """How well (m) the targets of a free network are known where it starts."""
@@ -313,14 +314,8 @@ def _first(posed: Posed, supposed: Supposed) -> TracerSolution:
 
 def _solved(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
     model, limits = posed.model(supposed), limits_of(posed.problem.settings)
-    in_time = None
     if posed.lengths.speed is not None:
-        start, gross = robust_start(model, limits)
-        kept = ~np.isin(np.arange(len(model.observed)), gross)
-        in_time = InTime.of(posed.lengths_of(supposed), fitted(model, kept, model.std, start))
-        if not in_time.independent:
-            return adjusted(in_time.model(model), limits), in_time
-        in_time = None
+        return _turned(posed, supposed)
     if posed.grid.free:  # too limber to be found from afar
         std = np.full_like(posed.grid.target_std, NEARLY)
         near = replace(posed, grid=replace(posed.grid, free=False, target_std=std))
@@ -328,7 +323,28 @@ def _solved(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
         every = np.ones(loose.size[0], dtype=np.bool_)
         missed = np.abs(loose.observed - loose.equations(loose.first)[0])
         model = replace(model, start=fitted(loose, every, loose.std + missed, loose.first).x)
-    return adjusted(model, limits), in_time
+    return adjusted(model, limits), None
+
+
+def _turned(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
+    """Return the solution of a table that turned, with the noise in time that a first one shows.
+
+    That takes readings to be independent, and places to be free across their circle.
+    """
+    model, limits = posed.model(supposed), limits_of(posed.problem.settings)
+    start, gross = robust_start(model, limits)
+    kept = ~np.isin(np.arange(len(model.observed)), gross)
+    first, lengths = fitted(model, kept, model.std, start), posed.lengths_of(supposed)
+    if posed.motion is None:
+        rows = np.flatnonzero(model.of_component == model.components.index(ERROR_MOTION))[0::2]
+        runs = Runs.of(lengths)
+        other = max(other_motion(runs, lengths.angles, first.residual[rows]), ROUND)
+        model = posed.model(replace(supposed, other=(other, other)))
+        first = fitted(model, kept, model.std, first.x)
+    in_time = InTime.of(lengths, first)
+    if in_time.independent:
+        return adjusted(replace(model, start=first.x), limits), None
+    return adjusted(in_time.model(model), limits), in_time
 
 
 def _weighed(solution: TracerSolution) -> TracerSolution:

@@ -48,6 +48,8 @@ MOTION: Final = "motion"
 LOW_ORDERS: Final = "the error motion's orders"
 MOST_COEFFICIENTS: Final = 8
 """Readings before, from which the noise of the next may be foretold."""
+LEAST_SHARE: Final = 0.1
+"""Share of the scatter of places that is always held to be a motion of the axis."""
 FORGOTTEN: Final = 1e-4
 """Share of a reading's noise that is no matter to a later one."""
 SAME: Final = 1e-9
@@ -312,6 +314,21 @@ def with_motion(
                 size[orders == order] = np.sqrt(part)
             ways.append((share, np.diag(size)[:, size > 0.0]))
     return model.scattering(LOW_ORDERS, lengths.rows_of(MOTION), None, free, ways)
+
+
+def other_motion(runs: Runs, angles: Floats, radial: Floats) -> float:
+    """Return how much places scatter across their circle beside low orders, m, in all runs alike.
+
+    ``radial`` (m,): what is left of them at the ``angles`` (m,). One run alone holds its noise. A
+    tenth of that is always left, which does no harm.
+    """
+    which = np.unique(angles, return_inverse=True)[1]
+    count, total = np.bincount(which), np.bincount(which, radial)
+    pairs = float((count * (count - 1)).sum())
+    if not pairs:
+        return float(radial.std())
+    products = float((total**2 - np.bincount(which, radial**2)).sum())
+    return float(np.sqrt(max(products / pairs, (LEAST_SHARE * radial.std()) ** 2)))
 
 
 def low_orders(spectra: Mapping[Spectrum, float]) -> Ints:
