@@ -39,12 +39,11 @@ ROSDEP_KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "uvicorn": "python3-uvicorn",
-    "python_calamine": "mcap-ros2-support",  # there is no key: docs/install.md
-    "threadpoolctl": "mcap-ros2-support",  # nor here
+    "threadpoolctl": "mcap-ros2-support",  # there is no key: docs/install.md
     "yaml": "python3-yaml",
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }
-WITHOUT_KEYS = {"alembic", "pyarrow", "sqlalchemy", "starlette"}
+WITHOUT_KEYS = {"alembic", "pyarrow", "python_calamine", "sqlalchemy", "starlette"}
 """What pip alone brings: verbs that need it say so."""
 OF_PIP_ALONE = {"mcap-ros2-support", "python3-rosbags-pip"}
 OF_THE_CONTROLLER = {"hal", "linuxcnc"}

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.sheets.forms import SheetSettings
-from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
-from rotcal_ros.foundation.sheets.words import ANGLE, TIME, Heading, answer, columns_of, units_of
+from rotcal_ros.foundation.table_columns import ANGLE, TIME, SheetSettings
+from rotcal_ros.foundation.table_reading import Known, Reading, read_any
+from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
+from rotcal_tables.sheets.words import Heading, answer, columns_of, units_of
 
 HEADERS = (("position", "target", "length_m"),)
 BALLS = (("position", "ball_step", "x_m", "y_m", "z_m"),)
