@@ -131,14 +131,17 @@ def _places(
     path: Path, header: Header, heads: Sequence[_Head], named: Mapping[str, str]
 ) -> dict[TableColumn, int]:
     """Return where the columns of a header are, those that are there."""
-    found = dict[TableColumn, int]()
+    found, mapped = dict[TableColumn, int](), set[int]()
+    for text in named.values():
+        mapped |= {place for place, head in enumerate(heads) if _is_called(head, place, text)}
     for column in map(TableColumn.of, header):
-        text = named.get(column.name)
+        text = named.get(column.name, "")
         at = [
             place
             for place, head in enumerate(heads)
-            if (_is_named(head, column) if text is None else _is_called(head, place, text))
-        ]
+            if (_is_called(head, place, text) if text else
+                place not in mapped and _is_named(head, column))
+        ]  # fmt: skip
         if len(at) > 1:
             answers = [(f"{column.name}=#{n + 1}", f"column {n + 1}") for n in at]
             raise undecided(

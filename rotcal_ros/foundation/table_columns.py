@@ -59,30 +59,6 @@ class TableColumn:
         return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
 
 
-class Caption(str):
-    """The text at the head of a column, of one cell or of two, one above the other.
-
-    ``cells`` are their texts, ``address`` is by what a person names the column: its text, or its
-    number where no cell, or more than one, has that text.
-    """
-
-    __slots__ = ("address", "cells")
-    address: str
-    cells: tuple[str, ...]
-
-    @classmethod
-    def of(cls, cells: Sequence[str], place: int, *, alone: bool) -> Caption:
-        """Return the caption of a column with its ``place``, from 0."""
-        caption = cls(" over ".join(cells))
-        caption.cells = tuple(cells)
-        caption.address = caption if alone and len(cells) == 1 else f"#{place + 1}"
-        return caption
-
-    def __repr__(self) -> str:
-        """Return the texts of the cells, each in quotes."""
-        return " over ".join(map(repr, self.cells))
-
-
 @dataclass(frozen=True)
 class SheetSettings:
     """How a table of numbers is read, where the table does not say so itself."""
@@ -141,8 +117,11 @@ AS_IT_STANDS: Final = SheetSettings()
 
 
 def meaning(column: str, text: str) -> str:
-    """Return the entry of sheet.columns that says that a heading means a column."""
-    return f"{column}={text.address if isinstance(text, Caption) else text}"
+    """Return the entry of sheet.columns that says that a heading means a column.
+
+    A heading may have an ``address`` by which it is named in place of its text.
+    """
+    return f"{column}={getattr(text, 'address', text)}"
 
 
 def option(setting: str, value: str, *more: str) -> str:

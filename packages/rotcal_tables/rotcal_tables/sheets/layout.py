@@ -16,7 +16,6 @@ from rotcal_ros.foundation.table_columns import (
     IN_BRACKETS,
     LENGTH,
     TIME,
-    Caption,
     TableColumn,
     folded,
     meaning,
@@ -77,6 +76,30 @@ _ALL_IN: Final = re.compile(
     r"(?:all|alle|toutes?|tous)\b.*\b(?:in|en)\s+(\S+)",
     re.IGNORECASE,
 )
+
+
+class Caption(str):
+    """The text at the head of a column, of one cell or of two, one above the other.
+
+    ``cells`` are their texts, ``address`` is by what a person names the column: its text, or its
+    number where no cell, or more than one, has that text.
+    """
+
+    __slots__ = ("address", "cells")
+    address: str
+    cells: tuple[str, ...]
+
+    @classmethod
+    def of(cls, cells: Sequence[str], place: int, *, alone: bool) -> Caption:
+        """Return the caption of a column with its ``place``, from 0."""
+        caption = cls(" over ".join(cells))
+        caption.cells = tuple(cells)
+        caption.address = caption if alone and len(cells) == 1 else f"#{place + 1}"
+        return caption
+
+    def __repr__(self) -> str:
+        """Return the texts of the cells, each in quotes."""
+        return " over ".join(map(repr, self.cells))
 
 
 @dataclass(frozen=True, slots=True)
