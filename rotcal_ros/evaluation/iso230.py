@@ -290,7 +290,7 @@ def _ends(values: Floats) -> Floats:
 
 
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
-IN_SI: Final = ("angle_rad", "run", "direction", "deviation_rad")
+_IN_SI: Final = ("angle_rad", "run", "direction", "deviation_rad")
 DIRECTIONS: Final = ("up", "down")
 """up: approached with increasing angle, down: with decreasing angle."""
 _Visit: TypeAlias = "tuple[float, str, str]"
@@ -303,7 +303,7 @@ def read_runs(table: Table) -> BidirectionalRuns:
     Every target must occur once in every run and direction. Raises BagError for other columns;
     DataError names what is missing, double or not a number.
     """
-    require_header(table, (HEADER, IN_SI))
+    require_header(table, (HEADER, _IN_SI))
     degree, arcsec = (1.0, 1.0) if table.header == HEADER else (DEGREE, ARCSEC)
     rows = []
     for row in table.rows():
@@ -326,7 +326,7 @@ def read_any_runs(
     open, ``announce`` is given how it was understood. Raises as :func:`read_runs`.
     """
     by_columns = not reads_any_form()
-    reading = read_any(path, (IN_SI if by_columns else ("position", "deviation_rad"),), sheet)
+    reading = read_any(path, (_IN_SI if by_columns else ("position", "deviation_rad"),), sheet)
     announce(reading)
     if by_columns:
         return read_runs(reading.table)

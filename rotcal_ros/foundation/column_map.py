@@ -168,7 +168,7 @@ def _not_mapped(table: Table, header: Header, found: Mapping[TableColumn, int]) 
     column, theirs = TableColumn.of(missing[0]).name, free[0] if free else "ITS NAME"
     return BagError(
         f"{table.path}: no column {', '.join(missing)}: found "
-        f"{', '.join(map(repr, table.header))}; expected CSV with the columns "
+        f"{', '.join(map(repr, table.header)) or 'nothing'}; expected CSV with the columns "
         f"'{','.join(header)}'. State one with another name by "
         f"{option('sheet.columns', f'{column}={theirs}')}{_other_forms()}"
     )

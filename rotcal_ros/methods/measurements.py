@@ -99,7 +99,9 @@ def read_measurements(
     if method.table is None:
         raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")
     _require_own_method(source, configuration)
-    reader, settings = method.table, remembered(path, configuration.sheet)
+    reader, settings = method.table, configuration.sheet
+    if not isinstance(source, Table):
+        settings = remembered(source, settings)
     aim, aimed_by = _targets(source, targets, reader.targets, settings)
 
     def known() -> Mapping[str, Known]:
