@@ -35,6 +35,20 @@ def rows(reading: Reading) -> list[tuple[str, ...]]:
 
 
 @pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("", "no row names the columns: expected 'position,target,length_m'"),
+        ("0,0,0.25\n", "no row names the columns"),
+        ("position,target,speed\n0,0,1\n", "no column length_m: .* not known: 'speed'"),
+        ("position;length_m\n0;1\n", "no column target"),
+    ],
+)
+def test_a_head_that_says_too_little(tmp_path, text, error):
+    with pytest.raises(BagError, match=error):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
     ("text", "mark", "value"),
     [
         ("312.5", ".", "312.5"),
