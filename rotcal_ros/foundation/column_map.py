@@ -98,7 +98,7 @@ def _other_forms() -> str:
 
 def _comma_separated(path: Path) -> Table:
     if is_workbook(path):
-        raise BagError(f"{path} is a workbook: save the table as CSV UTF-8{_other_forms()}")
+        raise BagError(f"{path} is a workbook: save it as CSV UTF-8{_other_forms()}")
     try:
         return read_table(path)
     except (BagError, DataError) as error:
