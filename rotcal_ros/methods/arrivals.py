@@ -86,6 +86,22 @@ def arrivals_of(angles: Sequence[float], runs: int, *, bidirectional: bool) -> A
     )
 
 
+def arrivals_of_turns(angles: Sequence[float], speeds: Sequence[float]) -> Arrivals:
+    """Return the arrivals of a table that passes all ``angles`` (rad) at each of the ``speeds``.
+
+    Of any unit; below zero it turns back.
+    """
+    upward = np.array(speeds) > 0.0
+    run = np.where(upward, np.cumsum(upward), np.cumsum(~upward)) - 1
+    count = len(angles)
+    return Arrivals(
+        targets=np.array(angles),
+        target=np.tile(np.arange(count), len(upward)),
+        run=np.repeat(run, count),
+        upward=np.repeat(upward, count),
+    )
+
+
 def both_ways(plan: Any) -> Arrivals | None:
     """Return the arrivals of the settings of a plan that measures both directions; else None."""
     if not plan.bidirectional:

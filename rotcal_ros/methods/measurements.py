@@ -103,6 +103,9 @@ def read_measurements(
     if not isinstance(source, Table):
         settings = remembered(source, settings)
     aim, aimed_by = _targets(source, targets, reader.targets, settings)
+    if own := own_table(source, reader.with_angles):
+        announce(Reading(own, sources=aimed_by))
+        return reader.read(configuration, own, None if aim is None else aim.table)
 
     def known() -> Mapping[str, Known]:
         found = _known_of_plan(configuration, reader.columns)
@@ -169,7 +172,8 @@ def _require_own_method(source: Path | Table, configuration: Configuration) -> N
     others = [
         other.name
         for other in usable_methods()
-        if other.table is not None and own_table(source, other.table.headers)
+        if other.table is not None
+        and own_table(source, (*other.table.headers, *other.table.with_angles))
     ]
     if others and method.name not in others:
         path = source.path if isinstance(source, Table) else source

@@ -91,7 +91,8 @@ class TableReader:
     0, each with the field of a :class:`~.planning.plan.Step` that it holds. ``targets`` is the
     header of a table of targets; empty where there is none. ``runs`` is the setting of the plan
     that counts how often it goes through the table angles; empty: once only. A plan that does so
-    again, or in both directions, has the settings ``again`` too.
+    again, or in both directions, has the settings ``again`` too. Tables with one of the headers
+    ``with_angles`` state the table angles themselves.
     """
 
     headers: tuple[Header, ...]
@@ -100,6 +101,7 @@ class TableReader:
     targets: Header = ()
     runs: str = ""
     again: Mapping[str, str] = field(default_factory=dict)
+    with_angles: tuple[Header, ...] = ()
 
 
 DEFAULT: Final = "tracer_multistation"

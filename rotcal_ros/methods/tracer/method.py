@@ -14,18 +14,20 @@ from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.arrivals import (
     Arrivals,
     RepeatedTrials,
     arrivals_of,
+    arrivals_of_turns,
     mean_of_arrivals,
     mean_of_runs,
     scatter_of,
 )
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
-from rotcal_ros.methods.tracer import table
+from rotcal_ros.methods.tracer import table, turning_table
 from rotcal_ros.methods.tracer.figures import figures, tables
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
@@ -99,18 +101,24 @@ def model_of_curves(
 
 
 def _in_segments(configuration: Configuration) -> bool:
-    return bool(configuration.solver.zero == "per_segment")
+    turning = configuration.plan.turning_deg_s
+    return bool(turning) or bool(configuration.solver.zero == "per_segment")
 
 
-def _segments(observations: Sequence[Observation]) -> Ints:
-    """Return the segment (k,) of each observation; another run is another segment."""
-    both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
-    return np.unique(both, axis=0, return_inverse=True)[1].ravel()
+def _segments(observations: Sequence[Observation], *, turning: bool) -> Ints:
+    """Return the segment (k,) of each observation; another run, or turn, is another segment."""
+    each = [
+        (o.run, o.segment, *((o.station, o.target) if turning else (0, 0))) for o in observations
+    ]
+    numbers = np.array(each, dtype=np.int64).reshape(-1, 4)
+    return np.unique(numbers, axis=0, return_inverse=True)[1].ravel()
 
 
 def _arrivals(configuration: Configuration) -> Arrivals | None:
     """Return the arrivals of all stations of a plan with repeated runs."""
     settings: TracerPlanSettings = configuration.plan
+    if settings.turning_deg_s:
+        return arrivals_of_turns(table_angles(settings), settings.turning_deg_s)
     if not settings.repeated:
         return None
     return arrivals_of(table_angles(settings), settings.runs, bidirectional=settings.bidirectional)
@@ -128,18 +136,29 @@ def problem(
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
     columns, mount = length_columns(settings, plan, observations), configuration.plan.tracer_m
+    speeds = np.array(configuration.plan.turning_deg_s) * DEGREE
     segments, again = _in_segments(configuration), _earlier(plan, observations)
     run = np.array([o.run for o in observations], dtype=np.int64)
+    angles = np.tile(plan.table_angles, max(len(speeds), 1))
+    if len(speeds):
+        turn = np.array([o.station for o in observations], dtype=np.int64)
+        columns |= {
+            "position": columns["position"] + len(plan.table_angles) * turn,
+            "table_angles": angles,
+            "speed": speeds[turn],
+            "lag": settings.lag_s,
+            "lag_std": settings.lag_std_s,
+        }
     return TracerProblem(
         **columns,
-        segment=_segments(observations) if segments else None,
+        segment=_segments(observations, turning=len(speeds) > 0) if segments else None,
         again=again if again.any() else None,
         run=None if segments or len(np.unique(run)) < 2 else run,
         position_std=settings.position_std_m,
         zero_walk_std=settings.zero_walk_std_m if segments else 0.0,
         slip=settings.slip_m,
         # few lengths to low targets leave a mirror image of a station, which this rules out
-        start_stations=on_table(mount, plan.table_angles) if mount else None,
+        start_stations=on_table(mount, angles.tolist()) if mount else None,
         variant=settings.variant,
         datum=settings.datum,
         error_motion_std=settings.error_motion_std_m,
@@ -201,7 +220,9 @@ METHOD: Final = Method(
         cell, cell.tracer.mount_m, table, temperature, start_ns
     ),
     plan=lambda configuration: tracer_plan(configuration.plan),
-    check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
+    check_plan=lambda configuration, plan: check_plan(
+        configuration.solver, plan, turning=bool(configuration.plan.turning_deg_s)
+    ),
     adaptive=until_goal,
     compare=compare,
     plan_files=PLAN_FILES,
@@ -219,6 +240,7 @@ METHOD: Final = Method(
         table.TARGETS,
         runs="runs",
         again={"order": TARGETS_PER_STATION},
+        with_angles=turning_table.HEADERS,
     ),
     figures=figures,
     tables=tables,

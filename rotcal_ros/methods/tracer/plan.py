@@ -39,15 +39,18 @@ LEAST_ANGLES = 3
 """Different table angles below which the stations show no axis, however often they return."""
 
 
-def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
-    """Raise PlanError for a plan whose lengths could never be solved."""
+def check_plan(solver: TracerSolverSettings, planned: Plan, *, turning: bool = False) -> None:
+    """Raise PlanError for a plan whose lengths could never be solved.
+
+    A table that is ``turning`` has a zero for each turn, and no length to spare is too few.
+    """
     at, of = (
         np.array([getattr(step, name) for step in planned.steps])
         for name in ("table_position", "target")
     )
-    shared = solver.zero == "per_segment"
+    shared = turning or solver.zero == "per_segment"
     on_circle = solver.circle_std_m is not None
-    least = station_minimum(not shared, on_circle)
+    least = station_minimum(not shared, on_circle) + int(turning)
     different = np.array(sorted({*zip(at.tolist(), of.tolist(), strict=True)}))
     lengths = np.bincount(different[:, 0], minlength=len(planned.table_angles))
     poor = np.flatnonzero(lengths < least)
@@ -97,6 +100,8 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     ascend, when repeated runs come with an order that leaves the angle for every target, or when
     pairs are not of the plan's angles and targets.
     """
+    if settings.turning_deg_s:
+        return turning_plan(settings)
     if settings.pairs:
         return explicit_plan(settings)
     if settings.repeated and settings.order != TARGETS_PER_STATION:
@@ -115,6 +120,33 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     if settings.order == TARGETS_PER_STATION:
         return plan
     return _renumbered(plan, sorted(plan.steps, key=lambda step: step.target))
+
+
+def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) -> Plan:
+    """Return the plan of a table that turns once at each speed, for one target after the other.
+
+    ``targets``: in place of the plan's. A step's station is its run: the number of its speed.
+    Raises PlanError for speeds of zero, and for settings that ask for stops.
+    """
+    speeds, angles = settings.turning_deg_s, table_angles(settings)
+    if not all(speeds):
+        raise PlanError(f"turning_deg_s: {list(speeds)} deg/s: a table that turns has a speed")
+    if settings.pairs or settings.limited or settings.runs > 1 or settings.bidirectional:
+        raise PlanError(
+            "turning_deg_s measures every target in a whole turn at each speed: leave out pairs, "
+            "min_elevation_deg, min_distance_m, runs and bidirectional; speeds of both signs "
+            "measure both directions"
+        )
+    targets, steps = tuple(targets) or targets_of(settings), list[Step]()
+    for target, (run, speed) in product(range(len(targets)), enumerate(speeds)):
+        back = speed < 0.0
+        rows = [(position, target, run) for position in range(len(angles))][:: -1 if back else 1]
+        sides = [Approach.NEGATIVE if back else Approach.POSITIVE] * len(angles)
+        kind = PointKind.REFLECTOR
+        turn = numbered_steps(rows, angles, targets, kind, approaches=sides)
+        begin = len(steps)
+        steps += [replace(step, index=begin + step.index) for step in turn]
+    return Plan(METHOD, angles, targets, tuple(steps))
 
 
 def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:

@@ -148,6 +148,17 @@ class TracerSolverSettings(LengthNoiseSettings):
         doc="m, standard deviation of the table's radial error motion at the tracer's height; 0: "
         "no such motion; none: as circle_std_m, else estimated from the circle of the stations",
     )
+    lag_s: float | None = expert(
+        None,
+        minimum=-1.0,
+        maximum=1.0,
+        doc="s, by which the feedback of a table that turns is late behind the lengths; none: "
+        "estimated where runs of several speeds tell it from the table's reversal, else the mean "
+        "reversal is called zero",
+    )
+    lag_std_s: float = expert(
+        1e-6, minimum=1e-9, maximum=1.0, doc="s, standard uncertainty (k = 1) of lag_s"
+    )
 
 
 TRACER: Final = "tracer"
@@ -339,6 +350,11 @@ class TracerPlanSettings(BlockSettings):
         "and min_distance_m need it",
         first=True,
     )
+    turning_deg_s: tuple[float, ...] = expert(
+        (),
+        doc="deg/s, speeds at which the table turns once for each target while lengths are read, "
+        "negative for back, as 12 and -12; none: it stops at every angle",
+    )
     min_elevation_deg: float | None = setting(
         None,
         minimum=-90.0,
@@ -375,7 +391,7 @@ class TracerPlanSettings(BlockSettings):
     @property
     def repeated(self) -> bool:
         """Whether the table comes to an angle more than once."""
-        return self.runs > 1 or self.bidirectional
+        return self.runs > 1 or self.bidirectional or len(self.turning_deg_s) > 1
 
     @property
     def limited(self) -> bool:

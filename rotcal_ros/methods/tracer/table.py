@@ -27,6 +27,7 @@ from rotcal_ros.methods.calibration import Calibration, prepare, stated_circumst
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Measurements, PlanFile, Trials
+from rotcal_ros.methods.tracer import turning_table
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
@@ -85,6 +86,9 @@ def read(configuration: Configuration, table: Table, targets: Table | None) -> M
     """Return what a table of lengths, or of stations, holds."""
     if table.header in STATIONS:
         return read_stations(configuration, table)
+    if table.header in turning_table.HEADERS:
+        _require_places(configuration, table, targets)
+        return turning_table.read(configuration, table, () if targets is None else _points(targets))
     return _read_lengths(configuration, table, targets)
 
 
@@ -152,12 +156,7 @@ def read_lengths(
     for targets without places, DataError for a length that cannot be one in metres.
     """
     rows = list(table.rows())
-    if targets is None and not any(f"plan.{name}" in configuration.given for name in PLACES):
-        raise ConfigurationError(
-            f"{table.path} needs the places of its targets, and {configuration.source} states "
-            f"none: give --targets TARGETS.csv with the columns {','.join(TARGETS)} (in Python "
-            "targets=), or state plan.targets_m or plan.box_centre_m, box_size_m and box_points"
-        )
+    _require_places(configuration, table, targets)
     planned = prepare(configuration).plan
     tables, places = [table], planned.targets
     if targets is not None:
@@ -173,6 +172,16 @@ def read_lengths(
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
     return PlannedMeasurements(calibration, tuple(observations), hashes(*tables))
+
+
+def _require_places(configuration: Configuration, table: Table, targets: Table | None) -> None:
+    """Raise ConfigurationError for lengths to targets that are nowhere."""
+    if targets is None and not any(f"plan.{name}" in configuration.given for name in PLACES):
+        raise ConfigurationError(
+            f"{table.path} needs the places of its targets, and {configuration.source} states "
+            f"none: give --targets TARGETS.csv with the columns {','.join(TARGETS)} (in Python "
+            "targets=), or state plan.targets_m or plan.box_centre_m, box_size_m and box_points"
+        )
 
 
 def read_targets(path: Path) -> tuple[Point, ...]:

@@ -225,7 +225,7 @@ class Posed:
             components=["the lengths"],
             groupings=_groupings(lengths, self.grid),
             effects=effects_of(lengths, unbroken=self.problem.segment is not None),
-            row_names=[f"station {j}, target {i}" for j, i in pairs],
+            row_names=[f"{self.problem.station_name(j)}, target {i}" for j, i in pairs],
         )
         for known in stated:
             model = known.beside(model)

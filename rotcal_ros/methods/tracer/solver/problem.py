@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.tracer.settings import (
     Datum,
     TracerLimits,
@@ -313,6 +314,13 @@ class TracerProblem(LengthProblem):
     def earlier(self) -> Ints:
         """How often the pair of each length (k,) was measured before."""
         return np.zeros_like(self.position) if self.again is None else self.again
+
+    def station_name(self, station: int | np.integer) -> str:
+        """Return what a station is, for messages."""
+        if self.speed is None:
+            return super().station_name(station)
+        run = int((self.table_angles[:station] == self.table_angles[station]).sum())
+        return f"{self.table_angles[station] / DEGREE:g} deg in turns {run}"
 
     @property
     def free(self) -> bool:

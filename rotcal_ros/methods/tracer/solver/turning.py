@@ -53,7 +53,7 @@ LEAST_SHARE: Final = 0.1
 FORGOTTEN: Final = 1e-4
 """Share of a reading's noise that is no matter to a later one."""
 SAME: Final = 1e-9
-"""By how much (rad) runs of one direction may differ in their mean: they show one table."""
+"""By how much (rad) runs that show one table may differ in their mean."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 GROSS: Final = 4.0
@@ -346,7 +346,7 @@ def moved(lengths: CarriedLengths, spectra: Mapping[Spectrum, float]) -> csr_arr
 def of_one_table(model: Model, lengths: CarriedLengths, *, lag_is_stated: bool) -> Model:
     """Return the model whose runs show one table: its mean reversal, or lag, by what is known.
 
-    Runs of one direction have the same mean. One speed and its reverse have so by definition,
+    Runs of one direction have the same mean. One speed and its reverse are held to have so, too,
     unless the lag is stated: nothing else tells them apart.
     """
     runs, begin = Runs.of(lengths), lengths.first["turn"]
@@ -354,11 +354,10 @@ def of_one_table(model: Model, lengths: CarriedLengths, *, lag_is_stated: bool) 
     for number in range(len(runs.speed)):
         mine = np.flatnonzero(runs.number == number)
         mean[number, begin + mine] = 1.0 / len(mine)
-    speeds, sides = np.abs(runs.speed), [np.flatnonzero(runs.speed * s > 0.0) for s in (1.0, -1.0)]
-    same = [mean[side[1:]] - mean[side[:1]] for side in sides if len(side) > 1]
-    if same:
-        rows = np.concatenate(same)
-        model = model.with_prior("runs of one direction", rows, np.zeros(len(rows)), SAME)
-    elif len(speeds) == 2 and not lag_is_stated:
-        model = replace(model, definitions=mean[:1] - mean[1:])
-    return model
+    sides = [np.flatnonzero(runs.speed * sense > 0.0) for sense in (1.0, -1.0)]
+    same = np.concatenate([mean[side[1:]] - mean[side[:1]] for side in sides])
+    if not (len(same) or lag_is_stated):
+        same = mean[1:] - mean[:1]
+    if not len(same):
+        return model
+    return model.with_prior("runs of one table", same, np.zeros(len(same)), SAME)

@@ -1,0 +1,193 @@
+"""Tables of lengths that were read while the table turned: ``angle_deg,target,direction,length_m``.
+
+``direction`` is 1 for growing angles and -1 for the way back; a last column ``time_s`` tells when
+each length was read. Angles and speeds are those of the rows, so a set-up need not state them. A
+turn begins with another target or direction, and where an angle comes again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.calibration import Calibration
+from rotcal_ros.methods.configuration import (
+    Configuration,
+    parse_configuration,
+    raw_groups,
+    replaced,
+)
+from rotcal_ros.methods.measurements import TIME, PlannedMeasurements, read_at
+from rotcal_ros.methods.tracer.lengths import LengthCheck
+from rotcal_ros.methods.tracer.plan import turning_plan
+from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.table_angles import ANGLE_SETTINGS, table_angles
+
+_COLUMNS: Final = ("angle_deg", "target", "direction", "length_m")
+HEADERS: Final[tuple[Header, ...]] = (_COLUMNS, (*_COLUMNS, TIME))
+SENSES: Final = {"1": 1.0, "+1": 1.0, "+": 1.0, "-1": -1.0, "-": -1.0}
+SAME_DEG: Final = 1e-6
+"""Angles that differ by less are one."""
+ALIKE: Final = 0.05
+"""Speeds that differ by less than this share are one."""
+AS_STATED: Final = 0.2
+"""Share by which a table may turn faster or slower than stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """Rows of one unbroken turn, in the order of the table; ``speed`` in deg/s, 0: not known."""
+
+    target: int
+    sense: float
+    rows: tuple[Row, ...]
+
+    @property
+    def angles_deg(self) -> Floats:
+        """The angles (e,) of its rows."""
+        return np.array([row.number("angle_deg") for row in self.rows])
+
+    @property
+    def speed(self) -> float:
+        """Its speed, deg/s, negative for back, by its times; 0: there are none."""
+        if TIME not in self.rows[0].cells or len(self.rows) < 2:
+            return 0.0
+        when = np.array([row.number(TIME) for row in self.rows])
+        if not (np.diff(when) > 0.0).all():
+            raise DataError(f"{self.rows[0].place}: {TIME} does not grow in the turn that begins here")
+        return float(np.median(np.diff(self.angles_deg) / np.diff(when)))
+
+
+def read(
+    configuration: Configuration, table: Table, targets: tuple[Point, ...]
+) -> PlannedMeasurements:
+    """Return the lengths of the turns in a ``table``, to ``targets``; those of the plan without.
+
+    Raises DataError, with the row, for what cannot be, ConfigurationError for speeds that neither
+    times nor the set-up tell.
+    """
+    turns = _turns(table)
+    every = np.sort(np.concatenate([turn.angles_deg for turn in turns]))
+    angles = every[np.append(True, np.diff(every) > SAME_DEG)]
+    speeds = configuration.plan.turning_deg_s or _speeds(table, turns)
+    plan = _plan_of(configuration, angles, speeds, table)
+    text = replaced(configuration, "plan", plan)
+    configuration = parse_configuration(text, configuration.source)
+    calibration = Calibration(configuration, turning_plan(configuration.plan, targets))
+    steps = {(s.station, s.table_position, s.target): s for s in calibration.plan.steps}
+    check, observations = LengthCheck(calibration.plan), list[Observation]()
+    for number, turn in enumerate(turns):
+        run = _run_of(turn, speeds)
+        for row, angle in zip(turn.rows, turn.angles_deg.tolist(), strict=True):
+            position = int(np.abs(angles - angle).argmin())
+            step = steps.get((run, position, turn.target))
+            if step is None:
+                raise DataError(
+                    f"{row.place}: target {turn.target} is not one of the "
+                    f"{len(calibration.plan.targets)} targets of {configuration.source}"
+                )
+            read = step.observed((row.metres("length_m"),))
+            observation = check(replace(read_at(row, read), segment=number))
+            if not observation.accepted:
+                raise DataError(f"{row.place}: {observation.reason}")
+            observations.append(observation)
+    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+
+
+def _turns(table: Table) -> list[_Turn]:
+    """Return the turns of a table, in their order."""
+    def kind(row: Row) -> tuple[int, float]:
+        sense = SENSES.get(row.cells["direction"])
+        if sense is None:
+            raise DataError(
+                f"{row.place}: direction must be 1 (angles grow) or -1 (back), found "
+                f"{row.cells['direction']!r}: correct the row"
+            )
+        return row.index("target"), sense
+
+    found = list[_Turn]()
+    for (target, sense), group in groupby(table.rows(), kind):
+        rows = list(group)
+        along = sense * np.array([row.number("angle_deg") for row in rows])
+        ends = [*(np.flatnonzero(np.diff(along) <= SAME_DEG) + 1).tolist(), len(rows)]
+        for begin, end in zip([0, *ends[:-1]], ends, strict=True):
+            found.append(_Turn(target, sense, tuple(rows[begin:end])))
+    if not found:
+        raise DataError(f"{table.path}: the table has no rows: nothing was measured")
+    short = [turn for turn in found if len(turn.rows) == 1]
+    if 2 * len(short) > len(found):
+        raise DataError(
+            f"{short[0].rows[0].place}: angles do not go the way that direction says, or every row "
+            "is a turn of its own: list the lengths of a turn one after the other, as they were read"
+        )
+    return found
+
+
+def _speeds(table: Table, turns: list[_Turn]) -> tuple[float, ...]:
+    """Return the speeds at which the table turned, deg/s, by the times of its rows."""
+    every = sorted({turn.speed for turn in turns if turn.speed}, key=lambda v: (v < 0.0, abs(v)))
+    if not every:
+        raise ConfigurationError(
+            f"{table.path} has no column {TIME}, and the set-up states no plan.turning_deg_s: how "
+            "fast did the table turn? State its speeds, as [12, -12]"
+        )
+    found = [[every[0]]]
+    for speed in every[1:]:
+        if abs(speed - found[-1][-1]) <= ALIKE * abs(speed):
+            found[-1].append(speed)
+        else:
+            found.append([speed])
+    return tuple(float(np.median(alike)) for alike in found)
+
+
+def _run_of(turn: _Turn, speeds: tuple[float, ...]) -> int:
+    """Return the number of the speed at which a turn was made."""
+    able = [k for k, speed in enumerate(speeds) if speed * turn.sense > 0.0]
+    own, place = turn.speed, turn.rows[0].place
+    if not able:
+        raise DataError(
+            f"{place}: direction {turn.sense:g}, but plan.turning_deg_s, {list(speeds)}, has no "
+            "speed of this sign: state it"
+        )
+    if not own:
+        if len(able) > 1:
+            raise DataError(
+                f"{place}: at which of the speeds {[speeds[k] for k in able]} deg/s was this turn "
+                f"made? Add a column {TIME}"
+            )
+        return able[0]
+    best = min(able, key=lambda k: abs(speeds[k] - own))
+    if abs(speeds[best] - own) > AS_STATED * abs(own):
+        raise DataError(
+            f"{place}: this turn was made at {own:.4g} deg/s by its times, plan.turning_deg_s "
+            f"states {list(speeds)}: correct one of the two, or leave out plan.turning_deg_s"
+        )
+    return best
+
+
+def _plan_of(
+    configuration: Configuration, angles: Floats, speeds: tuple[float, ...], table: Table
+) -> dict[str, Any]:
+    """Return the settings of the plan with the angles and speeds of a table."""
+    given = [f"plan.{name}" for name in ANGLE_SETTINGS if f"plan.{name}" in configuration.given]
+    if given:
+        stated = np.array(table_angles(configuration.plan)) / DEGREE
+        far = [a for a in angles.tolist() if np.abs(stated - a).min() > SAME_DEG]
+        if far:
+            raise DataError(
+                f"{table.path}: {far[0]:g} deg is none of the table angles of "
+                f"{configuration.source} ({', '.join(given)}): leave them out, for the table "
+                "states its own"
+            )
+    _, groups = raw_groups(configuration.text, configuration.source)
+    plan = {k: v for k, v in (groups.get("plan") or {}).items() if k not in ANGLE_SETTINGS}
+    exact = [round(angle, 9) for angle in angles.tolist()]
+    return {**plan, "table_angles_deg": exact, "turning_deg_s": [round(v, 9) for v in speeds]}
