@@ -138,6 +138,7 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
         deviations={name: tied @ values for name, values in result.deviations.items()},
         std={name: np.sqrt(np.maximum(np.diag(matrix), 0.0)) for name, matrix in total.items()},
         covariance=total,
+        budget=_shared_out(result, total["ECC"].diagonal(), arrivals),
         details={**result.details, "station_deviations": ecc},
         runs=RepeatedRuns(
             targets=arrivals.targets,
@@ -176,6 +177,19 @@ def mean_of_arrivals(
         model = model.with_prior(f"the arrivals of {c}", left, np.zeros(len(side)), std)
         curves[c] = arrivals.averaging() @ mean[side]
     return CurveModel(model, arrivals.targets[arrivals.measured], curves, found.mixed)
+
+
+def _shared_out(result: Result, variance: Floats, arrivals: Arrivals) -> dict[str, Floats]:
+    """Return the standard uncertainties of the mean ECC (k',) by source, as arrivals have shares.
+
+    ``variance`` (k',) of it, rad^2.
+    """
+    whole = np.sum([std**2 for std in result.budget.values()], axis=0)
+    return {
+        name: np.sqrt(np.maximum(variance * (arrivals.averaging() @ share), 0.0))
+        for name, std in result.budget.items()
+        for share in [std**2 / np.where(whole > 0.0, whole, 1.0)]
+    }
 
 
 @dataclass(frozen=True, eq=False)

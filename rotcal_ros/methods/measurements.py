@@ -103,9 +103,6 @@ def read_measurements(
     if not isinstance(source, Table):
         settings = remembered(source, settings)
     aim, aimed_by = _targets(source, targets, reader.targets, settings)
-    if own := own_table(source, reader.with_angles):
-        announce(Reading(own, sources=aimed_by))
-        return reader.read(configuration, own, None if aim is None else aim.table)
 
     def known() -> Mapping[str, Known]:
         found = _known_of_plan(configuration, reader.columns)
@@ -117,7 +114,7 @@ def read_measurements(
         found.pop("position", None)
         return found
 
-    reading = read_any(source, reader.headers, settings, known)
+    reading = read_any(source, (*reader.headers, *reader.with_angles), settings, known)
     where = phrase("table angles of the plan in {0}", configuration.source)
     if reading.angles_deg:
         where = phrase("table angles of the table")
@@ -126,18 +123,25 @@ def read_measurements(
         if reading.runs > 1 or reading.both_directions:  # only now there are positions for them
             settings = replace(settings, angles="")
             reading = read_any(source, reader.headers, settings, known)
-    elif not states_angles(configuration):
-        raise ConfigurationError(
-            f"{configuration.source} has no group 'plan' with table angles: it has to say which "
-            f"the positions in {path} stand for: add plan.table_positions, plan.table_step_deg "
-            "and plan.table_start_deg, or a column of table angles to the table"
-        )
+    elif reading.table.header in reader.with_angles:
+        where = phrase("table angles of the table")
+    else:
+        _require_angles(configuration, path)
     answers = () if settings == configuration.sheet else (phrase("answers of {0}", FILE),)
     announce(replace(reading, sources=(where, *aimed_by, *answers)))
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")
     return reader.read(configuration, reading.table, aimed_at)
+
+
+def _require_angles(configuration: Configuration, path: Path) -> None:
+    if not states_angles(configuration):
+        raise ConfigurationError(
+            f"{configuration.source} has no group 'plan' with table angles: it has to say which "
+            f"the positions in {path} stand for: add plan.table_positions, plan.table_step_deg "
+            "and plan.table_start_deg, or a column of table angles to the table"
+        )
 
 
 def states_angles(configuration: Configuration) -> bool:

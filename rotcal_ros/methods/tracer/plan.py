@@ -101,7 +101,10 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     pairs are not of the plan's angles and targets.
     """
     if settings.turning_deg_s:
-        return turning_plan(settings)
+        raise PlanError(
+            "turning_deg_s: a cell does not read lengths from a table that turns yet; a table of "
+            "them, with the columns angle_deg,target,direction,length_m, is solved"
+        )
     if settings.pairs:
         return explicit_plan(settings)
     if settings.repeated and settings.order != TARGETS_PER_STATION:

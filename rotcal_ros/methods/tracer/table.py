@@ -88,7 +88,9 @@ def read(configuration: Configuration, table: Table, targets: Table | None) -> M
         return read_stations(configuration, table)
     if table.header in turning_table.HEADERS:
         _require_places(configuration, table, targets)
-        return turning_table.read(configuration, table, () if targets is None else _points(targets))
+        return turning_table.read(
+            configuration, table, () if targets is None else _points(targets)
+        )
     return _read_lengths(configuration, table, targets)
 
 

@@ -1,4 +1,4 @@
-"""Tables of lengths that were read while the table turned: ``angle_deg,target,direction,length_m``.
+"""Lengths of a table that turned, as a table: ``angle_deg,target,direction,length_m``.
 
 ``direction`` is 1 for growing angles and -1 for the way back; a last column ``time_s`` tells when
 each length was read. Angles and speeds are those of the rows, so a set-up need not state them. A
@@ -62,7 +62,9 @@ class _Turn:
             return 0.0
         when = np.array([row.number(TIME) for row in self.rows])
         if not (np.diff(when) > 0.0).all():
-            raise DataError(f"{self.rows[0].place}: {TIME} does not grow in the turn that begins here")
+            raise DataError(
+                f"{self.rows[0].place}: {TIME} does not grow in the turn that begins here"
+            )
         return float(np.median(np.diff(self.angles_deg) / np.diff(when)))
 
 
@@ -104,6 +106,7 @@ def read(
 
 def _turns(table: Table) -> list[_Turn]:
     """Return the turns of a table, in their order."""
+
     def kind(row: Row) -> tuple[int, float]:
         sense = SENSES.get(row.cells["direction"])
         if sense is None:
@@ -125,8 +128,8 @@ def _turns(table: Table) -> list[_Turn]:
     short = [turn for turn in found if len(turn.rows) == 1]
     if 2 * len(short) > len(found):
         raise DataError(
-            f"{short[0].rows[0].place}: angles do not go the way that direction says, or every row "
-            "is a turn of its own: list the lengths of a turn one after the other, as they were read"
+            f"{short[0].rows[0].place}: angles do not go the way that direction says, or rows are "
+            "mixed: list the lengths of a turn one after the other, as they were read"
         )
     return found
 

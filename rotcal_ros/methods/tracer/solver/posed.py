@@ -283,7 +283,9 @@ class Posed:
             model = turning.with_motion(model, lengths, SPECTRA, FREE_CIRCLE)
         if problem.lag is not None:
             row = lengths.rows_of(LAG)
-            model = model.with_prior("the stated lag", row, np.array([problem.lag]), problem.lag_std)
+            model = model.with_prior(
+                "the stated lag", row, np.array([problem.lag]), problem.lag_std
+            )
         return turning.of_one_table(model, lengths, lag_is_stated=problem.lag is not None)
 
 

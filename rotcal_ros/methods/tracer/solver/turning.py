@@ -29,19 +29,16 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded, solve_toeplitz
 from scipy.sparse import block_diag, csr_array, eye_array, hstack, kron
 
 from rotcal_ros.adjust.bordered import FewEach
-from rotcal_ros.adjust.diagnosis import Limits
-from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.methods.tracer.solver.carried_lengths import UM, WORDS, CarriedLengths
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 
 MOTION: Final = "motion"
 """The block of the error motion's low orders: cosines and sines of x and y, order by order."""
@@ -111,7 +108,9 @@ class NoiseInTime:
         """Return what ``correlations`` (p + 1,) of ``count`` readings support, from lag 0 on."""
         most = len(correlations) - 1
         every = [np.zeros(0)]
-        every += [solve_toeplitz(correlations[:k], correlations[1 : k + 1]) for k in range(1, most + 1)]
+        every += [
+            solve_toeplitz(correlations[:k], correlations[1 : k + 1]) for k in range(1, most + 1)
+        ]
         left = np.array([1.0 - c @ correlations[1 : len(c) + 1] for c in every])
         stable = np.minimum.accumulate(np.where(left > 0.0, left, np.inf))
         order = int(np.argmin(count * np.log(stable) + np.log(count) * np.arange(most + 1)))
@@ -123,35 +122,12 @@ class NoiseInTime:
     @property
     def order(self) -> int:
         """How many readings before count."""
-        return self.ahead.shape[1]
+        return len(self.ahead) - 1
 
     @property
     def independent(self) -> float:
         """The share of readings that would say as much of a slow effect were they independent."""
         return float(((1.0 - self.ahead[-1].sum()) / self.left[-1]) ** 2)
-
-    def places(self, count: int) -> csr_array:
-        """Return W^-1 (count, count): from what is new at each place to the noise."""
-        impulse = lfilter([1.0], np.append(1.0, -self.ahead[-1]), np.eye(1, count)[0])
-        reach = 1 + int(np.flatnonzero(np.abs(impulse) > FORGOTTEN).max())
-        column, row, value = [], [], []
-        for k in range(min(self.order, count)):
-            begun = np.zeros(count)
-            begun[k] = self.left[k]
-            for i in range(k + 1, min(count, reach + self.order)):
-                ahead = self.ahead[min(i, self.order)]
-                near = begun[max(i - self.order, 0) : i][::-1]
-                begun[i] = near @ ahead[: len(near)]
-            there = np.flatnonzero(begun)
-            row.append(there), column.append(np.full(len(there), k)), value.append(begun[there])
-        rest = np.arange(self.order, count)[:, None]
-        to = rest + np.arange(reach)
-        inside = to < count
-        row.append(to[inside])
-        column.append(np.broadcast_to(rest, to.shape)[inside])
-        value.append(np.broadcast_to(self.left[-1] * impulse[:reach], to.shape)[inside])
-        entries = np.concatenate(value), (np.concatenate(row), np.concatenate(column))
-        return csr_array(entries, shape=(count, count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,12 +151,17 @@ class InTime:
         checked = np.bincount(lengths.position, fit.redundancy[:k], len(lengths.angles))
         found: dict[float, NoiseInTime] = {}
         for speed in np.unique(np.abs(runs.speed)).tolist():
-            here = [np.flatnonzero(runs.number == r) for r in np.flatnonzero(np.abs(runs.speed) == speed)]
+            here = [
+                np.flatnonzero(runs.number == r)
+                for r in np.flatnonzero(np.abs(runs.speed) == speed)
+            ]
             each = [series[:, mine[np.argsort(runs.place[mine])]] for mine in here]
             products = np.array([_product(each, lag) for lag in range(MOST_COEFFICIENTS + 1)])
             count = float(sum(checked[mine].sum() for mine in here))
             found[speed] = NoiseInTime.of(products / products[0], count)
-        return cls(lengths, runs, tuple(found[speed] for speed in np.abs(runs.speed).tolist()), fit.x)
+        return cls(
+            lengths, runs, tuple(found[speed] for speed in np.abs(runs.speed).tolist()), fit.x
+        )
 
     @property
     def independent(self) -> bool:
@@ -206,7 +187,7 @@ class InTime:
 
     @cached_property
     def _of_lengths(self) -> tuple[csr_array, csr_array, Floats]:
-        """W (k, k) of lengths and of what changes slowly with them; what gaps add to their noise."""
+        """W (k, k) of lengths, of what changes slowly with them; and how noise grows by gaps."""
         lengths, k = self.lengths, np.arange(len(self.lengths.row))
         row = np.full((len(lengths.targets), len(lengths.angles) + 1), -1)
         row[lengths.target, lengths.position] = k
@@ -221,19 +202,24 @@ class InTime:
     def places(self) -> csr_array:
         """What takes the unknowns of the model to those of the lengths, (p, p)."""
         m, size = len(self.lengths.angles), self.lengths.size
-        column, row, value = [], [], []
+        every = []
         for number, noise in enumerate(self.noise):
             mine = np.flatnonzero(self.runs.number == number)
             mine = mine[np.argsort(self.runs.place[mine])]
-            each = noise.places(len(mine)).tocoo()
-            row.append(mine[each.coords[0]]), column.append(mine[each.coords[1]]), value.append(each.data)
-        entries = np.concatenate(value), (np.concatenate(row), np.concatenate(column))
-        whole = csr_array(entries, shape=(m, m))
-        shifts = csr_array(_kron(whole, 3))
-        return csr_array(block_diag([shifts, whole, eye_array(size - 4 * m)], format="csr"))
+            news, count = self.at_places[mine][:, mine], len(mine)
+            bands = np.zeros((noise.order + 1, count))
+            for k in range(noise.order + 1):
+                bands[k, : count - k] = news.diagonal(-k)
+            back = solve_banded((noise.order, 0), bands, np.eye(count))
+            back[np.abs(back) < FORGOTTEN] = 0.0
+            pick = csr_array((np.ones(count), mine, np.arange(count + 1)), shape=(count, m))
+            every.append(pick.T @ csr_array(back) @ pick)
+        whole = csr_array(sum(every[1:], every[0]))
+        apart = [_kron(whole, 3), whole, eye_array(size - 4 * m)]
+        return csr_array(block_diag(apart, format="csr"))
 
     def model(self, model: Model) -> Model:
-        """Return the ``model`` of independent lengths as one of these, about where it was solved."""
+        """Return a ``model`` of independent lengths as one of these, about its solution."""
         computed, design = model.linearised(self.x)
         assert isinstance(design, FewEach)
         k, m, to = len(self.lengths.row), len(self.lengths.angles), self.places
@@ -294,7 +280,10 @@ def _news(own: Ints, before: Ints, ahead: Floats, left: Floats) -> csr_array:
     there = before >= 0
     row = np.broadcast_to(np.arange(len(own))[:, None], before.shape)[there]
     value = np.concatenate([1.0 / left, -(ahead / left[:, None])[there]])
-    entries = value, (np.concatenate([np.arange(len(own)), row]), np.concatenate([own, before[there]]))
+    entries = (
+        value,
+        (np.concatenate([np.arange(len(own)), row]), np.concatenate([own, before[there]])),
+    )
     return csr_array(entries, shape=(len(own), len(own)))
 
 
