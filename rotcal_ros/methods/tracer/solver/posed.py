@@ -286,6 +286,8 @@ class Posed:
             model = model.with_prior(
                 "the stated lag", row, np.array([problem.lag]), problem.lag_std
             )
+        shared = [name for name in lengths.blocks if name not in ("shift", "turn")]
+        model = replace(model, shared=shared)  # hundreds of places, and few targets
         return turning.of_one_table(model, lengths, lag_is_stated=problem.lag is not None)
 
 
