@@ -25,7 +25,6 @@ from babel.messages.catalog import Catalog
 from babel.messages.extract import extract_from_file
 from babel.messages.pofile import read_po, write_po
 
-from rotcal_ros.adjust.model import effect_texts
 from rotcal_ros.evaluation.budget import WHOLE
 from rotcal_ros.foundation.identity import Instruments
 from rotcal_ros.foundation.language import FOLDER, folders, language
@@ -52,8 +51,7 @@ DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
     "laser", "plate", "cmm", "rotary table",
     *(field.name.replace("_", " ") for field in fields(Instruments)),
-    *effect_texts(INSTRUMENT, MOVED),
-    WORDS.elements, WORDS.contradicts, REFERENCE, AGAIN,
+    INSTRUMENT, MOVED, WORDS.elements, REFERENCE, AGAIN,
 )  # fmt: skip
 """Words that come as data."""
 

@@ -152,7 +152,7 @@ class Reading:
         columns = ", ".join(f"{ours} = {theirs}" for ours, theirs in self.columns.items())
         parts = [f"{self.table.path} ({self.form}): {columns}", *self.remarks, *self.sources]
         if self.aside:
-            parts.append(f"not needed: {', '.join(self.aside)}")
+            parts.append(phrase("not needed: {0}", ", ".join(self.aside)))
         if self.left_out:
             rows = "row" if len(self.left_out) == 1 else "rows"
             parts.append(f"{len(self.left_out)} {rows} left out (--explain)")
