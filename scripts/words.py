@@ -43,8 +43,11 @@ READ = [
 OPTIONS = {"javascript": {"template_string": False}}
 MARKS = {"phrase": None, "noted": None, "t": None}
 MARKED = re.compile(rf"\b(?:{'|'.join(MARKS)})\(")
-SHOWN_BY = ("Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title")
-"""Calls whose texts of several words come onto a page."""
+SHOWN_BY = (
+    "Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title", "Words",
+    "Disturbing", "Grouping", "KnownBeforehand", "with_prior", "scattering", "Otherwise",
+)  # fmt: skip
+"""Calls whose texts of several words come onto a page, or are arguments of codes."""
 UNIT = re.compile("_(deg|mm|um|arcsec)$")
 """At the end of a head of a table, of which the page says the rest."""
 DATA = (

@@ -50,7 +50,7 @@ class Count(NamedTuple):
     """How one group fared: its test, and how many elements there were and were rejected."""
 
     kind: str
-    name: str
+    name: Phrase
     test: GroupTest
     whole: int
     lost: int
@@ -147,7 +147,7 @@ def _blamed(case: Blame, words: Words, unit: Unit) -> Phrase:
 
 def _counted(
     counts: Sequence[Count],
-    named: set[str],
+    named: set[Phrase],
     rejected_share: float,
     significance: float,
     words: Words,
@@ -182,7 +182,7 @@ def details(gathering: Gathering, elements: str) -> dict[str, Any]:
         "chance": gathering.chance,
         "groups": [
             {
-                "name": str(row.name),
+                "name": row.name.text,
                 "squares": row.test.squares,
                 "rank": row.test.rank,
                 "probability": row.test.probability,
@@ -194,7 +194,7 @@ def details(gathering: Gathering, elements: str) -> dict[str, Any]:
         ],
         "blamed": [
             {
-                "name": str(case.group.name),
+                "name": case.group.name.text,
                 elements: int(case.subset.sum()),
                 "size": float(np.linalg.norm(case.size)) * _sign(case.size),
                 "likelihood_ratio": float(case.ratios[0]) if len(case.ratios) else None,

@@ -32,7 +32,7 @@ from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, me
 from rotcal_ros.adjust.observable import columns_of, observable_by, seen_of
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.language import listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 
 RARER: Final = 3.0
 """How much rarer an effect or a gathering is held to be than a single wrong observation."""
@@ -418,7 +418,7 @@ class _Members(NamedTuple):
     """A group of elements ``members`` (e,) that are used, of which ``lost`` ones are not."""
 
     grouping: Grouping
-    name: str
+    name: Phrase
     members: Ints
     lost: int
 
@@ -443,7 +443,7 @@ def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
     return [np.sort(part) for part in np.array_split(ordered, count)]
 
 
-def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole:
+def _as_a_whole(fit: Fit, kind: str, name: Phrase, rows: Ints, lost: int) -> JudgedWhole:
     """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
 
     Of circles T is what chi-squared is less by in the solution without them, where that is firm.

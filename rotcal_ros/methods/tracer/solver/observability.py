@@ -236,7 +236,7 @@ class Numbering:
             return verdict, warnings
         found = phrase(
             "the tracer stands {0:.1f} degrees round the table, {1:.0f} mm, from where {2} has it",
-            self.bearing / DEGREE, off / MILLIMETRE, phrase(self.where)
+            self.bearing / DEGREE, off / MILLIMETRE, self.where
         )  # fmt: skip
         count = round(self.bearing / self.step)
         if not count or self.radius * abs(self.bearing - count * self.step) > self.near:
@@ -254,7 +254,7 @@ class Numbering:
         warning = phrase(
             "{0}, which is {1}: the positions are numbered off by {2}, or the table's zero or "
             "{3} is wrong; every deviation may stand at the angle of another", found, positions,
-            abs(count), phrase(self.where)
+            abs(count), self.where
         )  # fmt: skip
         return "suspect" if verdict == "ok" else verdict, (*warnings, warning)
 
@@ -269,7 +269,7 @@ class Numbering:
             return Protection(
                 "numbering",
                 "not protected",
-                phrase("{0}: state {1}, which would show it", unseen, phrase(self.where)),
+                phrase("{0}: state {1}, which would show it", unseen, self.where),
             )
         if apart <= self.near:
             return Protection(
@@ -280,7 +280,7 @@ class Numbering:
                     "{2} is believed to {3:.2g} mm only",
                     unseen,
                     apart / MILLIMETRE,
-                    phrase(self.where),
+                    self.where,
                     self.near / MILLIMETRE,
                 ),
             )
@@ -291,7 +291,7 @@ class Numbering:
                 "positions that are numbered off by one or more put the tracer {0:.2g} mm "
                 "or farther from where {1} has it",
                 apart / MILLIMETRE,
-                phrase(self.where),
+                self.where,
             ),
         )
 

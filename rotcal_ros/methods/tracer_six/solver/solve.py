@@ -22,7 +22,7 @@ from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.foundation.language import Phrase, noted, phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Placement, Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -218,7 +218,7 @@ def _numbering(solution: SixSolution) -> Numbering:
     found = solution.places[:, :2] @ (1.0, 1j)
     stated = solution.problem.places[solution.layout.place_ids, :2] @ (1.0, 1j)
     return Numbering.of(
-        noted("the plan (places, azimuth_deg)"),
+        phrase("the plan (places, azimuth_deg)"),
         solution.layout.angles,
         float(np.abs(found).mean()),
         float(np.angle(np.vdot(stated, found))),
