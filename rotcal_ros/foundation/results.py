@@ -29,7 +29,7 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_o
 from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
-from rotcal_ros.foundation.language import Phrase, codes_of, listed, phrase, with_codes
+from rotcal_ros.foundation.language import Phrase, codes_of, listed, noted, phrase, with_codes
 from rotcal_ros.foundation.protection import BOTH_LINES, Effect, Protection, ordered, unprotected
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.records import record
@@ -300,19 +300,13 @@ class Zeros:
 
     def describe(self, components: Iterable[str] = COMPONENTS) -> Phrase:
         """Return a clause for each open offset of ``components``."""
-        wanted = set(components)
         touched: dict[Phrase, set[str]] = {}
         for direction in self.free:
-            if found := wanted & direction.columns.keys():
+            if found := set(components) & direction.columns.keys():
                 touched.setdefault(direction.name, set()).update(found)
-        return listed([
-            phrase(
-                "the offset between {0} is not measured ({1})",
-                name,
-                ", ".join(c for c in COMPONENTS if c in found),
-            )
-            for name, found in touched.items()
-        ])  # fmt: skip
+        clause = noted("the offset between {0} is not measured ({1})")
+        names = [", ".join(c for c in COMPONENTS if c in found) for found in touched.values()]
+        return listed([phrase(clause, *each) for each in zip(touched, names, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -512,10 +506,9 @@ class Result:
 
     def _texts(self) -> Any:
         """Return all that has texts for people."""
-        of_rows = [r.why for r in self.rejected], [p.why for p in self.protections]
-        of_zeros = [free.name for free in self.zeros.free]
-        air = self.circumstances.refraction
-        return [self.warnings, *of_rows, of_zeros, air, self.details]
+        of_rows = [[r.why for r in self.rejected], [p.why for p in self.protections]]
+        names = [free.name for free in self.zeros.free]
+        return [self.warnings, of_rows, names, self.circumstances.refraction, self.details]
 
     def _places(self) -> dict[str, Any]:
         """Return where axes and instrument stand, as far as that was measured."""
@@ -680,10 +673,7 @@ _WHOLE: Final[Mapping[str, type]] = {
 """Columns of the residuals that are not floats."""
 _ROUNDING: Final = 1e-6
 """Share of the largest variance by which a covariance may exceed what the variances allow."""
-
-
 _TEXTS: Final = ("rejected", "warnings", "protections", "details", "zeros", "circumstances")
-"""Entries of a file that have texts for people."""
 
 
 @dataclass(frozen=True)
@@ -705,7 +695,7 @@ class _Plain:
 def _result(data: Mapping[str, Any]) -> Result:
     for each in fields(_Plain)[:-1]:
         data[each.name]
-    data = {**data, **{n: with_codes(data[n], data.get("codes")) for n in _TEXTS if n in data}}
+    data = {**data, **with_codes({n: data[n] for n in _TEXTS if n in data}, data.get("codes"))}
     plain = record(_Plain, {f.name: data[f.name] for f in fields(_Plain) if f.name in data})
     if plain.verdict not in get_args(Verdict):
         raise ValueError(f"verdict: {plain.verdict!r} is none of {', '.join(get_args(Verdict))}")

@@ -242,9 +242,9 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
 
 
 def _spell(parts: dict[str, tuple[int, ...]]) -> Phrase:
-    one, several = noted("harmonic {0} of {1}"), noted("harmonics {0} of {1}")
+    single, several = noted("harmonic {0} of {1}"), noted("harmonics {0} of {1}")
     return listed(
-        [phrase(several if len(q) > 1 else one, _ranges(q), n) for n, q in parts.items()]
+        [phrase(several if len(q) > 1 else single, _ranges(q), n) for n, q in parts.items()]
     )
 
 
