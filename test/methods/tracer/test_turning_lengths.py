@@ -107,7 +107,9 @@ def test_what_is_foretold_is_the_covariance_of_a_markov_process():
 def test_two_speeds_tell_the_lag_from_the_reversal():
     true = {"lag": 2e-3, "mean_reversal": 3.0 * ARCSEC}
     scene = turning_scene(4, speeds_deg_s=(12.0, -12.0, 24.0, -24.0), **true)
-    std = WHITE * np.sqrt(np.abs(scene.speed) / (12.0 * DEGREE))  # as many readings in half the time
+    std = WHITE * np.sqrt(
+        np.abs(scene.speed) / (12.0 * DEGREE)
+    )  # as many readings in half the time
     solution, result = solved(scene, std)
     found = result.details["turning"]
     assert result.verdict == "ok"
@@ -142,7 +144,9 @@ def test_a_turn_in_which_the_beam_broke_goes_on_from_another_zero():
     length[turn[26:]] += 0.01
     segment[turn[26:]] = 100
     whole = problem_of(scene, CORRELATED)
-    columns = {name: getattr(whole, name)[kept] for name in ("position", "target", "order", "speed")}
+    columns = {
+        name: getattr(whole, name)[kept] for name in ("position", "target", "order", "speed")
+    }
     broken = replace(
         whole, length=length[kept], segment=segment[kept], length_std=CORRELATED, **columns
     )

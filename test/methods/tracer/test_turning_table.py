@@ -78,6 +78,8 @@ def test_a_wrong_cell_is_named_by_its_row(scene, tmp_path, old, new, what):
 
 def test_a_cell_does_not_turn_yet(tmp_path):
     settings = tmp_path / "setup.yaml"
-    settings.write_text("method: tracer_multistation\nplan: {turning_deg_s: [12, -12]}\nsimulation: {}\n")
+    settings.write_text(
+        "method: tracer_multistation\nplan: {turning_deg_s: [12, -12]}\nsimulation: {}\n"
+    )
     with pytest.raises(rc.RotcalError, match="does not read lengths from a table that turns yet"):
         rc.simulated_truth(rc.read_configuration(settings))

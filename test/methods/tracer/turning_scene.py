@@ -37,8 +37,19 @@ def curve(rng, orders, size, angles):
 
 
 def turning_scene(
-    seed, *, angles=72, targets=4, speeds_deg_s=(12.0, -12.0), noise=0.2e-6, correlated_s=0.0,
-    motion=0.0, lag=1e-3, reversal=0.5 * ARCSEC, mean_reversal=0.0, radius=0.065, window_deg=0.5,
+    seed,
+    *,
+    angles=72,
+    targets=4,
+    speeds_deg_s=(12.0, -12.0),
+    noise=0.2e-6,
+    correlated_s=0.0,
+    motion=0.0,
+    lag=1e-3,
+    reversal=0.5 * ARCSEC,
+    mean_reversal=0.0,
+    radius=0.065,
+    window_deg=0.5,
 ):
     """Turn a table and read lengths; each is the centre of a cubic through its window."""
     rng = np.random.default_rng(seed)
