@@ -2,11 +2,11 @@
 
     python research/turning_coverage.py [RUNS] [--angles N] [--targets N]
 
-Worlds in the time domain (``test/methods/tracer/turning_scene.py``, no code of the solver): readings
-at 1 kHz with 0.2 um, 12 deg/s and back, a lag of 1 ms, targets 0.5 m away with 1 um, a tracer 65 mm
-off the axis. White readings, and such that are correlated over 0.1 s; no error motion, stated as
-none, and 0.1 um in the orders 2 to 7, not stated. U (k = 2) of ECC about the mean of each
-direction, and of the mean of both. Figures of it are in docs/tracer_turning.md.
+Worlds in the time domain (``test/methods/tracer/turning_scene.py``, no code of the solver):
+readings at 1 kHz with 0.2 um, 12 deg/s and back, a lag of 1 ms, targets 0.5 m away with 1 um, a
+tracer 65 mm off the axis. White readings, and such that are correlated over 0.1 s; no error
+motion, stated as none, and 0.1 um in the orders 2 to 7, not stated. U (k = 2) of ECC about the mean
+of each direction, and of the mean of both. Figures of it are in docs/tracer_turning.md.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).parent.parent / "test" / "methods" / "tracer"))
-from test_turning_lengths import CORRELATED, WHITE, problem_of  # noqa: E402
-from turning_scene import ARCSEC, turning_scene  # noqa: E402
+from test_turning_lengths import CORRELATED, WHITE, problem_of
+from turning_scene import ARCSEC, turning_scene
 
-from rotcal_ros.methods.tracer.solver.solution import adjust  # noqa: E402
+from rotcal_ros.methods.tracer.solver.solution import adjust
 
 CASES = {
     "white": (0.0, 0.0),

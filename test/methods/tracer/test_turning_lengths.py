@@ -107,10 +107,9 @@ def test_what_is_foretold_is_the_covariance_of_a_markov_process():
 def test_two_speeds_tell_the_lag_from_the_reversal():
     true = {"lag": 2e-3, "mean_reversal": 3.0 * ARCSEC}
     scene = turning_scene(4, speeds_deg_s=(12.0, -12.0, 24.0, -24.0), **true)
-    std = WHITE * np.sqrt(
-        np.abs(scene.speed) / (12.0 * DEGREE)
-    )  # as many readings in half the time
-    solution, result = solved(scene, std)
+    # half as many readings in half the time
+    std = WHITE * np.sqrt(np.abs(scene.speed) / (12.0 * DEGREE))
+    _, result = solved(scene, std)
     found = result.details["turning"]
     assert result.verdict == "ok"
     assert found["lag"] == pytest.approx(true["lag"], abs=4.0 * found["lag_std"])
@@ -175,7 +174,7 @@ def test_a_tracer_that_moved_on_the_table_is_not_ok():
 
 def test_the_tables_own_motion_is_estimated_and_in_the_uncertainty():
     scene = turning_scene(9, angles=120, motion=0.2e-6)
-    solution, result = solved(scene, error_motion_std=None)
+    _, result = solved(scene, error_motion_std=None)
     assert result.verdict == "ok"
     assert result.error_motion.used == pytest.approx(0.2e-6, rel=0.7)
     assert np.sqrt((normalised(scene, result) ** 2).mean()) < 1.3

@@ -217,7 +217,7 @@ def _remarks(solution: TracerSolution) -> Iterator[Phrase]:
         yield from _remarks_of_turns(solution)
 
 
-def _remarks_of_turns(solution: TracerSolution) -> Iterator[str]:
+def _remarks_of_turns(solution: TracerSolution) -> Iterator[Phrase]:
     """Yield what a table that turned leaves open, and how its noise hangs together in time."""
     speeds = Runs.of(solution.lengths).speed
     if solution.problem.lag is None and len(speeds) == 2 and speeds.prod() < 0.0:
