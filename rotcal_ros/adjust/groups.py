@@ -18,6 +18,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.language import Phrase
 
 CHECKED: Final = 1e-6
 """Share of an observation, or of a combination of some, below which nothing checks it."""
@@ -38,7 +39,7 @@ class Group:
     """
 
     kind: str
-    name: str
+    name: Phrase
     members: Ints
     residual: Floats
     cofactor: Floats
@@ -52,7 +53,7 @@ class Group:
     def of(
         cls,
         kind: str,
-        name: str,
+        name: Phrase,
         members: Ints,
         residual: Floats,
         unit: Floats,
@@ -149,7 +150,7 @@ class JudgedWhole(NamedTuple):
     """
 
     kind: str
-    name: str
+    name: Phrase
     size: int
     together: tuple[float, int]
     checks: tuple[float, int]
