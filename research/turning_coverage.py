@@ -5,8 +5,8 @@
 Worlds in the time domain (``test/methods/tracer/turning_scene.py``, no code of the solver):
 readings at 1 kHz with 0.2 um, 12 deg/s and back, a lag of 1 ms, targets 0.5 m away with 1 um, a
 tracer 65 mm off the axis. White readings, and such that are correlated over 0.1 s; no error
-motion, stated as none, and 0.1 um in the orders 2 to 7, not stated. U (k = 2) of ECC about the mean
-of each direction, and of the mean of both. Figures of it are in docs/tracer_turning.md.
+motion, stated as none, and 0.1 um in the orders 2 to 7, not stated. U (k = 2) of ECC about its
+mean, in each direction, and for the mean of both. Figures of it are in docs/tracer_turning.md.
 """
 
 from __future__ import annotations
