@@ -25,6 +25,9 @@ TWICE: Final = noted(
 )
 OFF_THE_CIRCLE: Final = noted("the centre lies {0:.3f} mm off the circle")
 OFF_ITS_PLACE: Final = noted("the centre lies {0:.2f} degrees from its place")
+AT_STEP: Final = noted(
+    "the centre lies {0:.2f} degrees from its place, where ball step {1} stands"
+)
 
 RADIUS_TOLERANCE = 0.002
 """Largest accepted relative difference between measured and stated ball circle."""
@@ -151,12 +154,12 @@ def _displaced(problem: BallPlateProblem) -> tuple[Ints, list[Phrase]]:
         raise DataError(_mistake(problem, angle))
     _check_whole_balls(problem, bad, on_plate / step)
     found = np.round(on_plate[bad] / step).astype(int) % problem.grid
-    away, there = (
-        OFF_ITS_PLACE,
-        noted("the centre lies {0:.2f} degrees from its place, where ball step {1} stands"),
-    )
     reasons = [
-        phrase(there if place in problem.balls else away, abs(off[r]) * step / DEGREE, place)
+        phrase(
+            AT_STEP if place in problem.balls else OFF_ITS_PLACE,
+            abs(off[r]) * step / DEGREE,
+            place,
+        )
         for r, place in zip(bad, found, strict=True)
     ]
     return bad, reasons
