@@ -13,7 +13,7 @@ from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Disturbing, Model
-from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -279,8 +279,11 @@ class Fit:
         whole = self.kernel.covariance_of(self.model.output_rows.part(part))
         for alone, spread in self._spread:
             whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
-        whole += whole.T.copy()
-        whole *= 0.5
+        for begin in range(0, len(whole), AT_ONCE):
+            rows, rest = slice(begin, begin + AT_ONCE), slice(begin, None)
+            mean = whole[rows, rest] + whole[rest, rows].T
+            mean *= 0.5
+            whole[rows, rest], whole[rest, rows] = mean, mean.T
         return whole
 
     @cached_property

@@ -626,12 +626,12 @@ class Model:
         blocks with those before.
         """
         k, every = len(values), tuple(dict.fromkeys([*self.components, what]))
-        before = 0
+        read, before = self.equations, 0  # of this model no more is kept
         if what in self.components:
             before = int((self.of_component == every.index(what)).sum())
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
-            computed, design = self.equations(x)
+            computed, design = read(x)
             return np.append(computed, rows @ x), design_of(design).beside(rows)
 
         return replace(
