@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy.sparse import bsr_array, coo_array, csc_array, csr_array
@@ -37,6 +37,10 @@ MOST_WHOLE: Final = 2000
 """Unknowns up to which normal equations are written out (32 MB)."""
 SURE: Final = 1e-10
 """Least eigenvalue, per largest, of normal equations by which rows become nearly white."""
+MANY: Final = 4096
+"""Rows that are made white, or summed up, at once."""
+FEW_GROUPS: Final = 256
+"""Groups whose rows are summed up at once."""
 FIRM: Final = 1e-6
 """Share of its length that the column of an unknown has to have beside those before it."""
 WEAK: Final = 0.01
@@ -281,25 +285,29 @@ class Bordered(Kernel):
         flat = border.reshape(count * groups.depth, known.shape[1])
         length = np.sqrt(np.einsum("rc,rc->c", flat, flat) + (known**2).sum(axis=0))
         length = np.where(length > 0.0, length, 1.0)
-        beside_own = (basis @ on_basis).reshape(flat.shape)
-        np.subtract(flat, beside_own, out=beside_own)
-        ways, nothing = _determined((beside_own, white), length, open_)
+        border -= basis @ on_basis  # what is left beside the own unknowns
+        ways, nothing = _determined((flat, white), length, open_)
         by_known = (tied @ white).reshape(on_basis.shape)
-        moved = -(on_basis + by_known)
-        every = np.zeros((sum(design.shape[1:]), len(length)))
-        at = np.append(groups.shared, np.arange(design.few.shape[1], len(every)))
-        every[at, np.arange(len(at))] = 1.0
-        _to_own(groups, every, inverse @ moved)
-        m = len(known)
+        moved, m = -(on_basis + by_known), len(known)
+        at = np.append(groups.shared, np.arange(design.few.shape[1], sum(design.shape[1:])))
+
         low = np.empty((len(flat) + m, m + ways.shape[1]))
         if m:
-            beside_own -= (basis @ by_known).reshape(flat.shape)
+            border -= basis @ by_known
             low[: len(flat), :m] = (basis @ tied.reshape(count, size, m)).reshape(-1, m)
-            low[len(flat) :] = np.hstack([-np.linalg.inv(root), np.linalg.solve(root, white @ ways)])
-        np.matmul(beside_own, ways, out=low[: len(flat), m:])
+            low[len(flat) :, :m] = -np.linalg.inv(root)
+            low[len(flat) :, m:] = np.linalg.solve(root, white @ ways)
+        np.matmul(flat, ways, out=low[: len(flat), m:])
+        del blocks, border, flat  # of many groups that is much
+
+        def with_own(found: Floats) -> Floats:
+            every = np.zeros((sum(design.shape[1:]), found.shape[1]))
+            every[at] = found
+            _to_own(groups, every, inverse @ (moved @ found))
+            return every
+
         return cls(
-            design, np.asarray(every @ nothing), groups, basis, inverse, tied, root, every @ ways,
-            low,
+            design, with_own(nothing), groups, basis, inverse, tied, root, with_own(ways), low,
         )  # fmt: skip
 
     def times(self, columns: Floats) -> Floats:
@@ -400,14 +408,16 @@ class Bordered(Kernel):
 
         Of blocks QQ' on the diagonal, and the low rank beside them.
         """
-        own, mixed, low = self._moments(share)
-        sign, known = self._signs, share[:, len(self.groups.place) :]
+        sign, c, weight = self._signs, len(share), self._stacked_share(share)
+        known = weight[:, self._stacked :]
         squares = (self.low[self._stacked :] ** 2) @ sign
-        beside = (mixed * sign).reshape(len(share), -1) @ mixed.reshape(len(share), -1).T
-        blocks = own.reshape(len(share), -1)
-        turned = (low * sign * sign[:, None]).reshape(len(share), -1)
-        found = blocks @ blocks.T + 2.0 * beside + turned @ low.reshape(len(share), -1).T
-        return np.asarray(found + (known * (1.0 + 2.0 * squares)) @ known.T)
+        found = (known * (1.0 + 2.0 * squares)) @ known.T
+        for begin in range(0, len(self.basis), FEW_GROUPS):
+            every = self._moments(weight, slice(begin, begin + FEW_GROUPS))
+            own, mixed = (each.reshape(c, -1) for each in every)
+            found += own @ own.T + 2.0 * (every[1] * sign).reshape(c, -1) @ mixed.T
+        low = np.stack([self._low_moment(each) for each in weight])
+        return found + (low * sign * sign[:, None]).reshape(c, -1) @ low.reshape(c, -1).T
 
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.
@@ -422,7 +432,9 @@ class Bordered(Kernel):
         influence, found = self._influence_on(outputs), np.empty((len(outputs), len(share)))
         groups, size = self.groups.own.shape
         common = influence.common.reshape(-1, groups, size)
-        for k, (own, mixed, low) in enumerate(zip(*self._moments(share), strict=True)):
+        for k, each in enumerate(self._stacked_share(share)):
+            own, mixed = (moment[0] for moment in self._moments(each[None], slice(None)))
+            low = self._low_moment(each)
             mixed = np.concatenate([mixed, own @ common.transpose(1, 2, 0)], axis=2)
             along = mixed.reshape(groups * size, -1)
             beside = influence.common @ along
@@ -456,23 +468,20 @@ class Bordered(Kernel):
 
         By way of the border all feel them, else those of their own groups.
         """
-        influence, (_, size) = self._influence_on(outputs), self.groups.own.shape
-        place = self._place[rows]
+        influence, place = self._influence_on(outputs), self._place[rows]
         mine = np.flatnonzero(place < self._stacked)
         group, at = np.divmod(place[mine], self.groups.depth)
         basis, common = self.basis[group, at], influence.common.reshape(-1, *self.groups.own.shape)
         along = np.zeros((influence.low.shape[1], len(rows)))
         along[: len(self._signs)] = self.low[place].T
         along[len(self._signs) :, mine] = (common[:, group] * basis).sum(axis=2)
-        column = (group[:, None] * size + np.arange(size)).ravel()
-        begin = influence.columns.indptr[column]
-        many = influence.columns.indptr[column + 1] - begin
+        columns = influence.lines
+        begin = columns.indptr[place[mine]]
+        many = columns.indptr[place[mine] + 1] - begin
         entry = np.repeat(begin - np.cumsum(many) + many, many) + np.arange(many.sum())
-        error = np.repeat(np.arange(len(column)), many)
-        touched, which = np.unique(influence.columns.indices[entry], return_inverse=True)
+        touched, which = np.unique(columns.indices[entry], return_inverse=True)
         own = np.zeros((len(touched), len(rows)))
-        by = influence.columns.data[entry] * basis.ravel()[error]
-        np.add.at(own, (which, mine[error // size]), by)
+        own[which, np.repeat(mine, many)] = columns.data[entry]
         return Sensitivity(along, influence.low, touched, own)
 
     def response(self, outputs: Outputs, rows: Ints) -> Floats:
@@ -493,22 +502,29 @@ class Bordered(Kernel):
     def _signs(self) -> Floats:
         return np.repeat([-1.0, 1.0], [len(self.root), self.columns.shape[1]])
 
-    def _moments(self, share: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return sums over rows, ``share`` (c, n + m) of each: of Q'Q of each group (c, g, s, s).
+    def _stacked_share(self, share: Floats) -> Floats:
+        """Return the ``share`` (c, n + m) of each row where it stands, (c, g d + m)."""
+        weight = np.zeros((len(share), len(self.low)))
+        weight[:, self._place] = share
+        return weight
 
-        And of Q' and the :attr:`low` l of each (c, g, s, m + r), and of l'l.
+    def _moments(self, weight: Floats, some: slice) -> tuple[Floats, Floats]:
+        """Return sums over the rows of ``some`` groups: of Q'Q (c, g, s, s), of Q'l (c, g, s, l).
+
+        ``weight`` (c, g d + m) of each row, l its part of :attr:`low`.
         """
-        groups, every = self.groups, self.low
-        weight = np.zeros((len(share), len(every)))
-        weight[:, groups.place] = share[:, : len(groups.place)]
-        weight[:, self._stacked :] = share[:, len(groups.place) :]
-        used = [np.flatnonzero(each) for each in weight]
-        some = [(every[rows], each[rows, None]) for rows, each in zip(used, weight, strict=True)]
-        low = np.stack([rows.T @ (rows * each) for rows, each in some])
-        of_groups = weight[:, : self._stacked].reshape(len(share), *self.basis.shape[:2])
-        stacked = every[: self._stacked].reshape(*self.basis.shape[:2], -1)
-        turned = self.basis.swapaxes(1, 2) * of_groups[:, :, None]
-        return turned @ self.basis, turned @ stacked, low
+        basis, lines = self.basis[some], self.low[: self._stacked]
+        of_groups = weight[:, : self._stacked].reshape(len(weight), *self.basis.shape[:2])
+        turned = basis.swapaxes(1, 2) * of_groups[:, some, None]
+        return turned @ basis, turned @ lines.reshape(*self.basis.shape[:2], -1)[some]
+
+    def _low_moment(self, weight: Floats) -> Floats:
+        """Return the sum of l'l, of the ``weight`` (g d + m,) of each row."""
+        found, used = np.zeros((self.low.shape[1],) * 2), np.flatnonzero(weight)
+        for rows in np.array_split(used, len(used) // MANY + 1):
+            some = self.low[rows]
+            found += some.T @ (some * weight[rows, None])
+        return found
 
     def _influence_on(self, outputs: Outputs) -> _InfluenceOfGroups:
         """Return what ``outputs`` (o,) feel of the groups, the known rows and the border."""
@@ -524,7 +540,7 @@ class Bordered(Kernel):
             mine, common = csr_array(few[:, unknown] @ lines), common[:, unknown] @ lines
             tied = -(mine @ self.tied + share @ (common @ self.tied))
             low = np.hstack([tied, outputs.times(self.columns), share])
-            influence = _InfluenceOfGroups(mine, csc_array(mine), low, common)
+            influence = _InfluenceOfGroups(mine, low, common, self.basis)
             self._last[:] = [(outputs, influence)]
         return self._last[0][1]
 
@@ -534,17 +550,24 @@ class Bordered(Kernel):
         return []
 
 
-class _InfluenceOfGroups(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _InfluenceOfGroups:
     """What o outputs feel of u, the own unknowns of groups along Q, and of a low rank.
 
-    ``own`` (o, g s), also by ``columns``: of u alone. ``low`` (o, m + r + k): of the low rank, and
-    of k rows ``common`` (k, g s) of u, which many share.
+    ``own`` (o, g s): of u alone. ``low`` (o, m + r + k): of the low rank, and of k rows ``common``
+    (k, g s) of u, which many share. ``basis`` (g, d, s): Q.
     """
 
     own: csr_array
-    columns: csc_array
     low: Floats
     common: Floats
+    basis: Floats
+
+    @cached_property
+    def lines(self) -> csc_array:
+        """What they feel of the rows (o, g d) of groups by ``own``."""
+        each = np.arange(len(self.basis) + 1)
+        return csc_array(self.own @ bsr_array((self.basis.swapaxes(1, 2), each[:-1], each)))
 
     def spread(self, sign: Floats) -> tuple[Floats, Floats]:
         """Return L (o, l) and M (l, l): LML' is the covariance beside that by own unknowns."""
@@ -613,7 +636,10 @@ def _determined(rows: Sequence[Floats], length: Floats, open_: float) -> tuple[F
     if len(squares) and squares[0] > max(SURE, open_**2) * max(squares[-1], 1.0):
         ways = axes / np.sqrt(squares) / length[:, None]
         # once more, of what is nearly white: that gives back the digits which squares took
-        again, turn = np.linalg.eigh(sum((part.T @ part for part in (r @ ways for r in rows))))
+        every = (
+            some @ ways for part in rows for some in np.array_split(part, len(part) // MANY + 1)
+        )
+        again, turn = np.linalg.eigh(sum(white.T @ white for white in every))
         return ways @ (turn / np.sqrt(again)), np.zeros((len(length), 0))
     _, share, turn = np.linalg.svd(_triangle(np.concatenate(rows) / length))
     determined = np.arange(len(length)) < (share > open_ * share.max(initial=1.0)).sum()

@@ -13,7 +13,7 @@ from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Disturbing, Model
-from rotcal_ros.adjust.outputs import AT_ONCE, Outputs
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -43,6 +43,8 @@ FLAT: Final = 1e-6
 """Fall of chi-squared, per chi-squared, that is no more matter; and damping that is hardly any."""
 FEW: Final = 2_000_000
 """Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
+FEW_ROWS: Final = 256
+"""Rows of a covariance that are worked out at once."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -128,6 +130,17 @@ class Fit:
     def redundancy(self) -> Floats:
         """Share (n,) of each observation that the others check; zero where not used."""
         return np.where(self.used, 1.0 - self.kernel.leverage, 0.0)
+
+    @cached_property
+    def redundancy_between(self) -> tuple[Bools, Floats]:
+        """What is in use of each component of the noise (c, n), and squared sums of R by pairs.
+
+        R is a projection: those (c, c) of its blocks follow from those of its complement.
+        """
+        every = np.arange(len(self.model.components))
+        part = (self.model.of_component == every[:, None]) & self.used
+        own = np.diag(part @ (2.0 * self.redundancy - 1.0))
+        return part, self.kernel.shared(part) + own
 
     @cached_property
     def test_value(self) -> Floats:
@@ -279,8 +292,8 @@ class Fit:
         whole = self.kernel.covariance_of(self.model.output_rows.part(part))
         for alone, spread in self._spread:
             whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
-        for begin in range(0, len(whole), AT_ONCE):
-            rows, rest = slice(begin, begin + AT_ONCE), slice(begin, None)
+        for begin in range(0, len(whole), FEW_ROWS):
+            rows, rest = slice(begin, begin + FEW_ROWS), slice(begin, None)
             mean = whole[rows, rest] + whole[rest, rows].T
             mean *= 0.5
             whole[rows, rest], whole[rest, rows] = mean, mean.T

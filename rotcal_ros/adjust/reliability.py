@@ -127,17 +127,14 @@ class _Reach:
 
     def most(self, unseen: _Undetected) -> float:
         """Return what the error of no subset exceeds."""
-        sensitivity = unseen.found.group.sensitivity
+        sensitivity = unseen.found.group.influence()  # of all groups that is much
         if self.root is None or sensitivity.common is None:
             return np.inf
-        along, own = (
-            unseen.found.of_rows(part).reshape(len(part), -1)
-            for part in (sensitivity.along, sensitivity.own)
-        )
-        share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
-        counted = self.std[sensitivity.at] > 0.0
-        at = sensitivity.at[counted]
-        if len(at):
-            influence = np.abs(sensitivity.common[at] @ along + own[counted]) / self.std[at, None]
-            share = np.maximum(share, SAFELY * influence.max(axis=0))
+        along, counted = sensitivity.along, self.std[sensitivity.at] > 0.0
+        at, r = sensitivity.at[counted], len(self.root)
+        own = (sensitivity.common[at] @ along + sensitivity.own[counted]) / self.std[at, None]
+        each = unseen.found.of_rows(np.concatenate([self.root @ along, own]))
+        each = each.reshape(r + len(at), -1)
+        share = self.longest * np.sqrt((each[:r] ** 2).sum(axis=0))
+        share = np.maximum(share, SAFELY * np.abs(each[r:]).max(axis=0, initial=0.0))
         return float((share * unseen.size.ravel()).max())
