@@ -417,7 +417,8 @@ class Bordered(Kernel):
             own, mixed = (each.reshape(c, -1) for each in every)
             found += own @ own.T + 2.0 * (every[1] * sign).reshape(c, -1) @ mixed.T
         low = np.stack([self._low_moment(each) for each in weight])
-        return found + (low * sign * sign[:, None]).reshape(c, -1) @ low.reshape(c, -1).T
+        found += (low * sign * sign[:, None]).reshape(c, -1) @ low.reshape(c, -1).T
+        return np.asarray(found)
 
     def products_of(self, outputs: Outputs, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) of what a unit of one row does to each output times one of another.

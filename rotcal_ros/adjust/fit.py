@@ -13,7 +13,7 @@ from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Disturbing, Model
-from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.outputs import FEW_ROWS, Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -43,8 +43,6 @@ FLAT: Final = 1e-6
 """Fall of chi-squared, per chi-squared, that is no more matter; and damping that is hardly any."""
 FEW: Final = 2_000_000
 """Numbers in what all errors do to all outputs up to which it is worked out at once (16 MB)."""
-FEW_ROWS: Final = 256
-"""Rows of a covariance that are worked out at once."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
@@ -201,13 +199,11 @@ class Fit:
 
     def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
         """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
-        every = self._influence if outputs is None else None
-        outputs = self.model.output_rows if outputs is None else outputs
-        found = self.kernel.response(outputs, rows) if every is None else every[:, rows]
+        found = self.alone(rows) if outputs is None else self.kernel.response(outputs, rows)
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
-                found[:, mine] = self._spread[number][1][: len(outputs), at]
+                found[:, mine] = self._spread[number][1][: len(found), at]
         return found
 
     @cached_property
@@ -289,7 +285,7 @@ class Fit:
 
     def covariance(self, part: slice) -> Floats:
         """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
-        whole = self.kernel.covariance_of(self.model.output_rows.part(part))
+        whole = self._plain_covariance(part)
         for alone, spread in self._spread:
             whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
         for begin in range(0, len(whole), FEW_ROWS):
@@ -298,6 +294,9 @@ class Fit:
             mean *= 0.5
             whole[rows, rest], whole[rest, rows] = mean, mean.T
         return whole
+
+    def _plain_covariance(self, part: slice) -> Floats:
+        return self.kernel.covariance_of(self.model.output_rows.part(part))
 
     @cached_property
     def _plain_variance(self) -> Floats:

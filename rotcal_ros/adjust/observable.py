@@ -17,8 +17,8 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 
 AT_A_TIME, FEW = 128, 64
 """Steps that are summed up at once, of themselves and of what they do to all outputs."""
-MOST_NUMBERS: Final = 200_000
-"""Numbers of members of a family that are written out at once (2 MB)."""
+MOST_NUMBERS: Final = 100_000
+"""Numbers of members of a family that are written out at once (1 MB)."""
 WEAK, ROUNDED = 1e-6, 1e-12
 """Information of a size, per that of its errors without the unknowns, below which digits go, and
 all of them are gone."""

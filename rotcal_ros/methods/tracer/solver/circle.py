@@ -14,7 +14,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
 
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.units import DEGREE
@@ -113,6 +115,13 @@ class Slopes:
         k, s = self.own.shape
         own = (self.own[:, None] @ right.reshape(k, s, -1))[:, 0]
         return np.asarray(own + self.common @ (self.along @ right))
+
+    def of(self, right: csr_array) -> Outputs:
+        """Return the matrix times ``right`` (k s, c), of few numbers, by what rows share."""
+        k, s = self.own.shape
+        entries = self.own.ravel(), np.arange(k * s), np.arange(0, k * s + 1, s)
+        few = csr_array(csr_array(entries, shape=(k, k * s)) @ right)
+        return Outputs(few, np.asarray((right.T @ self.along.T).T), self.common)
 
     @cached_property
     def from_first(self) -> Slopes:
