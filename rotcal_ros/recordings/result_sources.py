@@ -35,8 +35,8 @@ from rotcal_ros.foundation.errors import (
 )
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
-from rotcal_ros.foundation.sheets.reading import Reading
+from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
+from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import is_table, own_table
 from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
 from rotcal_ros.methods.configuration import read_configuration
