@@ -21,7 +21,7 @@ probable: so a disturbance of any size from half a standard deviation up is met.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -45,9 +45,7 @@ OWN: Final = 0.3
 LARGE: Final = 200
 """Elements of a group from which on runs are leading sums: products cost their square."""
 MOST_NUMBERS: Final = 250_000
-"""Numbers of subsets of groups that are worked out at once."""
-AT_ONCE: Final = 64
-"""Outputs of which it is worked out at a time what runs do to them."""
+"""Numbers of subsets of groups, or of what they do, that are worked out at once."""
 MOST_STEPS: Final = 60
 """Exchanges after which a search ends anyway."""
 
@@ -75,11 +73,15 @@ class Hypotheses:
         In the standard uncertainties ``std`` (o,); zero or infinite: one that does not count.
         """
         counts = (std > 0.0) & np.isfinite(std)
-        rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
-        for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
-            influence = self.of_rows(rows[some] / std[some, None])
+        most = np.zeros(self.values.shape)
+        for influence in self.of_many(self.group.sensitivity.dense()[counts] / std[counts, None]):
             np.maximum(most, np.abs(influence, out=influence).max(axis=0, initial=0.0), out=most)
         return most
+
+    def of_many(self, matrix: Floats) -> Iterator[Floats]:
+        """Yield :meth:`of_rows` of some rows of a ``matrix`` (r, n) after the other."""
+        for some in np.array_split(matrix, matrix.shape[0] * self.values.size // MOST_NUMBERS + 1):
+            yield self.of_rows(some)
 
     def of_rows(self, matrix: Floats) -> Floats:
         """Return a ``matrix`` (r, n) of the rows times the mixing, (r, q, d)."""

@@ -97,7 +97,8 @@ class Fit:
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
-        return np.asarray(self.kernel.adjusted(np.eye(len(self.x))[:, unknowns]).T)
+        begin, end, _ = unknowns.indices(len(self.x))
+        return np.asarray(self.kernel.adjusted(np.eye(len(self.x), end - begin, -begin)).T)
 
     @property
     def computed(self) -> Floats:

@@ -131,10 +131,12 @@ class _Reach:
         if self.root is None or sensitivity.common is None:
             return np.inf
         along, counted = sensitivity.along, self.std[sensitivity.at] > 0.0
-        at, r = sensitivity.at[counted], len(self.root)
+        at = sensitivity.at[counted]
         own = (sensitivity.common[at] @ along + sensitivity.own[counted]) / self.std[at, None]
-        each = unseen.found.of_rows(np.concatenate([self.root @ along, own]))
-        each = each.reshape(r + len(at), -1)
-        share = self.longest * np.sqrt((each[:r] ** 2).sum(axis=0))
-        share = np.maximum(share, SAFELY * np.abs(each[r:]).max(axis=0, initial=0.0))
-        return float((share * unseen.size.ravel()).max())
+        squares, worst = np.zeros(unseen.size.shape), np.zeros(unseen.size.shape)
+        for common in unseen.found.of_many(self.root @ along):
+            squares += (common**2).sum(axis=0)
+        for each in unseen.found.of_many(own):
+            np.maximum(worst, np.abs(each).max(axis=0, initial=0.0), out=worst)
+        share = np.maximum(self.longest * np.sqrt(squares), SAFELY * worst)
+        return float((share * unseen.size).max())
