@@ -636,7 +636,8 @@ def _determined(rows: Sequence[Floats], length: Floats, open_: float) -> tuple[F
     squares, axes = np.linalg.eigh(products / length / length[:, None])
     if len(squares) and squares[0] > max(SURE, open_**2) * max(squares[-1], 1.0):
         ways = axes / np.sqrt(squares) / length[:, None]
-        # once more, of what is nearly white: that gives back the digits which squares took
+        # of what is nearly white once more: that gives back the digits which squares took, as in
+        # CholeskyQR2 (Yamamoto et al. 2015)
         every = (
             some @ ways for part in rows for some in np.array_split(part, len(part) // MANY + 1)
         )
