@@ -36,6 +36,7 @@ from rotcal_ros.adjust.robust_start import robust_start
 from rotcal_ros.adjust.scattering import FLOOR
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
+from rotcal_ros.foundation.language import listed, phrase
 
 TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
@@ -133,14 +134,14 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     if apart >= 2.0 * np.log(ALIKE) or not best.fit.influenced(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
-    chosen = Explanation(best.describe(), "", none, nothing, 0.0, 0.0, 0.0 * change)
+    chosen = Explanation(best.describe(), listed(()), none, nothing, 0.0, 0.0, 0.0 * change)
     rival = chosen._replace(what=other.describe(), support=-0.5 * apart, change=change)
     return replace(best, contests=(*best.contests, Contest(chosen, (rival,))))
 
 
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     name = diagnosis.model.names
-    why = {row: f"{name[row]}: far off all others" for row in gross.tolist()}
+    why = {row: phrase("{0}: far off all others", name[row]) for row in gross.tolist()}
     return replace(diagnosis, why=why, price=_price(diagnosis.model, gross))
 
 
@@ -268,7 +269,7 @@ def _together(diagnosis: Diagnosis) -> Diagnosis | None:
             why = {row: text for row, text in diagnosis.why.items() if row not in back}
             price = diagnosis.price - _price(model, back)
             before = replace(diagnosis, why=why, price=price)
-            found = Look(before, before.fit).together(f"{grouping.kind} {number}")
+            found = Look(before, before.fit).together(grouping.name_of(number))
             if found is None or not _bearable(before, found):
                 continue
             other = before.holding(found)

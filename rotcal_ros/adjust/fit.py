@@ -18,6 +18,7 @@ from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.foundation.language import phrase
 
 FREE: Final = 1e-7
 """Share of its length that an output may feel of a direction that nothing determines."""
@@ -777,7 +778,7 @@ def _in_words(model: Model, unknowns: Ints, telling: Bools) -> str:
     """
     most = 8
     names = [model.name_of(k) for k in unknowns[:most].tolist()]
-    names += [f"{len(unknowns) - most} others"] if len(unknowns) > most else []
+    names += [phrase("{0} others", len(unknowns) - most)] if len(unknowns) > most else []
     rows, groups = telling[:, unknowns].any(axis=1), list[str]()
     for grouping in model.groupings:
         every, here = (set(n[n >= 0].tolist()) for n in (grouping.number, grouping.number[rows]))

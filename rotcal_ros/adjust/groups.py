@@ -18,6 +18,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.language import Phrase
 
 CHECKED: Final = 1e-6
 """Share of an observation, or of a combination of some, below which nothing checks it."""
@@ -37,7 +38,7 @@ class Group:
     """
 
     kind: str
-    name: str
+    name: Phrase
     members: Ints
     residual: Floats
     cofactor: Floats
@@ -51,7 +52,7 @@ class Group:
     def of(
         cls,
         kind: str,
-        name: str,
+        name: Phrase,
         members: Ints,
         residual: Floats,
         unit: Floats,
@@ -155,7 +156,7 @@ class JudgedWhole(NamedTuple):
     """
 
     kind: str
-    name: str
+    name: Phrase
     size: int
     together: tuple[float, int]
     checks: tuple[float, int]

@@ -27,6 +27,7 @@ from rotcal_ros.adjust.scattering import Scattering
 from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.protection import Effect
 from rotcal_ros.foundation.units import ARCSEC, TURN
 
@@ -56,9 +57,9 @@ class Unit(NamedTuple):
         """Whether it is one of angles; else it counts as one of lengths."""
         return self.name in ANGULAR
 
-    def shown(self, value: float) -> str:
+    def shown(self, value: float) -> Phrase:
         """Return an SI ``value`` for people."""
-        return f"{value / self.si:.3g} {self.name}"
+        return phrase("{0:.3g} {1}", value / self.si, self.name)
 
 
 SECONDS: Final = Unit()
@@ -86,6 +87,10 @@ class Grouping(NamedTuple):
     def gathers(self) -> bool:
         """Whether it says which observations lie together."""
         return self.along is not None or self.near is not None
+
+    def name_of(self, number: int) -> Phrase:
+        """Return what people call one of the groups."""
+        return phrase("{0} {1}", phrase(self.kind), number)
 
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
@@ -319,14 +324,16 @@ def knocks(run: Ints, when: Floats) -> Floats:
     return Steps(run, when).whole()
 
 
-def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str, str]:
+def effect_texts(
+    instrument: str, moved: str = ""
+) -> tuple[Phrase, Phrase, Phrase, Phrase, Phrase]:
     """Return what :func:`instrument_effects` are called, in their order."""
     return (
-        f"{instrument} drifts",
-        f"{instrument} drifts in one run,",
-        f"{instrument} drifts in each run alike",
-        f"{moved or instrument} moved",
-        f"the scale of {instrument} is wrong",
+        phrase("{0} drifts", phrase(instrument)),
+        phrase("{0} drifts in one run,", phrase(instrument)),
+        phrase("{0} drifts in each run alike", phrase(instrument)),
+        phrase("{0} moved", phrase(moved or instrument)),
+        phrase("the scale of {0} is wrong", phrase(instrument)),
     )
 
 
@@ -587,18 +594,22 @@ class Model:
     def names(self) -> Sequence[str]:
         """What people call each observation: its groups, and which one of several it is."""
         if self.row_names or not self.groupings:
-            return self.row_names or [f"observation {k}" for k in range(len(self.observed))]
+            return self.row_names or [
+                phrase("observation {0}", k) for k in range(len(self.observed))
+            ]
         first = self.elements[:, 0]
         groups = zip(*(g.number[first].tolist() for g in self.groupings), strict=True)
-        kinds = [g.kind for g in self.groupings]
         plain = [
-            ", ".join(f"{kind} {k}" for kind, k in zip(kinds, numbers, strict=True) if k >= 0)
-            for numbers in groups
+            listed(
+                [g.name_of(k) for g, k in zip(self.groupings, each, strict=True) if k >= 0], ", "
+            )
+            for each in groups
         ]
         whole, seen, found = Counter(plain), Counter[str](), []
         for name in plain:
             seen[name] += 1
-            found.append(f"{name} ({seen[name]} of {whole[name]})" if whole[name] > 1 else name)
+            of = phrase("{0} ({1} of {2})", name, seen[name], whole[name])
+            found.append(of if whole[name] > 1 else name)
         return [found[k] for k in self.of_element.tolist()]
 
     def linearised(self, x: Floats) -> tuple[Floats, Design]:
@@ -649,7 +660,10 @@ class Model:
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
             expected=[e._replace(effect=e.effect.beside(k)) for e in self.expected],
-            row_names=[*self.names, *(f"value {before + i} of {what}" for i in range(k))],
+            row_names=[
+                *self.names,
+                *(phrase("value {0} of {1}", before + i, phrase(what)) for i in range(k)),
+            ],
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
             if self.mixed is None
@@ -801,11 +815,11 @@ class Model:
             expected=expected,
         )
 
-    def name_of(self, unknown: int) -> str:
+    def name_of(self, unknown: int) -> Phrase:
         """Return the name of an unknown for people: its block, its number there."""
         for name, count in self.blocks.items():
             if unknown < count:
-                return f"{name} {unknown}" if count > 1 else name
+                return phrase("{0} {1}", phrase(name), unknown) if count > 1 else phrase(name)
             unknown -= count
         raise DataError(f"the model has no unknown {unknown}")
 

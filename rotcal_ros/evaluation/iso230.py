@@ -28,7 +28,7 @@ from scipy.special import stdtrit
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import noted, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.table_reading import Reading, read_any, reads_any_form
@@ -130,7 +130,7 @@ class Iso230(ByAngle):
     accuracy_forward: float
     accuracy_reverse: float
     accuracy: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Phrase, ...]
     uncertainties: Mapping[str, FigureUncertainty] = field(default_factory=dict)
     measurement_stated: bool = False
 
@@ -178,16 +178,20 @@ def iso230(runs: BidirectionalRuns) -> Iso230:
     )
 
 
-def _short_of_the_standard(runs: BidirectionalRuns) -> list[str]:
+def _short_of_the_standard(runs: BidirectionalRuns) -> list[Phrase]:
     """Return in words what the runs lack of the standard's demands."""
     travel = float(np.ptp(runs.targets)) / DEGREE
     wanted = 3 if travel <= 90.0 else 5 if travel <= 180.0 else 8
     targets, n = runs.forward.shape
     notes = []
     if n < 5:
-        notes.append(f"{n} runs in each direction, the standard requires 5")
+        notes.append(phrase("{0} runs in each direction, the standard requires 5", n))
     if targets < wanted:
-        notes.append(f"{targets} targets over {travel:.4g} deg, the standard requires {wanted}")
+        notes.append(
+            phrase(
+                "{0} targets over {1:.4g} deg, the standard requires {2}", targets, travel, wanted
+            )
+        )
     return notes
 
 

@@ -163,14 +163,17 @@ def _is_called(head: _Head, place: int, text: str) -> bool:
 
 
 def _not_mapped(table: Table, header: Header, found: Mapping[TableColumn, int]) -> BagError:
+    """Return what is missing, and the option that says which column it is."""
     missing = [name for name in header if TableColumn.of(name) not in found]
     free = [text for n, text in enumerate(table.header) if text and n not in found.values()]
-    column, theirs = TableColumn.of(missing[0]).name, free[0] if free else "ITS NAME"
+    advice = ". Save it with commas between the columns"
+    if len(table.header) > 1:
+        entry = f"{TableColumn.of(missing[0]).name}={free[0] if free else 'ITS NAME'}"
+        advice = f". State one with another name by {option('sheet.columns', entry)}"
     return BagError(
         f"{table.path}: no column {', '.join(missing)}: found "
         f"{', '.join(map(repr, table.header)) or 'nothing'}; expected CSV with the columns "
-        f"'{','.join(header)}'. State one with another name by "
-        f"{option('sheet.columns', f'{column}={theirs}')}{_other_forms()}"
+        f"'{','.join(header)}', in any unit and order{advice}{_other_forms()}"
     )
 
 

@@ -33,6 +33,7 @@ from rotcal_ros.foundation.errors import (
     GeometryError,
     ObservabilityError,
 )
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
@@ -147,7 +148,9 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
         if isinstance(measured, Recording):
             untold = measured.with_warnings(untold)
         if not isinstance(refused, ObservabilityError | GeometryError):
-            untold = replace(untold, warnings=(f"alone: {refused}", *untold.warnings)).as_suspect()
+            untold = replace(
+                untold, warnings=(phrase("alone: {0}", refused), *untold.warnings)
+            ).as_suspect()
         return JointInput(name, untold, model)
 
 

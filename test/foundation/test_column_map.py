@@ -114,7 +114,7 @@ def test_what_can_be_read_in_two_ways_is_asked(tmp_path, text, settings, setting
     ("content", "words"),
     [
         (b"PK\x03\x04 a workbook", "is a workbook"),
-        ("Position;Ziel;Länge [m]\n0;0;0,3\n".encode(), "found 'Position;Ziel;Länge [m]'"),
+        ("Position;Ziel;Länge [m]\n0;0;0,3\n".encode(), "Save it with commas between"),
         ("position,target,L\u00e4nge\n0,0,1\n".encode("cp1252"), "not text in UTF-8"),
         (b"0,0,0.3\n1,0,0.4\n", "found '0', '0', '0.3'"),
         (b"angle_deg,target,length_m\n0,0,0.3\n", "no column position: found 'angle_deg'"),

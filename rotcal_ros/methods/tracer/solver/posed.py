@@ -40,6 +40,7 @@ from rotcal_ros.adjust.model import (
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KNOWN,
@@ -216,7 +217,7 @@ class Posed:
             components=["the lengths"],
             groupings=_groupings(lengths, self.grid),
             effects=effects_of(lengths, unbroken=self.problem.segment is not None),
-            row_names=[f"station {j}, target {i}" for j, i in pairs],
+            row_names=[phrase("station {0}, target {1}", j, i) for j, i in pairs],
         )
         for known in stated:
             model = known.beside(model)
@@ -231,8 +232,10 @@ class Posed:
         for first, last in coming_again(angles):
             rows = np.zeros((1, len(angles)))
             rows[0, [first, last]] = -1.0, 1.0
-            same = "stand at the same table angle but differ"
-            what = f"stations {number[first]} and {number[last]} {same}"
+            what = phrase(
+                "stations {0} and {1} stand at the same table angle but differ",
+                number[first], number[last],
+            )  # fmt: skip
             found.append(KnownRelation(what, rows, unit=SECONDS))
         return found
 
@@ -427,7 +430,7 @@ def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBe
         return [KnownBeforehand("the datum", rows, np.full(rows.shape[0], DATUM))]
     return [
         KnownBeforehand(
-            f"the targets' {axis}",
+            phrase("the targets' {0}", axis),
             lengths.rows_of("target", slice(a, None, 3)),
             np.maximum(std[:, a], KNOWN),
         )

@@ -26,6 +26,7 @@ from rotcal_ros.adjust.observable import family_observable_by
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -85,15 +86,15 @@ class UnseenSlips(NamedTuple):
 
     def protection(self) -> Protection:
         """Return the statement about slips."""
-        what = f"a counter that slips a fringe of {self.size:.3g} m"
-        why = (
-            f"{what} is found in {100 * self.found:.0f} % of the cases, by these lengths in this "
-            "order; the uncertainty holds what the others do"
-        )
+        what = phrase("a counter that slips a fringe of {0:.3g} m", self.size)
+        why = phrase(
+            "{0} is found in {1:.0f} % of the cases, by these lengths in this order; the "
+            "uncertainty holds what the others do", what, 100 * self.found
+        )  # fmt: skip
         if self.worst > TOLERABLE:
-            return Protection("slip", "not protected", f"{why} on average", self.worst)
+            return Protection("slip", "not protected", phrase("{0} on average", why), self.worst)
         if self.found >= POWER:
-            why = f"{what} makes the lengths disagree, and is found"
+            why = phrase("{0} makes the lengths disagree, and is found", what)
             return Protection("slip", "tested", why, self.worst)
         return Protection("slip", "bounded", why, self.worst)
 
