@@ -99,6 +99,10 @@ class Outputs:
         few = csr_array(entries, shape=self.few.shape)
         return Outputs(few, self.common * weight, self.share)
 
+    def after(self, right: csr_array) -> Outputs:
+        """Return C times ``right`` (p, k)."""
+        return Outputs(csr_array(self.few @ right), (right.T @ self.common.T).T, self.share)
+
     def products(self) -> Floats:
         """Return C C', (o, o)."""
         both = self.share @ (self.few @ self.common.T).T

@@ -36,6 +36,7 @@ from rotcal_ros.methods.tracer.solver.circle import (
     TableMotion,
     bearing_slopes,
     check_sense,
+    from_first,
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.observability import (
@@ -421,7 +422,7 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
         worst = grid.position_ids[np.flatnonzero(~settled)[0]]
         raise ObservabilityError(f"station {worst} does not settle by its own lengths alone")
     here = replace(solution, printed=state)
-    felt = bearing_slopes(state[:, :3], here.motion).from_first.of(_gains(posed, fit, state))
+    felt = from_first(bearing_slopes(state[:, :3], here.motion)).after(_gains(posed, fit, state))
     if taken:
         own = slice(found.model.size[1], len(fit.x))
         felt = felt.fixed(np.hstack(taken), fit.gain(own) / fit.std)
@@ -434,8 +435,8 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
 def ecc_of_stations(posed: Posed, fit: Fit, state: Floats) -> Floats:
     """Return the covariance (m, m) of ECC by the paper's equations, at stations (m, 4), rad^2."""
     stations = state[:, :3]
-    slopes = bearing_slopes(stations, table_motion(stations, posed.lengths.angles)).from_first
-    white = slopes.of(_gains(posed, fit, state)).weighted(np.where(fit.used, fit.std, 0.0))
+    slopes = from_first(bearing_slopes(stations, table_motion(stations, posed.lengths.angles)))
+    white = slopes.after(_gains(posed, fit, state)).weighted(np.where(fit.used, fit.std, 0.0))
     return white.products()
 
 
@@ -464,8 +465,10 @@ def _gains(posed: Posed, fit: Fit, state: Floats) -> csr_array:
     np.add.at(normal, lengths.position, rows[:, :, None] * (rows * weight[:, None])[:, None])
     own = np.einsum("kab,kb->ka", np.linalg.inv(normal)[lengths.position], rows * weight[:, None])
     design, begin = fit.model.linearised(fit.x[: fit.model.size[1]])[1], lengths.first["target"]
-    assert isinstance(design, FewEach)
-    known, axis = csr_array(design.few[k:]), np.arange(3)
+    few = (
+        design.few[k:] if isinstance(design, FewEach) else design.rows(np.arange(k, len(fit.std)))
+    )
+    known, axis = csr_array(few), np.arange(3)
     coordinate = 3 * lengths.position[:, None] + axis
     row = coordinate.ravel(), np.repeat(coordinate, 3, axis=1).ravel()
     column = np.repeat(np.arange(k), 3), np.tile(3 * lengths.target[:, None] + axis, 3).ravel()
