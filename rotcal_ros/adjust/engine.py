@@ -167,11 +167,13 @@ class Adjusted:
     def _covariance_of(self, part: slice) -> Floats:
         """Return the covariance of a ``part`` of the outputs."""
         few = (self.scale * self._student)[part]
-        total = few[:, None] * self.fit.covariance(part) * few
+        total = self.fit.covariance(part)
+        total *= few[:, None]
+        total *= few
         for changes in self._probable:
-            total = total + changes[part] @ changes[part].T
+            total += changes[part] @ changes[part].T
         gathers = self.diagnosis.gathering.covariance()
-        return np.asarray(total if gathers is None else total + gathers[part, part])
+        return total if gathers is None else np.add(total, gathers[part, part], out=total)
 
     @cached_property
     def _probable(self) -> list[Floats]:
@@ -362,7 +364,10 @@ class Adjusted:
             angles=angles,
             deviations={name: self.value[part] for name, part in components.items()},
             std={name: self.std[part] for name, part in components.items()},
-            covariance={name: self._covariance_of(part) for name, part in components.items()}
+            covariance={
+                name: self.covariance if part == slice(None) else self._covariance_of(part)
+                for name, part in components.items()
+            }
             if kept
             else {},
             sigma0=self.sigma0,

@@ -355,9 +355,12 @@ class Look:
                 leverage = self.fit.kernel.among_each(np.stack(rows))
                 groups = [self._group(asked[k], of) for k, of in zip(some, leverage, strict=True)]
                 cofactors = [group.cofactor.reshape(size, size) for group in groups]
-                eigen = zip(*np.linalg.eigh(np.stack(cofactors)), strict=True)
-                for k, group, own in zip(some.tolist(), groups, eigen, strict=True):
-                    found[k] = replace(group, eigen=own)
+                values, vectors = np.linalg.eigh(np.stack(cofactors))
+                white = np.stack([group.residual.ravel() for group in groups])
+                along = (white[:, None] @ vectors)[:, 0]
+                spectra = zip(np.clip(values, 0.0, 1.0), along, strict=True)
+                for k, group, own in zip(some.tolist(), groups, spectra, strict=True):
+                    found[k] = replace(group, spectrum=own)
         return iter([found[k] for k in range(len(asked))])
 
     def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
@@ -406,6 +409,8 @@ class Look:
 
         def influence() -> Sensitivity:
             found = fit.sensitivity(rows.ravel())
+            if frame is None:
+                return found
             return replace(found, along=turned(found.along.T).T, own=turned(found.own.T).T)
 
         return Group.of(

@@ -468,7 +468,7 @@ def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
                    "the machine's frame drifts or turns in each turn of the table alike",
                    returning, LARGEST_MOVE, UM),
         Disturbing("knock", "the tracer moved on the table", _knocks(lengths), LARGEST_MOVE, UM,
-                   family=True, of_each=3, stays=True),
+                   family=True),
         *slips,
         Disturbing("refraction", "air lies in layers", lengths.layered[:, None], LARGEST_RATIO,
                    PPM),
@@ -477,17 +477,16 @@ def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
     ]  # fmt: skip
 
 
-def _knocks(lengths: CarriedLengths) -> Floats:
-    """Return moves of the place by a metre out, along and up, from some moments on, (k, 3 t)."""
+def _knocks(lengths: CarriedLengths) -> Steps:
+    """Return moves of the place by a metre out, along and up, from some moments on."""
     out = lengths.place_ways[:, 0]
     ways = np.stack([out, np.cross([0.0, 0.0, 1.0], out), [0.0, 0.0, 1.0]])
     carried = rotation_about_z(lengths.angles)[lengths.position]
     moved = np.einsum("wj,kij->kwi", ways, carried) @ lengths.axes.T
     felt = -np.einsum("kwi,ki->kw", moved, lengths.toward)
-    steps = Steps(lengths.place, lengths.order.astype(np.float64))
+    steps = Steps(lengths.place, lengths.order.astype(np.float64), felt)
     most = max(1, min(MOMENTS, PLACES // (3 * len(felt))))
-    some = steps.whole(slice(None, None, max(1, -(-steps.shape[1] // most))))
-    return np.asarray((some[:, :, None] * felt[:, None]).reshape(len(felt), -1))
+    return replace(steps, stride=max(1, -(-(steps.shape[1] // 3) // most)))
 
 
 def _groupings(lengths: CarriedLengths, grid: Grid) -> list[Grouping]:
