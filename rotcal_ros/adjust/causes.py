@@ -298,11 +298,14 @@ def _noise_and_fit(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit, bool]:
     """Return the noise, the fit with it, and whether large residuals are still bent for it."""
     stated = diagnosis.fitted(np.ones(len(diagnosis.model.components)), diagnosis.start)
     noise, fit = _settled_noise(diagnosis, stated, bent)
-    if bent and noise.estimated is not None:
-        whole = _settled_noise(replace(diagnosis, noise=noise), stated, bent=False)
-        if _alike(noise, whole[0]):  # nothing bends it
-            return *whole, False
-    return noise, fit, bent
+    if not bent or noise.estimated is None:
+        return noise, fit, bent
+    x = fit.x
+    del fit  # two solutions are enough to keep
+    whole, fit = _settled_noise(replace(diagnosis, noise=noise), stated, bent=False)
+    if _alike(noise, whole):  # nothing bends it
+        return whole, fit, False
+    return noise, diagnosis.fitted(noise.factors, x), bent
 
 
 def _settled_noise(diagnosis: Diagnosis, stated: Fit, bent: bool) -> tuple[Noise, Fit]:
@@ -361,26 +364,26 @@ def _estimated_noise(
     model = diagnosis.model
     lowest = model.least_factors if model.unstated else np.full(len(held), LEAST_FACTOR)
 
-    def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
-        fit = before.weighed_by(model.std * factors[model.of_component])
-        evidence = _evidence(fit, bent)
-        return replace(evidence, present=evidence.present & ~held), fit
+    x = near.x
+
+    def at(factors: Floats) -> NoiseEvidence:
+        nonlocal x  # of the solution itself no more is kept
+        fit = near.weighed_by(model.std * factors[model.of_component])
+        x, evidence = fit.x, _evidence(fit, bent)
+        return replace(evidence, present=evidence.present & ~held)
 
     prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
     settled = NEARLY_SETTLED if bent else SETTLED
-    found, fit = estimate_factors(at, near, start, prior, settled, lowest)
-    return found, diagnosis.fitted(found.factors, fit.x)
+    found = estimate_factors(at, start, prior, settled, lowest)
+    return found, diagnosis.fitted(found.factors, x)
 
 
 def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     """Return what the residuals say of each component of the noise."""
-    model, count = fit.model, len(fit.model.components)
-    squares, redundancy = fit.white**2, fit.redundancy
+    model, squares, redundancy = fit.model, fit.white**2, fit.redundancy
     if bent:
         squares = bent_squares(squares, redundancy, CHECKED)
-    part = (model.of_component == np.arange(count)[:, None]) & fit.used
-    # R is a projection: the squared sums of its blocks follow from those of its complement
-    information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
+    part, information = fit.redundancy_between
     present = part.any(axis=1) & ~model.of_scatter
     mine = (part * np.sqrt(squares) * np.sign(fit.white)).T
     average = mine.T @ fit.left_of(mine)

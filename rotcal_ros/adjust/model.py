@@ -116,14 +116,14 @@ class Steps:
     They are written out when they are asked for: of many observations they are very many.
     ``run`` (n,): -1 for none; ``when`` (n,): the order or the time. ``ways`` (n, w): what each
     observation feels of w ways to move by one unit; None: of one way, by which all shift alike.
-    ``most``: of far more moments than this only some, evenly: one between two is seen nearly as
-    well. ``centred``: moves count from their mean in the run.
+    ``stride``: only each so many-th moment: one between two is seen nearly as well. ``centred``:
+    moves count from their mean in the run.
     """
 
     run: Ints
     when: Floats
     ways: Floats | None = None
-    most: int | None = None
+    stride: int = 1
     centred: bool = False
 
     @property
@@ -145,11 +145,15 @@ class Steps:
             rows = mine[np.argsort(self.when[mine], kind="stable")]
             found.append((rows, np.unique(self.when[rows], return_index=True)[1][1:]))
         ends = np.cumsum([0, *(len(first) for _, first in found)])
-        stride = max(1, int(ends[-1]) // (self.most or int(ends[-1]) + 1))
         return [
-            (rows, first[-end % stride :: stride])
+            (rows, first[-end % self.stride :: self.stride])
             for (rows, first), end in zip(found, ends.tolist(), strict=False)
         ]
+
+    def fewer(self, most: int) -> Steps:
+        """Return the same of some moments, evenly, where they are far more than ``most``."""
+        moments = self.shape[1] // self.width
+        return replace(self, stride=self.stride * max(1, moments // most))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -214,7 +218,7 @@ class Disturbing:
     def whole(self, computed: Floats) -> Floats:
         """Return the same, written out; of very many moments some, evenly."""
         found = self.at(computed)
-        return replace(found, most=MOST_MOMENTS).whole() if isinstance(found, Steps) else found
+        return found.fewer(MOST_MOMENTS).whole() if isinstance(found, Steps) else found
 
     def mapped(
         self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats], *, apart: bool
@@ -637,12 +641,12 @@ class Model:
         blocks with those before.
         """
         k, every = len(values), tuple(dict.fromkeys([*self.components, what]))
-        before = 0
+        read, before = self.equations, 0  # of this model no more is kept
         if what in self.components:
             before = int((self.of_component == every.index(what)).sum())
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
-            computed, design = self.equations(x)
+            computed, design = read(x)
             return np.append(computed, rows @ x), design_of(design).beside(rows)
 
         return replace(

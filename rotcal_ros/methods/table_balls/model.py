@@ -608,7 +608,7 @@ def model_of(
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
-    shifts = Steps(zero, when, most=MOST_MOMENTS, centred=True)  # their mean is the axis's place
+    shifts = Steps(zero, when, centred=True).fewer(MOST_MOMENTS)  # their mean is the axis's place
     model = Model(
         blocks=balls.blocks,
         observed=read.value if count == 1 else read.points.ravel(),
