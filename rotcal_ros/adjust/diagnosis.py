@@ -134,6 +134,18 @@ class Diagnosis:
         found.__dict__["fit"] = fit  # it is known already
         return found
 
+    @cached_property
+    def improbability(self) -> float:
+        """BIC: twice -ln of the probability, by which whole beliefs are compared.
+
+        As in :meth:`Look._support`; an observation that waits outside is explained by itself.
+        """
+        fit, n = self.fit, len(self.used)
+        factors = self.noise.factors[self.model.of_component[self.used]]
+        unknowns = fit.kernel.rank - sum(e.columns.shape[1] for e in self.nuisance)
+        spread = 2.0 * float(np.log(factors).sum())
+        return float(fit.chi2 + spread + unknowns * np.log(n) + self.price)
+
     def describe(self) -> str:
         """Return what is wrong with the observations."""
         name = self.model.names

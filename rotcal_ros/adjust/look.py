@@ -25,7 +25,7 @@ from rotcal_ros.adjust.effects import (
     family_test,
 )
 from rotcal_ros.adjust.fit import Fit
-from rotcal_ros.adjust.gathering import judged
+from rotcal_ros.adjust.gathering import SUSPECTED, judged
 from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole
 from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
@@ -82,7 +82,7 @@ class Look:
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""
         limits = self.before.limits
-        if len(self._oddest) and self._stands_out(self._oddest[0]):
+        if len(self._oddest) and self._stands_out(self._oddest[0]) and not self._with_others:
             yield self.singles[0]
         yield from self.significant_effects()
         judgement = self.diagnosis.gathering.judgement
@@ -93,6 +93,21 @@ class Look:
             and judgement.chance < limits.significance
         ):
             yield from self.groups[:1]
+
+    @property
+    def _with_others(self) -> bool:
+        """Whether more of its group than the oddest one are suspected, and rather than it alone.
+
+        It may be a sound one among them. Where nothing proves which ones they are, all stay in, and
+        the covariance holds what they may do.
+        """
+        if self.diagnosis.gathering.chance >= SUSPECTED:
+            return False
+        oddest, one = self._oddest[0], self.singles[0]
+        return any(
+            e.support > one.support and e.blamed is not None and oddest in e.blamed.group.members
+            for e in self.groups
+        )
 
     def significant_effects(self) -> Iterator[Explanation]:
         """Yield the best explanation by each effect that is beyond chance."""
@@ -274,12 +289,12 @@ class Look:
             if alone.rank:
                 alone = alone._replace(probability=test.probability)
                 written = columns_of(columns, slice(first, first + count))
-                among = columns.shape[1] // count
+                among = effect.stands_for * columns.shape[1] / count
                 found.append(self._explanation(effect, written, member, alone, among))
         yield from sorted(found, key=lambda e: -e.support)
 
     def _explanation(
-        self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: int
+        self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: float
     ) -> Explanation:
         """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show.
 
