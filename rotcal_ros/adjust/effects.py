@@ -212,9 +212,34 @@ def family_test(seen: ObservableFamily, rest: tuple[float, float] | None = None)
     usual = chi2_isf(RATHER_RARE, np.maximum(seen.rank, 1))
     k = int(np.argmax(seen.squares - usual))
     alone = effect_test(seen.member(k), rest)
+    return alone._replace(probability=chance_in_family(alone, seen), member=k)
+
+
+def chance_in_family(alone: EffectTest, seen: ObservableFamily) -> float:
+    """Return how probably the largest of a family is by chance as rare as one ``alone``."""
+    if not alone.rank:
+        return 1.0
     u = normal_isf(max(0.5 * alone.probability, NOTHING))
-    chance = above_of_family(u, seen.alike, seen.rank) if alone.rank else 1.0
-    return alone._replace(probability=min(chance, 1.0), member=k)
+    return min(above_of_family(u, seen.alike, seen.rank), 1.0)
+
+
+def scattered_test(
+    test: EffectTest,
+    score: Floats,
+    covariances: Floats,
+    weight: Floats,
+    rest: tuple[float, float] | None = None,
+) -> EffectTest:
+    """Return the ``test`` where the score along its axes (r,) has other ``covariances`` (m, r, r).
+
+    Of ``weight`` (m,): what scatters by a size that is hardly known leaves much to chance.
+    """
+    pull = score @ np.linalg.solve(covariances, score[:, None])[:, :, 0].T
+    left = np.inf if rest is None else rest[1] - test.rank
+    each = [_chance(t, test.rank, test.variance, left) for t in pull.tolist()]
+    least = float(pull.min())
+    squares = least - 2.0 * float(np.log(weight @ np.exp(0.5 * (least - pull))))
+    return test._replace(squares=squares, probability=float(weight @ each))
 
 
 def _axes(seen: Observable) -> tuple[Floats, Floats, Floats]:

@@ -21,8 +21,10 @@ from rotcal_ros.adjust.effects import (
     EffectTest,
     Observable,
     ObservableFamily,
+    chance_in_family,
     effect_test,
     family_test,
+    scattered_test,
 )
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import SUSPECTED, judged
@@ -278,7 +280,8 @@ class Look:
         """Yield what an effect explains; of a family its best members, the best first."""
         columns, width = effect.at(self.fit.computed), effect.width
         if isinstance(seen, Observable):
-            yield self._explanation(effect, columns_of(columns, slice(None)), seen, test, 1)
+            written = columns_of(columns, slice(None))
+            yield self._explanation(effect, written, seen, self._scattered(written, seen, test), 1)
             return
         tried = [(seen.member(k), k * width, width) for k in _largest(seen.squares)]
         if width > 1:
@@ -287,11 +290,30 @@ class Look:
         for member, first, count in tried:
             alone = effect_test(member, self.rest, largest=effect.largest)
             if alone.rank:
-                alone = alone._replace(probability=test.probability)
                 written = columns_of(columns, slice(first, first + count))
+                chance = test.probability
+                if self.before.model.scatterings:
+                    alone = self._scattered(written, member, alone)
+                    chance = max(chance, chance_in_family(alone, seen))
                 among = effect.stands_for * columns.shape[1] / count
+                alone = alone._replace(probability=chance)
                 found.append(self._explanation(effect, written, member, alone, among))
         yield from sorted(found, key=lambda e: -e.support)
+
+    def _scattered(self, columns: Floats, seen: Observable, test: EffectTest) -> EffectTest:
+        """Return the ``test`` of ``columns`` (n, k) by what scatters as it does.
+
+        Rows weigh as if each scattered by itself, by a size that is known.
+        """
+        fit, found = self.fit, test
+        white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0) @ test.axes
+        score, information = test.axes.T @ seen.score, test.axes.T @ seen.information @ test.axes
+        for each in self.before.model.scatterings if test.rank else ():
+            other = scattered_test(
+                test, score, *each.beside_columns(fit, white, information), self.rest
+            )
+            found = max(found, other, key=lambda t: t.probability)
+        return found
 
     def _explanation(
         self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: float

@@ -163,6 +163,21 @@ class Scattering(Correlated):
             chance += float(chdtrc(rank, squares) @ sizes.weight[mine])
         return chance, sizes
 
+    def beside_columns(
+        self, fit: Fit, white: Floats, information: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return covariances (m, b, b) of what residuals share with ``white`` errors (n, b).
+
+        By all sizes that contrasts beside these make likely, and their weights (m,). As rows that
+        scatter each by itself, by the size that they are weighed by, it is their ``information``.
+        """
+        sizes, std = self.beside(fit, white)[1], float(fit.std[self.rows[0]])
+        left = fit.left_of(white)[self.rows]
+        roots = [root.T @ left for root in self.parts[0]] or [left]
+        squares = np.stack([root.T @ root for root in roots]) / std**2
+        found = (sizes.size**2)[:, None, None] * squares[sizes.way]
+        return found + (information - left.T @ left), sizes.weight
+
     def _said_by(self, value: Floats, each: list[tuple[Floats, Floats]], std: float) -> Sizes:
         """Return what contrasts (q,) say: ``each`` way's eigenvalues, and these along its axes."""
         noticed = [_noticed(values) for values, _ in each]
