@@ -223,23 +223,22 @@ def chance_in_family(alone: EffectTest, seen: ObservableFamily) -> float:
     return min(above_of_family(u, seen.alike, seen.rank), 1.0)
 
 
-def scattered_test(
+def chance_beside_scatter(
     test: EffectTest,
     score: Floats,
     covariances: Floats,
     weight: Floats,
     rest: tuple[float, float] | None = None,
-) -> EffectTest:
-    """Return the ``test`` where the score along its axes (r,) has other ``covariances`` (m, r, r).
+) -> float:
+    """Return how probable a ``test`` is where its score (r,) has other ``covariances`` (m, r, r).
 
-    Of ``weight`` (m,): what scatters by a size that is hardly known leaves much to chance.
+    Along its axes, of ``weight`` (m,): what scatters by a size that is hardly known leaves much to
+    chance.
     """
     pull = score @ np.linalg.solve(covariances, score[:, None])[:, :, 0].T
     left = np.inf if rest is None else rest[1] - test.rank
     each = [_chance(t, test.rank, test.variance, left) for t in pull.tolist()]
-    least = float(pull.min())
-    squares = least - 2.0 * float(np.log(weight @ np.exp(0.5 * (least - pull))))
-    return test._replace(squares=squares, probability=float(weight @ each))
+    return float(weight @ each)
 
 
 def _axes(seen: Observable) -> tuple[Floats, Floats, Floats]:

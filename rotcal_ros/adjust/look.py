@@ -21,10 +21,10 @@ from rotcal_ros.adjust.effects import (
     EffectTest,
     Observable,
     ObservableFamily,
+    chance_beside_scatter,
     chance_in_family,
     effect_test,
     family_test,
-    scattered_test,
 )
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import SUSPECTED, judged
@@ -281,7 +281,8 @@ class Look:
         columns, width = effect.at(self.fit.computed), effect.width
         if isinstance(seen, Observable):
             written = columns_of(columns, slice(None))
-            yield self._explanation(effect, written, seen, self._scattered(written, seen, test), 1)
+            test = test._replace(probability=self._chance(written, seen, test))
+            yield self._explanation(effect, written, seen, test, 1)
             return
         tried = [(seen.member(k), k * width, width) for k in _largest(seen.squares)]
         if width > 1:
@@ -291,29 +292,27 @@ class Look:
             alone = effect_test(member, self.rest, largest=effect.largest)
             if alone.rank:
                 written = columns_of(columns, slice(first, first + count))
-                chance = test.probability
-                if self.before.model.scatterings:
-                    alone = self._scattered(written, member, alone)
-                    chance = max(chance, chance_in_family(alone, seen))
+                chance = self._chance(written, member, alone)
+                if chance > alone.probability:
+                    chance = chance_in_family(alone._replace(probability=chance), seen)
+                alone = alone._replace(probability=max(chance, test.probability))
                 among = effect.stands_for * columns.shape[1] / count
-                alone = alone._replace(probability=chance)
                 found.append(self._explanation(effect, written, member, alone, among))
         yield from sorted(found, key=lambda e: -e.support)
 
-    def _scattered(self, columns: Floats, seen: Observable, test: EffectTest) -> EffectTest:
-        """Return the ``test`` of ``columns`` (n, k) by what scatters as it does.
+    def _chance(self, columns: Floats, seen: Observable, test: EffectTest) -> float:
+        """Return how probable the ``test`` of ``columns`` (n, k) is by what scatters as it does.
 
         Rows weigh as if each scattered by itself, by a size that is known.
         """
-        fit, found = self.fit, test
-        white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0) @ test.axes
-        score, information = test.axes.T @ seen.score, test.axes.T @ seen.information @ test.axes
+        fit, chance = self.fit, test.probability
         for each in self.before.model.scatterings if test.rank else ():
-            other = scattered_test(
-                test, score, *each.beside_columns(fit, white, information), self.rest
-            )
-            found = max(found, other, key=lambda t: t.probability)
-        return found
+            white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0) @ test.axes
+            information = test.axes.T @ seen.information @ test.axes
+            beside = each.beside_columns(fit, white, information)
+            own = chance_beside_scatter(test, test.axes.T @ seen.score, *beside, self.rest)
+            chance = max(chance, own)
+        return chance
 
     def _explanation(
         self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: float
