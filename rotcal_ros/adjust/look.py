@@ -98,10 +98,10 @@ class Look:
 
     @property
     def _with_others(self) -> bool:
-        """Whether more of its group than the oddest one are suspected, and rather than it alone.
+        """Whether several of a group are suspected, rather than its oddest one alone.
 
-        It may be a sound one among them. Where nothing proves which ones they are, all stay in, and
-        the covariance holds what they may do.
+        That one may be sound. Where it is not proved which ones are off, all stay in, and the
+        covariance holds what they may do.
         """
         if self.diagnosis.gathering.chance >= SUSPECTED:
             return False
