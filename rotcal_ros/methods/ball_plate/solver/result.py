@@ -53,7 +53,7 @@ LIMITS: Final = Limits(rejected_share=0.02, gathered_share=3e-4)
 """Dirt on one ball of fifty is nothing unusual; on two of twelve at one position it is."""
 AXIS_SIGNIFICANCE: Final = 0.001
 """Level of the test whether the centres scatter alike along x and y, where it is doubted."""
-APART: Final = 0.2
+APART: Final = 0.05
 """The same from which on each axis counts by its own noise: it is no loss where they are alike."""
 MATTERS: Final = 1.1
 """Times that one of them scatters as much as the other, below which it makes no difference."""
