@@ -25,6 +25,7 @@ from rotcal_ros.adjust.effects import (
     chance_in_family,
     effect_test,
     family_test,
+    hidden_beside,
 )
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.gathering import SUSPECTED, judged
@@ -337,6 +338,7 @@ class Look:
         return Explanation(
             f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
+            hidden=hidden_beside(test, seen),
         )  # fmt: skip
 
     def _groups(self) -> list[Group | JudgedWhole]:

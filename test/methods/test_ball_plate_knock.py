@@ -33,6 +33,14 @@ def numbered(problem, order):
     return replace(problem, row=rank)
 
 
+def worst(result):
+    """Largest error of a deviation, in stated standard deviations."""
+    return max(
+        np.abs((result.deviations[name] - PLATE.true(name)) / result.std[name]).max()
+        for name in COMPONENTS
+    )
+
+
 def noisy(problem, rng):
     return problem.centres + SIGMA * rng.normal(size=problem.centres.shape)
 
@@ -59,7 +67,8 @@ def test_the_last_centre_of_a_position_that_is_off_may_be_a_knock_before_it(exac
 
     The knock moves the last centre, three of its six sizes, and all later positions, whose own
     six deviations take that up. So both are named, the one centre first, for moments are as many
-    as centres, and U covers either as far as it shows.
+    as centres. U covers either, what no residual shows of a knock being held to be as large as
+    what does.
     """
     problem, rng = numbered(exact, "table_once"), np.random.default_rng(3)
     last = problem.rows == 263
@@ -72,13 +81,13 @@ def test_the_last_centre_of_a_position_that_is_off_may_be_a_knock_before_it(exac
         (text,) = (text for text in result.warnings if "nearly as well" in text)
         assert "that the plate moved on the table from row 263" in text
         assert "(1 : 3)" in text
-        for name in COMPONENTS:
-            error = result.deviations[name] - PLATE.true(name)
-            assert (np.abs(error) < 2.5 * result.std[name]).all(), name
-    moved = knocked(problem, 263, rng, np.array([2e-5, 3e-5, -3e-5]), np.array([1e-4, 2e-4, 1e-4]))
-    result = solve(moved)
-    assert result.verdict == "suspect"
-    assert any("the plate moved on the table from row 263" in text for text in result.warnings)
+        assert worst(result) < 2.5
+    for seed in range(8 if LONG else 2):
+        shift, turn = np.random.default_rng(seed).normal(size=(2, 3))
+        result = solve(knocked(problem, 263, rng, 3e-5 * shift, 1.6e-4 * turn))
+        assert result.verdict == "suspect"
+        assert any("the plate moved on the table from row 263" in t for t in result.warnings)
+        assert worst(result) < 5.0
 
 
 @pytest.mark.slow
