@@ -240,20 +240,14 @@ def hidden_beside(test: EffectTest, seen: Observable) -> Floats:
 
 
 def chance_beside_scatter(
-    test: EffectTest,
-    score: Floats,
-    covariances: Floats,
-    weight: Floats,
-    rest: tuple[float, float] | None = None,
+    test: EffectTest, squares: Floats, weight: Floats, rest: tuple[float, float] | None
 ) -> float:
-    """Return how probable a ``test`` is where its score (r,) has other ``covariances`` (m, r, r).
+    """Return how probable a ``test`` is whose ``squares`` (m,) depend on what scatters.
 
-    Along its axes, of ``weight`` (m,): what scatters by a size that is hardly known leaves much to
-    chance.
+    Of ``weight`` (m,): by a size that is hardly known, which leaves much to chance.
     """
-    pull = score @ np.linalg.solve(covariances, score[:, None])[:, :, 0].T
     left = np.inf if rest is None else rest[1] - test.rank
-    each = [_chance(t, test.rank, test.variance, left) for t in pull.tolist()]
+    each = [_chance(t, test.rank, test.variance, left) for t in squares.tolist()]
     return float(weight @ each)
 
 

@@ -310,8 +310,8 @@ class Look:
         for each in self.before.model.scatterings if test.rank else ():
             white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0) @ test.axes
             information = test.axes.T @ seen.information @ test.axes
-            beside = each.beside_columns(fit, white, information)
-            own = chance_beside_scatter(test, test.axes.T @ seen.score, *beside, self.rest)
+            beside = each.squares_of(fit, white, test.axes.T @ seen.score, information)
+            own = chance_beside_scatter(test, *beside, self.rest)
             chance = max(chance, own)
         return chance
 
