@@ -127,10 +127,10 @@ def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:
     return _contested_by(together, apart)  # it says what else may be wrong
 
 
-def _same(one: Diagnosis, other: Diagnosis) -> bool:
+def _same(first: Diagnosis, second: Diagnosis) -> bool:
     """Whether two diagnoses leave out the same observations and hold the same effects."""
-    held, others = ([e.what for e in each.nuisance] for each in (one, other))
-    return one.why.keys() == other.why.keys() and held == others
+    held, others = ([e.what for e in each.nuisance] for each in (first, second))
+    return first.why.keys() == second.why.keys() and held == others
 
 
 def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:

@@ -106,9 +106,9 @@ class Look:
         """
         if self.diagnosis.gathering.chance >= SUSPECTED:
             return False
-        oddest, one = self._oddest[0], self.singles[0]
+        oddest, single = self._oddest[0], self.singles[0]
         return any(
-            e.support > one.support and e.blamed is not None and oddest in e.blamed.group.members
+            e.support > single.support and e.blamed is not None and oddest in e.blamed.group.members
             for e in self.groups
         )
 

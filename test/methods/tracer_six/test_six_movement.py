@@ -80,8 +80,8 @@ def test_scatter_of_both_sides_is_not_taken_for_a_move():
     configuration, moved = read_configuration(sample), 0
     for seed in range(40 if LONG else 10):
         changes = ("plan.bidirectional=true", f"simulation.seed={seed}")
-        one = changed(configuration, changes)
-        result = prepare(one).solve(tuple(rc.simulate_observations(one)))
+        table = changed(configuration, changes)
+        result = prepare(table).solve(tuple(rc.simulate_observations(table)))
         moved += bool(result.details["effects_found"])
     assert moved <= 1
 
