@@ -19,7 +19,10 @@ from rotcal_ros.foundation.protection import ALL_EFFECTS, TREATMENTS
 from rotcal_ros.foundation.results import COUNTS_FROM, SCHEMA, Verdict
 
 PAGE = Path(__file__).parents[1] / "docs" / "result_json.md"
-KINDS = {"number": "number", "whole": "integer", "text": "string", "flag": "boolean"}
+KINDS: dict[str, Any] = {
+    "number": "number", "whole": "integer", "text": "string", "flag": "boolean",
+    "argument": ["number", "string", "boolean", "object"],
+}  # fmt: skip
 ISO, NAME = "ISO", "NAME"
 """Parts of a path that stand for several names: deviations, and any."""
 CHOICES: dict[str, Iterable[Any]] = {

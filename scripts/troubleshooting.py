@@ -23,7 +23,8 @@ GROUPS = (
         "nodes/table_adapter", "methods/simulat", "methods/added_errors",
     )),
     ("Bags, tables, replay", "recording.md#checking-and-repairing", (
-        "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
+        "bags/", "recordings/", "foundation/column_map",
+        "foundation/table", "rotcal_tables/sheets", "foundation/untrusted",
         "methods/measurements", "rotcal_history/fleet", "nodes/player", "cli/replay",
     )),
     ("Plans", "planning.md", ("planning/", "rotcal_design/", "cli/plan")),

@@ -25,7 +25,6 @@ from babel.messages.catalog import Catalog
 from babel.messages.extract import extract_from_file
 from babel.messages.pofile import read_po, write_po
 
-from rotcal_ros.adjust.model import effect_texts
 from rotcal_ros.evaluation.budget import WHOLE
 from rotcal_ros.foundation.identity import Instruments
 from rotcal_ros.foundation.language import FOLDER, folders, language
@@ -44,16 +43,18 @@ READ = [
 OPTIONS = {"javascript": {"template_string": False}}
 MARKS = {"phrase": None, "noted": None, "t": None}
 MARKED = re.compile(rf"\b(?:{'|'.join(MARKS)})\(")
-SHOWN_BY = ("Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title")
-"""Calls whose texts of several words come onto a page."""
+SHOWN_BY = (
+    "Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title", "Words",
+    "Disturbing", "Grouping", "KnownBeforehand", "with_prior", "scattering", "Otherwise",
+)  # fmt: skip
+"""Calls whose texts of several words come onto a page, or are arguments of codes."""
 UNIT = re.compile("_(deg|mm|um|arcsec)$")
 """At the end of a head of a table, of which the page says the rest."""
 DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
     "laser", "plate", "cmm", "rotary table",
     *(field.name.replace("_", " ") for field in fields(Instruments)),
-    *effect_texts(INSTRUMENT, MOVED),
-    WORDS.elements, WORDS.contradicts, REFERENCE, AGAIN,
+    INSTRUMENT, MOVED, WORDS.elements, REFERENCE, AGAIN,
 )  # fmt: skip
 """Words that come as data."""
 
@@ -87,7 +88,12 @@ def used() -> dict[str, str]:
     for where, texts in (*of_calls, ("static/*.html", tuple(shown)), ("data", data)):
         for text in texts:
             found.setdefault(text, where)
-    return {text: where for text, where in found.items() if any(map(str.isalpha, text))}
+    return {text: where for text, where in found.items() if has_words(text)}
+
+
+def has_words(text: str) -> bool:
+    """Return whether a text has letters beside its places."""
+    return any(map(str.isalpha, re.sub(r"\{[^{}]*\}", "", text)))
 
 
 def shown_on_pages(package: Path) -> list[str]:
@@ -176,7 +182,7 @@ def wanted(folder: Path = FOLDER) -> dict[str, str]:
             data = import_module(f"{package.name}.translated").texts()
             theirs += [("data", text) for text in data]
         found = {message: name for name, message in theirs if message not in ours}
-        return {text: name for text, name in found.items() if any(map(str.isalpha, text))}
+        return {text: name for text, name in found.items() if has_words(text)}
     known = {text for path in FOLDER.glob("*.po") for text in language(path.stem).texts or ()}
     return used() | {text: where for text, where in written().items() if text in known}
 
@@ -194,8 +200,10 @@ def update(folder: Path, code: str) -> None:
     catalogue.update(template, no_fuzzy_matching=True)
     catalogue.obsolete.clear()
     folder.mkdir(exist_ok=True)
+    for message in catalogue:
+        message.flags.clear()  # a place says itself what it is
     with path.open("wb") as file:
-        write_po(file, catalogue, width=0, omit_header=True, include_lineno=False)
+        write_po(file, catalogue, width=0, omit_header=True, no_location=True)
 
 
 if __name__ == "__main__":

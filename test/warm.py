@@ -27,7 +27,7 @@ import termios
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -104,7 +104,7 @@ class WarmServer:
         piped = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         with self.start(kind, *arguments, cwd=folder, text=True, **piped, **options) as process:
             texts = process.communicate()
-        return subprocess.CompletedProcess(process.args, process.returncode, *texts)
+        return subprocess.CompletedProcess(process.args, process.wait(), *texts)
 
 
 def server_with_ros() -> WarmServer:
@@ -115,29 +115,117 @@ def server_with_ros() -> WarmServer:
     return servers[os.getpid()]
 
 
-class Copy(subprocess.Popen[Any]):
-    """A child like any other, copied from a server and then handed over to this process."""
+class Copy:
+    """A child, copied from a server and then handed over; what tests use of subprocess.Popen."""
 
-    def __init__(self, command: Sequence[Any], *, server: WarmServer, **options: Any) -> None:
-        self._server = server
-        super().__init__(command, **options)
+    def __init__(
+        self,
+        command: Sequence[Any],
+        *,
+        server: WarmServer,
+        env: Mapping[str, str] | None = None,
+        cwd: Path | None = None,
+        start_new_session: bool = False,
+        pass_fds: Iterable[int] = (),
+        text: bool = False,
+        **streams: Any,
+    ) -> None:
+        self.args, self.text = command, text
+        self.returncode: int | None = None
+        self.stdin: Any = None
+        self.stdout: Any = None
+        self.stderr: Any = None
+        self._looking = threading.Lock()
+        request = asking(command[1:], env, cwd)
+        request |= {"parent": os.getpid(), "new_session": start_new_session}
+        with ExitStack() as closing:
+            ends = [
+                self._end(number, name, streams.get(name), closing)
+                for number, name in enumerate(("stdin", "stdout", "stderr"))
+            ]
+            with adopting(), ask(server.address, request, [*ends, *pass_fds]) as asked:
+                self.pid = int(asked.recv(20))
+                while parent_of(self.pid) != os.getpid():
+                    time.sleep(0.001)
 
-    def _execute_child(self, args: Sequence[Any], *more: Any) -> None:  # of CPython 3.10 to 3.14
-        inherited, folder, environment, pipes = more[3], more[4], more[5], more[9:15]
-        streams = [end if end >= 0 else n for n, end in enumerate((pipes[0], pipes[3], pipes[5]))]
-        request = asking(args[1:], environment, folder) | {
-            "parent": os.getpid(),
-            "new_session": more[20],
-        }
-        with adopting(), ask(self._server.address, request, [*streams, *inherited]) as asked:
-            self.pid = int(asked.recv(20))
-            while parent_of(self.pid) != os.getpid():
-                time.sleep(0.001)
-        self._child_created = True
-        self._close_pipe_fds(*pipes)
+    def _end(self, number: int, name: str, stream: Any, closing: ExitStack) -> int:
+        """Return what the child has as a stream; ours of a pipe is an attribute."""
+        if stream is None:
+            return number
+        if stream == subprocess.PIPE:
+            ends = os.pipe()
+            theirs, ours = ends if number == 0 else ends[::-1]
+            mode = ("w" if number == 0 else "r") + ("" if self.text else "b")
+            setattr(self, name, os.fdopen(ours, mode, encoding="utf-8" if self.text else None))
+        elif stream == subprocess.DEVNULL:
+            theirs = os.open(os.devnull, os.O_RDWR)
+        else:
+            return stream if isinstance(stream, int) else int(stream.fileno())
+        closing.callback(os.close, theirs)
+        return theirs
+
+    def __enter__(self) -> Copy:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for stream in filter(None, (self.stdin, self.stdout, self.stderr)):
+            with suppress(OSError):
+                stream.close()
+        self.wait()
+
+    def poll(self) -> int | None:
+        """Return the exit code, None while it runs."""
+        with self._looking:
+            if self.returncode is None:
+                ended, status = os.waitpid(self.pid, os.WNOHANG)
+                self.returncode = os.waitstatus_to_exitcode(status) if ended else None
+            return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Return the exit code when it has ended."""
+        begun = time.monotonic()
+        while (code := self.poll()) is None:
+            if timeout is not None and time.monotonic() - begun > timeout:
+                raise subprocess.TimeoutExpired(self.args, timeout)
+            time.sleep(0.002)
+        return code
+
+    def communicate(self, words: Any = None, timeout: float | None = None) -> tuple[Any, Any]:
+        """Write ``words`` to it, and return what it writes until it ends."""
+        found: dict[str, Any] = {"stdout": None, "stderr": None}
+
+        def read(name: str) -> None:
+            if (stream := getattr(self, name)) is not None:
+                found[name] = stream.read()
+
+        readers = [threading.Thread(target=read, args=(name,), daemon=True) for name in found]
+        for reader in readers:
+            reader.start()
+        if self.stdin is not None:
+            with suppress(BrokenPipeError):
+                if words:
+                    self.stdin.write(words)
+                self.stdin.close()
+        self.wait(timeout)
+        for reader in readers:
+            reader.join()
+        return found["stdout"], found["stderr"]
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End it."""
+        self.send_signal(signal.SIGKILL)
 
 
-def popen(command: Sequence[Any], **options: Any) -> subprocess.Popen[Any]:
+def popen(command: Sequence[Any], **options: Any) -> subprocess.Popen[Any] | Copy:
     """Start a process as subprocess.Popen does; one of the suite, or a script, as a copy."""
     environment = options.get("env") or os.environ
     first, second, third = [*map(str, command), "", ""][:3]
@@ -159,7 +247,7 @@ def run(
         except subprocess.TimeoutExpired:
             process.kill()
             raise
-    return subprocess.CompletedProcess(process.args, process.returncode, *texts)
+    return subprocess.CompletedProcess(process.args, process.wait(), *texts)
 
 
 WARM_SUBPROCESS = SimpleNamespace(**{**vars(subprocess), "Popen": popen})

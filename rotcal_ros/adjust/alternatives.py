@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial, reduce
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from rotcal_ros.adjust.kernels import OPEN
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import Effect, Protection
 
 EXCLUDED: Final = np.log(20.0)
@@ -152,33 +154,41 @@ def _in_orders(model: Model, basis: Floats, left: Floats, factors: Floats) -> fl
     return fall
 
 
-def doubts(every: Sequence[WeighedAlternative]) -> Iterator[str]:
+def doubts(every: Sequence[WeighedAlternative]) -> Iterator[Phrase]:
     """Return in words that readings were surely meant otherwise."""
     best = next(iter(every), None)
     if best is None or best.gain < SURELY:
         return
-    alike = [other.alternative.what for other in every if best.gain - other.gain < EXCLUDED]
-    what = ", or ".join(alike)
-    yield f"it looks as if {what} ({_odds(best.gain)} : 1): put it right, and solve again"
+    alike = _any_of(other for other in every if best.gain - other.gain < EXCLUDED)
+    yield phrase(
+        "it looks as if {0} ({1:.1g} : 1): put it right, and solve again", alike, _odds(best.gain)
+    )
 
 
-def _odds(gain: float) -> str:
-    return f"{np.exp(min(gain, MOST)):.1g}"
+def _any_of(others: Iterable[WeighedAlternative]) -> Phrase:
+    each = [phrase(other.alternative.what) for other in others]
+    return reduce(partial(phrase, "{0}, or {1}"), each)
+
+
+def _odds(gain: float) -> float:
+    return float(np.exp(min(gain, MOST)))
 
 
 def protections(every: Sequence[WeighedAlternative]) -> Iterator[Protection]:
     """Return by effect whether readings that were meant otherwise would show it."""
     for effect in dict.fromkeys(other.alternative.effect for other in every):
         mine = [other for other in every if other.alternative.effect == effect]
-        what, gain = mine[0].alternative.what, mine[0].gain
+        what, gain = phrase(mine[0].alternative.what), mine[0].gain
         if gain > SURELY:
-            yield Protection(effect, "tested", f"it was found that {what}")
+            yield Protection(effect, "tested", phrase("it was found that {0}", what))
             continue
-        if unseen := [other.alternative.what for other in mine if other.gain > -EXCLUDED]:
-            why = f"what was read does not exclude that {', or '.join(unseen)}"
+        if unseen := [other for other in mine if other.gain > -EXCLUDED]:
+            why = phrase("what was read does not exclude that {0}", _any_of(unseen))
             yield Protection(effect, "not protected", why)
             continue
-        why = f"that {what} cannot be: such readings are refused"
+        why = phrase("that {0} cannot be: such readings are refused", what)
         if np.isfinite(gain):
-            why = f"what was read speaks against it that {what} ({_odds(-gain)} : 1)"
+            why = phrase(
+                "what was read speaks against it that {0} ({1:.1g} : 1)", what, _odds(-gain)
+            )
         yield Protection(effect, "tested", why)

@@ -36,6 +36,7 @@ from rotcal_ros.adjust.robust_start import robust_start
 from rotcal_ros.adjust.scattering import FLOOR
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
+from rotcal_ros.foundation.language import listed, phrase
 
 TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
@@ -139,14 +140,14 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     if apart >= 2.0 * np.log(ALIKE) or not best.fit.influenced(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
-    chosen = Explanation(best.describe(), "", none, nothing, 0.0, 0.0, 0.0 * change)
+    chosen = Explanation(best.describe(), listed(()), none, nothing, 0.0, 0.0, 0.0 * change)
     rival = chosen._replace(what=other.describe(), support=-0.5 * apart, change=change)
     return replace(best, contests=(*best.contests, Contest(chosen, (rival,))))
 
 
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     name = diagnosis.model.names
-    why = {row: f"{name[row]}: far off all others" for row in gross.tolist()}
+    why = {row: phrase("{0}: far off all others", name[row]) for row in gross.tolist()}
     return replace(diagnosis, why=why, price=_price(diagnosis.model, gross))
 
 
@@ -262,7 +263,7 @@ def _together(diagnosis: Diagnosis) -> Diagnosis | None:
             why = {row: text for row, text in diagnosis.why.items() if row not in back}
             price = diagnosis.price - _price(model, back)
             before = replace(diagnosis, why=why, price=price)
-            found = Look(before, before.fit).together(f"{grouping.kind} {number}")
+            found = Look(before, before.fit).together(grouping.name_of(number))
             if found is None or not _bearable(before, found):
                 continue
             other = before.holding(found)
@@ -291,11 +292,14 @@ def _noise_and_fit(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit, bool]:
     """Return the noise, the fit with it, and whether large residuals are still bent for it."""
     stated = diagnosis.fitted(np.ones(len(diagnosis.model.components)), diagnosis.start)
     noise, fit = _settled_noise(diagnosis, stated, bent)
-    if bent and noise.estimated is not None:
-        whole = _settled_noise(replace(diagnosis, noise=noise), stated, bent=False)
-        if _alike(noise, whole[0]):  # nothing bends it
-            return *whole, False
-    return noise, fit, bent
+    if not bent or noise.estimated is None:
+        return noise, fit, bent
+    x = fit.x
+    del fit  # two solutions are enough to keep
+    whole, fit = _settled_noise(replace(diagnosis, noise=noise), stated, bent=False)
+    if _alike(noise, whole):  # nothing bends it
+        return whole, fit, False
+    return noise, diagnosis.fitted(noise.factors, x), bent
 
 
 def _settled_noise(diagnosis: Diagnosis, stated: Fit, bent: bool) -> tuple[Noise, Fit]:
@@ -354,26 +358,26 @@ def _estimated_noise(
     model = diagnosis.model
     lowest = model.least_factors if model.unstated else np.full(len(held), LEAST_FACTOR)
 
-    def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
-        fit = before.weighed_by(model.std * factors[model.of_component])
-        evidence = _evidence(fit, bent)
-        return replace(evidence, present=evidence.present & ~held), fit
+    x = near.x
+
+    def at(factors: Floats) -> NoiseEvidence:
+        nonlocal x  # of the solution itself no more is kept
+        fit = near.weighed_by(model.std * factors[model.of_component])
+        x, evidence = fit.x, _evidence(fit, bent)
+        return replace(evidence, present=evidence.present & ~held)
 
     prior = np.eye(len(held)) / (UNKNOWN if model.unstated else PRIOR) ** 2
     settled = NEARLY_SETTLED if bent else SETTLED
-    found, fit = estimate_factors(at, near, start, prior, settled, lowest)
-    return found, diagnosis.fitted(found.factors, fit.x)
+    found = estimate_factors(at, start, prior, settled, lowest)
+    return found, diagnosis.fitted(found.factors, x)
 
 
 def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     """Return what the residuals say of each component of the noise."""
-    model, count = fit.model, len(fit.model.components)
-    squares, redundancy = fit.white**2, fit.redundancy
+    model, squares, redundancy = fit.model, fit.white**2, fit.redundancy
     if bent:
         squares = bent_squares(squares, redundancy, CHECKED)
-    part = (model.of_component == np.arange(count)[:, None]) & fit.used
-    # R is a projection: the squared sums of its blocks follow from those of its complement
-    information = fit.kernel.shared(part) + np.diag(part @ (2.0 * redundancy - 1.0))
+    part, information = fit.redundancy_between
     present = part.any(axis=1) & ~model.of_scatter
     mine = (part * np.sqrt(squares) * np.sign(fit.white)).T
     average = mine.T @ fit.left_of(mine)

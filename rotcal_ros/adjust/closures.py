@@ -83,7 +83,10 @@ def coming_again(angles: Floats, upward: Bools | None = None) -> Iterator[tuple[
 
     ``upward`` (m,): from which side each is reached; None: that is no matter.
     """
-    for last in range(1, len(angles)):
+    order, wrapped = np.argsort(angles % TURN), np.sort(angles % TURN)
+    near = np.diff(wrapped, append=wrapped[:1] + TURN) < 2.0 * MISSED
+    again = np.sort(order[near | np.roll(near, 1)])  # the others are alone
+    for last in again[again > 0].tolist():
         apart = angles[last] - angles[:last]
         meets = np.abs(apart - TURN * np.round(apart / TURN)) < MISSED
         if upward is not None:

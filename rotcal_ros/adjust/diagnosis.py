@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from rotcal_ros.adjust.judgement import Blame
 from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import EstimatedFactors
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +69,8 @@ class Explanation(NamedTuple):
     (o + a, s): what the same does that leaves no residual, as large as what does, in s ways.
     """
 
-    what: str
-    reason: str
+    what: Phrase
+    reason: Phrase
     columns: Floats
     rows: Ints
     support: float
@@ -102,7 +103,7 @@ class Diagnosis:
     noise: Noise
     start: Floats
     gathering: Gathering = field(default_factory=Gathering)
-    why: dict[int, str] = field(default_factory=dict)
+    why: dict[int, Phrase] = field(default_factory=dict)
     nuisance: tuple[Explanation, ...] = ()
     contests: tuple[Contest, ...] = ()
     price: float = 0.0
@@ -148,15 +149,16 @@ class Diagnosis:
         spread = 2.0 * float(np.log(factors).sum())
         return float(fit.chi2 + spread + unknowns * np.log(n) + self.price)
 
-    def describe(self) -> str:
+    def describe(self) -> Phrase:
         """Return what is wrong with the observations."""
         name = self.model.names
         every = list(dict.fromkeys(name[row] for row in sorted(self.why)))
-        gone = ", ".join(every[:8])
+        gone = listed(every[:8], ", ")
         if len(every) > 8:
-            gone = f"{gone} and {len(every) - 8} others"
-        parts = [f"{gone} are wrong"] if gone else []
-        return " and ".join([*parts, *(e.what for e in self.nuisance)]) or "nothing is wrong"
+            gone = phrase("{0} and {1} others", gone, len(every) - 8)
+        parts = [phrase("{0} are wrong", gone)] if gone else []
+        parts += [e.what for e in self.nuisance]
+        return reduce(partial(phrase, "{0} and {1}"), parts or [phrase("nothing is wrong")])
 
     def holding(self, found: Explanation, rivals: Sequence[Explanation] = ()) -> Diagnosis:
         """Return the diagnosis that ``found`` is true, and that its ``rivals`` are possible."""
@@ -167,7 +169,7 @@ class Diagnosis:
         name, gathering = self.model.names, self.gathering
         if found.blamed is not None:
             gathering = gathering.without(found.blamed)
-        reasons = {row: f"{name[row]}: {found.reason}" for row in found.rows.tolist()}
+        reasons = {row: phrase("{0}: {1}", name[row], found.reason) for row in found.rows.tolist()}
         return replace(here, why=self.why | reasons, gathering=gathering)
 
     @property

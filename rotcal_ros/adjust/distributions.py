@@ -6,6 +6,8 @@ to solve a bag.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
@@ -55,6 +57,7 @@ def binomial_quantile(probability: float, trials: int, chance: float) -> int:
     return below if special.bdtr(below, trials, chance) >= probability else above
 
 
+@lru_cache(maxsize=256)
 def detected(limit: float, power: float, dof: float = np.inf) -> float:
     """Return the size, in standard deviations, that a test finds with the probability ``power``.
 

@@ -35,6 +35,8 @@ from rotcal_ros.foundation.protection import Treatment
 
 UNSEEN: Final = 1e-9
 """Information of a size, per that of its errors without the unknowns, that is none."""
+AT_ONCE: Final = 64
+"""Members of a family of which it is worked out at once what they do."""
 NOTHING: Final = 1e-150
 """Probability below which a normal quantile is not asked for: it would be infinite."""
 RATHER_RARE: Final = 1e-4
@@ -145,13 +147,15 @@ def worst_of(moved: Floats | Movements, std: Floats, *roots: Floats) -> list[Flo
     """
     if not isinstance(moved, np.ndarray):
         return moved.worst(std, *roots)
-    share = _share(moved, std)
-    return [
-        np.sqrt((((share.reshape(*r.shape[:2], -1).swapaxes(1, 2)) @ r) ** 2).sum(axis=2)).max(
-            axis=1, initial=0.0
-        )
-        for r in roots
-    ]
+    found, w = [np.zeros(len(r)) for r in roots], roots[0].shape[1]
+    for begin in range(0, len(roots[0]), AT_ONCE):
+        some = slice(begin, begin + AT_ONCE)
+        share = _share(moved[begin * w : (begin + AT_ONCE) * w], std)
+        share = share.reshape(-1, w, share.shape[1]).swapaxes(1, 2)
+        for most, r in zip(found, roots, strict=True):
+            squares = ((share @ r[some]) ** 2).sum(axis=2)
+            most[some] = np.sqrt(squares.max(axis=1, initial=0.0))
+    return found
 
 
 class EffectTest(NamedTuple):

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -48,6 +48,7 @@ from rotcal_ros.adjust.noise import PRIOR
 from rotcal_ros.adjust.observable import seen_of
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
@@ -75,6 +76,14 @@ ROUNDED: Final = 1e-6
 LIMITS: Final = Limits()
 
 
+BY_SO_MUCH: Final = noted("{0}, by {1} {2} (k = 2, p = {3:.2g})")
+AT_MOST: Final = noted("{0}, by up to {1} {2} (k = 2, p = {3:.2g})")
+
+
+def _with_bands(pairs: Iterable[tuple[float, float]]) -> Phrase:
+    return listed([phrase("{0:.3g} ± {1:.2g}", size, u) for size, u in pairs], ", ")
+
+
 class FoundEffect(NamedTuple):
     """An effect that was found: ``sizes`` (k,) of its columns, or of one of a family, and ``std``.
 
@@ -82,20 +91,19 @@ class FoundEffect(NamedTuple):
     """
 
     effect: Disturbing
-    what: str
+    what: Phrase
     sizes: Floats
     std: Floats
     probability: float
 
-    def describe(self) -> str:
+    def describe(self) -> Phrase:
         """Return what happened, by how much as far as the observations show it."""
         unit, seen = self.effect.unit, self.std > ROUNDED * self.std.max(initial=0.0)
         sizes, expanded = self.sizes[seen] / unit.si, 2.0 * self.std[seen] / unit.si
-        pairs, most = list(zip(sizes.tolist(), expanded.tolist(), strict=True)), ""
+        pairs, text = list(zip(sizes.tolist(), expanded.tolist(), strict=True)), BY_SO_MUCH
         if len(pairs) > MOST_SIZES:
-            pairs, most = [max(pairs, key=lambda pair: abs(pair[0]))], "up to "
-        each = ", ".join(f"{size:.3g} ± {u:.2g}" for size, u in pairs)
-        return f"{self.what}, by {most}{each} {unit.name} (k = 2, p = {self.probability:.2g})"
+            pairs, text = [max(pairs, key=lambda pair: abs(pair[0]))], AT_MOST
+        return phrase(text, self.what, _with_bands(pairs), unit.name, self.probability)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +119,7 @@ class Adjusted:
         return self.fit.model
 
     @property
-    def why(self) -> dict[int, str]:
+    def why(self) -> dict[int, Phrase]:
         """By row, why an observation was left out."""
         return self.diagnosis.why
 
@@ -132,11 +140,13 @@ class Adjusted:
     def _covariance_of(self, part: slice) -> Floats:
         """Return the covariance of a ``part`` of the outputs."""
         few = (self.scale * self._student)[part]
-        total = few[:, None] * self.fit.covariance(part) * few
+        total = self.fit.covariance(part)
+        total *= few[:, None]
+        total *= few
         for changes in self._probable:
-            total = total + changes[part] @ changes[part].T
+            total += changes[part] @ changes[part].T
         gathers = self.diagnosis.gathering.covariance()
-        return np.asarray(total if gathers is None else total + gathers[part, part])
+        return total if gathers is None else np.add(total, gathers[part, part], out=total)
 
     @cached_property
     def _probable(self) -> list[Floats]:
@@ -255,7 +265,7 @@ class Adjusted:
         return tuple(Closed(self.fit, known, self.scale, self.freedom) for known in each)
 
     @cached_property
-    def doubts(self) -> tuple[str, ...]:
+    def doubts(self) -> tuple[Phrase, ...]:
         """A sentence about everything that is odd; any makes the result suspect."""
         return tuple(_doubts(self))
 
@@ -302,7 +312,7 @@ class Adjusted:
         *,
         counts_from: str = "first angle",
         coordinates: int = 1,
-        doubts: Sequence[str] = (),
+        doubts: Sequence[Phrase] = (),
         protections: Sequence[Protection] = (),
         details: Mapping[str, Any] | None = None,
         joint: bool = False,
@@ -326,7 +336,10 @@ class Adjusted:
             angles=angles,
             deviations={name: self.value[part] for name, part in components.items()},
             std={name: self.std[part] for name, part in components.items()},
-            covariance={name: self._covariance_of(part) for name, part in components.items()}
+            covariance={
+                name: self.covariance if part == slice(None) else self._covariance_of(part)
+                for name, part in components.items()
+            }
             if kept
             else {},
             sigma0=self.sigma0,
@@ -343,7 +356,7 @@ class Adjusted:
 
     def _rejected_of(self, coordinates: int) -> tuple[Rejection, ...]:
         """Return the observations of so many rows each that were left out, by the first reason."""
-        why: dict[int, str] = {}
+        why: dict[int, Phrase] = {}
         for row, reason in sorted(self.why.items()):
             why.setdefault(row // coordinates, reason)
         return tuple(Rejection(*each) for each in why.items())
@@ -499,64 +512,66 @@ def adjust(model: Model, limits: Limits = LIMITS) -> Adjusted:
     return Adjusted(diagnosis, diagnosis.fit)
 
 
-def _doubts(found: Adjusted) -> Iterator[str]:
+def _doubts(found: Adjusted) -> Iterator[Phrase]:
     model, limits = found.model, found.diagnosis.limits
     for k in np.flatnonzero(_larger(found)).tolist():
-        yield (
-            f"the scatter of {model.components[k]} is {found.diagnosis.noise.factors[k]:.2g} "
-            "times as stated: the estimate is used; state it, or look for drift"
-        )
+        yield phrase(
+            "the scatter of {0} is {1:.2g} times as stated: the estimate is used; state it, or "
+            "look for drift", phrase(model.components[k]), found.diagnosis.noise.factors[k]
+        )  # fmt: skip
     for each, sizes in found.fit.sizes.items():
         if each.stated is not None and sizes.probability < each.significance:
-            yield (
-                f"the scatter of {each.what} is {sizes.weighing / each.stated:.2g} "
-                "times as stated: the estimate is used; state it, or look for drift"
-            )
+            yield phrase(
+                "the scatter of {0} is {1:.2g} times as stated: the estimate is used; state it, "
+                "or look for drift", phrase(each.what), sizes.weighing / each.stated
+            )  # fmt: skip
     if found.scale > 1.0:
-        yield (
-            f"the residuals are {found.scale:.2g} times what their standard deviations allow "
-            "(chi-squared test): the uncertainty is enlarged by that factor"
-        )
+        yield phrase(
+            "the residuals are {0:.2g} times what their standard deviations allow (chi-squared "
+            "test): the uncertainty is enlarged by that factor", found.scale
+        )  # fmt: skip
     for e in found.found_effects:
-        yield (
-            f"it looks as if {e.describe()}: that was taken off, and the uncertainty holds it; "
-            "find out why, and measure again"
-        )
+        yield phrase(
+            "it looks as if {0}: that was taken off, and the uncertainty holds it; find out why, "
+            "and measure again", e.describe()
+        )  # fmt: skip
     for best, rivals in found.diagnosis.open_contests:
-        others = "; ".join(
-            f"that {e.what} (1 : {np.exp(max(best.support - e.support, 0.0)):.2g})" for e in rivals
-        )
-        yield (
-            f"that {best.what} explains what was read, but others do so nearly as well (in "
-            f"brackets their likelihood): {others}; the uncertainty covers them all"
-        )
+        odds = [np.exp(max(best.support - e.support, 0.0)) for e in rivals]
+        others = [
+            phrase("that {0} (1 : {1:.2g})", e.what, o) for e, o in zip(rivals, odds, strict=True)
+        ]
+        yield phrase(
+            "that {0} explains what was read, but others do so nearly as well (in brackets their "
+            "likelihood): {1}; the uncertainty covers them all", best.what, listed(others)
+        )  # fmt: skip
     yield from gathering.doubts(
         found.diagnosis.gathering, limits.gathered_share, limits.significance, model.words,
         model.unit,
     )  # fmt: skip
     yield from _open(found)
     if not found.fit.dof:
-        yield f"no {model.words.elements} are left to check the others: nothing could contradict"
+        yield phrase(
+            "no {0} are left to check the others: nothing could contradict",
+            phrase(model.words.elements),
+        )
     lost, all_of_them = found.diagnosis.lost, model.rejectable_elements
     if lost > limits.rejected_share * all_of_them:
-        yield (
-            f"{lost} of {all_of_them} {model.words.elements} were left out, "
-            f"more than {100 * limits.rejected_share:g} % is suspicious"
-        )
+        yield phrase(
+            "{0} of {1} {2} were left out, more than {3:g} % is suspicious", lost, all_of_them,
+            phrase(model.words.elements), 100 * limits.rejected_share
+        )  # fmt: skip
 
 
-def _open(found: Adjusted) -> Iterator[str]:
+def _open(found: Adjusted) -> Iterator[Phrase]:
     """Yield what outputs do not keep, and effects that it shows where residuals alone do not."""
     limits = found.diagnosis.limits
     for closed in found.closed:
         unit = closed.relation.unit or found.model.unit
         if closed.probability < limits.significance / len(found.closed):
-            pairs = zip(closed.error.tolist(), closed.std.tolist(), strict=True)
-            each = ", ".join(f"{e / unit.si:.3g} ± {2.0 * u / unit.si:.2g}" for e, u in pairs)
-            yield (
-                f"{closed.relation.what}, by {each} {unit.name} (k = 2, p = "
-                f"{closed.probability:.2g}): something moved or drifted in between"
-            )
+            sizes = (closed.error / unit.si).tolist(), (2.0 * closed.std / unit.si).tolist()
+            each, what = _with_bands(zip(*sizes, strict=True)), phrase(closed.relation.what)
+            differs = phrase(BY_SO_MUCH, what, each, unit.name, closed.probability)
+            yield phrase("{0}: something moved or drifted in between", differs)
     rest = (found.fit.chi2, float(found.fit.dof)) if np.isfinite(found.freedom) else None
     named = {e.effect.effect for e in found.found_effects}
     for effect, seen in found.seen if found.closed else ():
@@ -566,10 +581,11 @@ def _open(found: Adjusted) -> Iterator[str]:
             else effect_test(seen, rest)
         )
         if test.probability < limits.of_each_effect(found.model) and effect.effect not in named:
-            yield (
-                f"it looks as if {effect.what} (p = {test.probability:.2g}), by residuals and "
-                "by what does not close: it was not taken off; find out why, and measure again"
-            )
+            yield phrase(
+                "it looks as if {0} (p = {1:.2g}), by residuals and by what does not close: it "
+                "was not taken off; find out why, and measure again", phrase(effect.what),
+                test.probability
+            )  # fmt: skip
 
 
 def _larger(found: Adjusted) -> Bools:
@@ -596,18 +612,24 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     for name, effect in {effect.effect: effect for effect in taken}.items():
         if name not in worst or worst[name][0].treatment == "harmless":
             worst.pop(name, None)
-            yield Protection(name, "estimated", f"it was found that {effect.what}, and taken off")
+            yield Protection(
+                name,
+                "estimated",
+                phrase("it was found that {0}, and taken off", phrase(effect.what)),
+            )
     for name, (hides, effect) in worst.items():
-        silent = "leaves no residual"
+        silent = phrase("leaves no residual")
         if not hides.hidden:
-            silent = f"is found only beyond {effect.unit.shown(effect.largest)}"
+            silent = phrase("is found only beyond {0}", effect.unit.shown(effect.largest))
         why = {
-            "harmless": "moves the result by less than a tenth of its uncertainty",
+            "harmless": phrase("moves the result by less than a tenth of its uncertainty"),
             "not protected": silent,
             "tested": found.model.words.contradicts,
         }[hides.treatment]
         error = None if hides.treatment == "harmless" else hides.error
-        yield Protection(name, hides.treatment, f"that {effect.what} {why}", error)
+        yield Protection(
+            name, hides.treatment, phrase("that {0} {1}", phrase(effect.what), why), error
+        )
     yield _against_noise(found)
     yield from _against_single(found)
     yield from _against_gathering(found)
@@ -629,9 +651,11 @@ def _undetected(
 def _against_noise(found: Adjusted) -> Protection:
     dof = found.fit.dof
     if not dof:
-        return Protection("axis noise", "not protected", "nothing is measured twice")
+        return Protection("axis noise", "not protected", phrase("nothing is measured twice"))
     growth = noise_growth(found.diagnosis.limits.significance, POWER, dof)
-    why = f"{dof} residuals test the stated noise, which is estimated where it does not hold"
+    why = phrase(
+        "{0} residuals test the stated noise, which is estimated where it does not hold", dof
+    )
     return Protection("axis noise", "tested", why, float(np.sqrt(max(growth - 1.0, 0.0))))
 
 
@@ -660,14 +684,21 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
     squares = squares[counts] / std[counts] ** 2
     error = float(np.sqrt(squares.max(initial=0.0)))
     if error <= TOLERABLE:
-        yield Protection("single readings", "tested", f"{words.elements} check each other", error)
-        return
-    why = f"{words.elements} hardly check each other: an error in one of them stays unseen"
-    if weak := _unchecked(fit):
-        why = (
-            f"{weak} of {len(each)} {words.elements} are checked by no other: an error in them "
-            "stays unseen"
+        yield Protection(
+            "single readings",
+            "tested",
+            phrase("{0} check each other", phrase(words.elements)),
+            error,
         )
+        return
+    why = phrase(
+        "{0} hardly check each other: an error in one of them stays unseen", phrase(words.elements)
+    )
+    if weak := _unchecked(fit):
+        why = phrase(
+            "{0} of {1} {2} are checked by no other: an error in them stays unseen", weak,
+            len(each), phrase(words.elements)
+        )  # fmt: skip
     yield Protection("single readings", "not protected", why, error)
 
 
@@ -681,10 +712,10 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     judgement, fit = found.diagnosis.gathering.judgement, found.fit
     if open_ := _unchecked(fit):
         every = fit.used[found.model.elements[:, 0]].sum()
-        why = (
-            f"{open_} of {every} {found.model.words.elements} are checked by no "
-            "other: an error in them stays unseen"
-        )
+        why = phrase(
+            "{0} of {1} {2} are checked by no other: an error in them stays unseen", open_, every,
+            phrase(found.model.words.elements)
+        )  # fmt: skip
         yield Protection("one place", "not protected", why)
         return
     if judgement is None:
@@ -694,10 +725,10 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     counts = (row for row in found.diagnosis.gathering.counts if row.kind in gathers)
     most = LARGEST_GROUP // found.model.elements.shape[1]
     if any(row.whole > most and row.name not in asked for row in counts):
-        why = (
-            f"of groups of more than {most} {found.model.words.elements} it is not asked "
-            "which of them are off together, only whether all of them fit"
-        )
+        why = phrase(
+            "of groups of more than {0} {1} it is not asked which of them are off together, only "
+            "whether all of them fit", most, phrase(found.model.words.elements)
+        )  # fmt: skip
         yield Protection("one place", "not protected", why)
         return
     words, unit = found.model.words, found.model.unit
@@ -706,12 +737,14 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     )
     if worst is None:
         return
-    what = f"several {words.elements} that are off together ({words.cause})"
-    if not worst.seen:
-        yield Protection("one place", "not protected", f"{what} leave no residual")
-        return
-    why = (
-        f"{what} are looked for; {worst.count} of {worst.name} by {unit.shown(worst.size)} are "
-        "found, the worst case"
+    what = phrase(
+        "several {0} that are off together ({1})", phrase(words.elements), phrase(words.cause)
     )
+    if not worst.seen:
+        yield Protection("one place", "not protected", phrase("{0} leave no residual", what))
+        return
+    why = phrase(
+        "{0} are looked for; {1} of {2} by {3} are found, the worst case", what, worst.count,
+        worst.name, unit.shown(worst.size)
+    )  # fmt: skip
     yield Protection("one place", "tested", why, worst.error)

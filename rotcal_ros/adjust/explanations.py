@@ -21,7 +21,7 @@ probable: so a disturbance of any size from half a standard deviation up is met.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -44,10 +44,8 @@ OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
 LARGE: Final = 200
 """Elements of a group from which on runs are leading sums: products cost their square."""
-MOST_NUMBERS: Final = 1_000_000
-"""Numbers of subsets of groups that are worked out at once."""
-AT_ONCE: Final = 64
-"""Outputs of which it is worked out at a time what runs do to them."""
+MOST_NUMBERS: Final = 250_000
+"""Numbers of subsets of groups, or of what they do, that are worked out at once."""
 MOST_STEPS: Final = 60
 """Exchanges after which a search ends anyway."""
 
@@ -75,11 +73,15 @@ class Hypotheses:
         In the standard uncertainties ``std`` (o,); zero or infinite: one that does not count.
         """
         counts = (std > 0.0) & np.isfinite(std)
-        rows, most = self.group.sensitivity.dense(), np.zeros(self.values.shape)
-        for some in np.array_split(np.flatnonzero(counts), len(rows) // AT_ONCE + 1):
-            influence = self.of_rows(rows[some] / std[some, None])
+        most = np.zeros(self.values.shape)
+        for influence in self.of_many(self.group.sensitivity.dense()[counts] / std[counts, None]):
             np.maximum(most, np.abs(influence, out=influence).max(axis=0, initial=0.0), out=most)
         return most
+
+    def of_many(self, matrix: Floats) -> Iterator[Floats]:
+        """Yield :meth:`of_rows` of some rows of a ``matrix`` (r, n) after the other."""
+        for some in np.array_split(matrix, matrix.shape[0] * self.values.size // MOST_NUMBERS + 1):
+            yield self.of_rows(some)
 
     def of_rows(self, matrix: Floats) -> Floats:
         """Return a ``matrix`` (r, n) of the rows times the mixing, (r, q, d)."""
@@ -168,9 +170,11 @@ def shifts_of_each(groups: Sequence[Group], subsets: Sequence[Bools]) -> list[Hy
             part = np.zeros((len(some), many, size))
             for at, k in enumerate(some.tolist()):
                 part[at, : len(subsets[k])] = subsets[k]
-            weight = np.stack([groups[k].weight[:, 0, :, 0] for k in some])
+            relative = np.stack([groups[k].relative[:, 0] for k in some])
+            cofactor = np.stack([groups[k].cofactor[:, 0, :, 0] for k in some])
             score = np.stack([groups[k].score for k in some])
-            square = ((part @ weight) * part).sum(axis=2)
+            mine = part * relative[:, None]
+            square = ((mine @ cofactor) * mine).sum(axis=2)
             own = _own_axes(square[:, :, None, None], part @ score)
             for at, k in enumerate(some.tolist()):
                 mine = (each[at, : len(subsets[k])] for each in own)
@@ -237,18 +241,18 @@ def _squares(group: Group, part: Floats) -> tuple[Floats, Floats]:
 def _own_axes(square: Floats, score: Floats) -> tuple[Floats, Floats, Floats]:
     """Return s and u (..., c) of S ``square`` (..., c, c) and V'u = ``score`` (..., c), and V."""
     if square.shape[-1] == 1:
-        values, vectors = square[..., 0], np.ones(square.shape)
+        values, vectors, along = square[..., 0], np.broadcast_to(1.0, square.shape), score
     else:
         values, vectors = np.linalg.eigh(square)
-    along = np.where(values < UNSEEN, 0.0, (score[..., None, :] @ vectors)[..., 0, :])
+        along = (score[..., None, :] @ vectors)[..., 0, :]
+    along = np.where(values < UNSEEN, 0.0, along)
     return np.maximum(values, 0.0), along, vectors
 
 
 def scatter(group: Group) -> Hypotheses:
     """Return that all rows of the ``group`` are noisier, each by itself."""
-    values, vectors = group.axes
-    along = group.residual.ravel() @ vectors
-    return Hypotheses(values[None], along[None], lambda: vectors[:, None], group)
+    values, along = group.along_axes
+    return Hypotheses(values[None], along[None], lambda: group.axes[1][:, None], group)
 
 
 def free(group: Group, subset: Bools) -> Hypotheses:
@@ -446,10 +450,11 @@ def _members(which: Ints, size: int) -> Bools:
 
 def studentised(group: Group, variance: float) -> Group:
     """Return ``group`` as seen with noise of ``variance`` per whitened unit."""
-    root = float(np.sqrt(variance))
+    root, (values, along) = float(np.sqrt(variance)), group.along_axes
     return replace(
         group,
         residual=group.residual / root,
-        influence=lambda: group.sensitivity.weighted(root),
+        spectrum=(values, along / root),
+        influence=lambda: group.influence().weighted(root),
         unit=group.unit / root,
     )

@@ -13,11 +13,12 @@ from rotcal_ros.adjust.effects import Observable, ObservableFamily
 from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.kernels import FIRM, OPEN, Defined, Design, Kernel, Whole, fixed_by
 from rotcal_ros.adjust.model import Disturbing, Model
-from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.outputs import FEW_ROWS, Outputs
 from rotcal_ros.adjust.scattering import Scattering, Sizes, enlargement, joined
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.foundation.language import phrase
 
 FREE: Final = 1e-7
 """Share of its length that an output may feel of a direction that nothing determines."""
@@ -97,7 +98,8 @@ class Fit:
 
     def gain(self, unknowns: slice) -> Floats:
         """Return what whitened errors do to some ``unknowns``, (k, n)."""
-        return np.asarray(self.kernel.adjusted(np.eye(len(self.x))[:, unknowns]).T)
+        begin, end, _ = unknowns.indices(len(self.x))
+        return np.asarray(self.kernel.adjusted(np.eye(len(self.x), end - begin, -begin)).T)
 
     @property
     def computed(self) -> Floats:
@@ -128,6 +130,17 @@ class Fit:
     def redundancy(self) -> Floats:
         """Share (n,) of each observation that the others check; zero where not used."""
         return np.where(self.used, 1.0 - self.kernel.leverage, 0.0)
+
+    @cached_property
+    def redundancy_between(self) -> tuple[Bools, Floats]:
+        """What is in use of each component of the noise (c, n), and squared sums of R by pairs.
+
+        R is a projection: those (c, c) of its blocks follow from those of its complement.
+        """
+        every = np.arange(len(self.model.components))
+        part = (self.model.of_component == every[:, None]) & self.used
+        own = np.diag(part @ (2.0 * self.redundancy - 1.0))
+        return part, self.kernel.shared(part) + own
 
     @cached_property
     def test_value(self) -> Floats:
@@ -188,13 +201,11 @@ class Fit:
 
     def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
         """Return the same of some ``rows`` (k,), (o + a, k), or of the first ``outputs`` alone."""
-        every = self._influence if outputs is None else None
-        outputs = self.model.output_rows if outputs is None else outputs
-        found = self.kernel.response(outputs, rows) if every is None else every[:, rows]
+        found = self.alone(rows) if outputs is None else self.kernel.response(outputs, rows)
         for number, each in enumerate(self.model.correlated):
             mine, at = np.nonzero(rows[:, None] == each.rows)
             if len(mine):
-                found[:, mine] = self._spread[number][1][: len(outputs), at]
+                found[:, mine] = self._spread[number][1][: len(found), at]
         return found
 
     @cached_property
@@ -276,12 +287,18 @@ class Fit:
 
     def covariance(self, part: slice) -> Floats:
         """Return the covariance (k, k) of a ``part`` of the outputs, by the noise alone: B B'."""
-        whole = self.kernel.covariance_of(self.model.output_rows.part(part))
+        whole = self._plain_covariance(part)
         for alone, spread in self._spread:
             whole += spread[part] @ spread[part].T - alone[part] @ alone[part].T
-        whole += whole.T.copy()
-        whole *= 0.5
+        for begin in range(0, len(whole), FEW_ROWS):
+            rows, rest = slice(begin, begin + FEW_ROWS), slice(begin, None)
+            mean = whole[rows, rest] + whole[rest, rows].T
+            mean *= 0.5
+            whole[rows, rest], whole[rest, rows] = mean, mean.T
         return whole
+
+    def _plain_covariance(self, part: slice) -> Floats:
+        return self.kernel.covariance_of(self.model.output_rows.part(part))
 
     @cached_property
     def _plain_variance(self) -> Floats:
@@ -761,7 +778,7 @@ def _in_words(model: Model, unknowns: Ints, telling: Bools) -> str:
     """
     most = 8
     names = [model.name_of(k) for k in unknowns[:most].tolist()]
-    names += [f"{len(unknowns) - most} others"] if len(unknowns) > most else []
+    names += [phrase("{0} others", len(unknowns) - most)] if len(unknowns) > most else []
     rows, groups = telling[:, unknowns].any(axis=1), list[str]()
     for grouping in model.groupings:
         every, here = (set(n[n >= 0].tolist()) for n in (grouping.number, grouping.number[rows]))

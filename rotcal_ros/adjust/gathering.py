@@ -17,6 +17,7 @@ from rotcal_ros.adjust.distributions import binomial_quantile, sidak
 from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, group_test
 from rotcal_ros.adjust.judgement import Blame, Judgement, judge
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import Unit
@@ -40,16 +41,16 @@ class Words(NamedTuple):
     its: str
 
     @property
-    def contradicts(self) -> str:
+    def contradicts(self) -> Phrase:
         """What is said of an effect that other elements would show."""
-        return f"contradicts other {self.elements}"
+        return phrase("contradicts other {0}", phrase(self.elements))
 
 
 class Count(NamedTuple):
     """How one group fared: its test, and how many elements there were and were rejected."""
 
     kind: str
-    name: str
+    name: Phrase
     test: GroupTest
     whole: int
     lost: int
@@ -100,7 +101,7 @@ def judged(
 
 def doubts(
     gathering: Gathering, rejected_share: float, significance: float, words: Words, unit: Unit
-) -> Iterator[str]:
+) -> Iterator[Phrase]:
     """Yield a sentence about everything that gathers, and about groups that do not fit.
 
     ``rejected_share``: how many of a group may be rejected by chance; ``significance``: of the
@@ -115,58 +116,60 @@ def doubts(
     judgement = gathering.judgement
     if judgement is not None and gathering.chance < SUSPECTED:
         name = judgement.groups[judgement.worst].name
-        why = (
-            f"the {words.elements} of {name} look as if some of them were off together (p = "
-            f"{gathering.chance:.2g} on sound {words.elements})"
-        )
-        yield (
-            f"{why}, which ones is not certain: the uncertainty holds what that may do; look for "
-            f"{words.cause} {words.its}, and measure it again"
-        )
+        why = phrase(
+            "the {0} of {1} look as if some of them were off together (p = {2:.2g} on sound {3})",
+            phrase(words.elements), name, gathering.chance, phrase(words.elements)
+        )  # fmt: skip
+        yield phrase(
+            "{0}, which ones is not certain: the uncertainty holds what that may do; look for "
+            "{1} {2}, and measure it again", why, phrase(words.cause), phrase(words.its)
+        )  # fmt: skip
     yield from _counted(gathering.counts, named, rejected_share, significance, words)
 
 
-def _blamed(case: Blame, words: Words, unit: Unit) -> str:
+def _blamed(case: Blame, words: Words, unit: Unit) -> Phrase:
     count = int(case.subset.sum())
     size = " ".join(f"{x / unit.si:+.2g}" for x in case.size.tolist()) + f" {unit.name}"
-    text = (
-        f"{count} of the {case.group.size + case.group.lost} {words.elements} of "
-        f"{case.group.name} are off together, by about {size}, and were left out: look for "
-        f"{words.cause} {words.where}"
-    )
+    text = phrase(
+        "{0} of the {1} {2} of {3} are off together, by about {4}, and were left out: look for "
+        "{5} {6}", count, case.group.size + case.group.lost, phrase(words.elements),
+        case.group.name, size, phrase(words.cause), phrase(words.where)
+    )  # fmt: skip
     if case.ambiguous:
         other = int(case.rivals[0].sum())
-        text += "; " + (
-            f"that {other} others are off in their place explains the residuals nearly as well "
-            f"(likelihood 1 : {case.ratios[0]:.2g}), and the uncertainty covers both"
-        )
+        rival = phrase(
+            "that {0} others are off in their place explains the residuals nearly as well "
+            "(likelihood 1 : {1:.2g}), and the uncertainty covers both", other, case.ratios[0]
+        )  # fmt: skip
+        return listed([text, rival])
     return text
 
 
 def _counted(
     counts: Sequence[Count],
-    named: set[str],
+    named: set[Phrase],
     rejected_share: float,
     significance: float,
     words: Words,
-) -> Iterator[str]:
+) -> Iterator[Phrase]:
     """Yield sentences about groups whose rejected share or chi-squared is no chance."""
     each = sidak(significance, max(len(counts), 1))
     for row in counts:
         if row.name in named:
             continue
         if row.lost and row.lost > binomial_quantile(1.0 - each, row.whole, rejected_share):
-            yield (
-                f"{row.lost} of the {row.whole} {words.elements} of {row.name} were rejected, "
-                "which is no chance: something is wrong with all of it; measure it again"
-            )
+            yield phrase(
+                "{0} of the {1} {2} of {3} were rejected, which is no chance: something is wrong "
+                "with all of it; measure it again", row.lost, row.whole, phrase(words.elements),
+                row.name
+            )  # fmt: skip
         elif row.test.probability < each:
             root = float(np.sqrt(row.test.squares / max(row.test.rank, 1)))
-            yield (
-                f"the {words.elements} of {row.name} disagree {root:.2g} times as much as those "
-                f"of others (chi-squared, p = {row.test.probability:.2g}): something was wrong "
-                "there"
-            )
+            yield phrase(
+                "the {0} of {1} disagree {2:.2g} times as much as those of others (chi-squared, "
+                "p = {3:.2g}): something was wrong there", phrase(words.elements), row.name, root,
+                row.test.probability
+            )  # fmt: skip
 
 
 def details(gathering: Gathering, elements: str) -> dict[str, Any]:
@@ -179,7 +182,7 @@ def details(gathering: Gathering, elements: str) -> dict[str, Any]:
         "chance": gathering.chance,
         "groups": [
             {
-                "name": row.name,
+                "name": row.name.text,
                 "squares": row.test.squares,
                 "rank": row.test.rank,
                 "probability": row.test.probability,
@@ -191,7 +194,7 @@ def details(gathering: Gathering, elements: str) -> dict[str, Any]:
         ],
         "blamed": [
             {
-                "name": case.group.name,
+                "name": case.group.name.text,
                 elements: int(case.subset.sum()),
                 "size": float(np.linalg.norm(case.size)) * _sign(case.size),
                 "likelihood_ratio": float(case.ratios[0]) if len(case.ratios) else None,

@@ -18,6 +18,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.language import Phrase
 
 CHECKED: Final = 1e-6
 """Share of an observation, or of a combination of some, below which nothing checks it."""
@@ -33,12 +34,11 @@ class Group:
     ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard deviation.
     ``gathered`` (q, e):
     subsets that lie together, see :mod:`.subsets`. ``lost``: how many elements of the group were
-    rejected before, which are no members. ``eigen``: eigenvalues and vectors of R, where a
-    layout's are remembered.
+    rejected before, which are no members. ``spectrum``: :attr:`along_axes`, where it is known.
     """
 
     kind: str
-    name: str
+    name: Phrase
     members: Ints
     residual: Floats
     cofactor: Floats
@@ -46,13 +46,13 @@ class Group:
     unit: Floats
     gathered: Bools
     lost: int = 0
-    eigen: tuple[Floats, Floats] | None = None
+    spectrum: tuple[Floats, Floats] | None = None
 
     @classmethod
     def of(
         cls,
         kind: str,
-        name: str,
+        name: Phrase,
         members: Ints,
         residual: Floats,
         unit: Floats,
@@ -123,22 +123,29 @@ class Group:
     @cached_property
     def together(self) -> tuple[float, int]:
         """T = r'R^+r and its degrees of freedom."""
-        values, vectors = self.axes
+        values, along = self.along_axes
         seen = values > CHECKED
-        along = vectors[:, seen].T @ self.residual.ravel()
-        return float((along**2 / values[seen]).sum()), int(seen.sum())
+        return float((along[seen] ** 2 / values[seen]).sum()), int(seen.sum())
+
+    @cached_property
+    def along_axes(self) -> tuple[Floats, Floats]:
+        """Eigenvalues (e c,) of R, from 0 to 1, and the residuals along its vectors."""
+        if self.spectrum is not None:
+            return self.spectrum
+        values, vectors = self.axes
+        return values, vectors.T @ self.residual.ravel()
 
     @cached_property
     def axes(self) -> tuple[Floats, Floats]:
         """Eigenvalues (e c,) of R, from 0 to 1, and its vectors."""
         n = self.residual.size
-        values, vectors = self.eigen or np.linalg.eigh(self.cofactor.reshape(n, n))
+        values, vectors = np.linalg.eigh(self.cofactor.reshape(n, n))
         return np.clip(values, 0.0, 1.0), vectors
 
     @property
     def checks(self) -> tuple[float, int]:
         """Sum of the rows' shares that others check, and the number of rows."""
-        return float(self.axes[0].sum()), self.unit.size
+        return float(self.along_axes[0].sum()), self.unit.size
 
 
 class JudgedWhole(NamedTuple):
@@ -149,7 +156,7 @@ class JudgedWhole(NamedTuple):
     """
 
     kind: str
-    name: str
+    name: Phrase
     size: int
     together: tuple[float, int]
     checks: tuple[float, int]

@@ -60,6 +60,8 @@ LARGEST_LOG: Final = 690.0
 """Of a Bayes factor; exp of it, a million times over, is still a number."""
 SEARCHED: Final = 0.01
 """Probability of a group below which any subset of it is searched for."""
+AT_ONCE: Final = 512
+"""Groups that are judged at once."""
 POLISHED: Final = 20
 """Exchanges of single elements after which a blamed subset stays as it is."""
 
@@ -84,14 +86,14 @@ BELIEF: Final = Belief()
 
 
 class WeighedHypotheses(NamedTuple):
-    """Hypotheses of one ``group``, with ln of prior times Bayes factor (q, t).
+    """Hypotheses of one ``group``, with ln of the prior (q,) of each and one of its sizes.
 
     ``single`` (q,): which are single outliers, and nothing that gathers.
     """
 
     group: int
     found: Hypotheses
-    log_weight: Floats
+    log_prior: Floats
     single: Bools
 
 
@@ -101,13 +103,15 @@ class Judgement:
 
     ``freedom``: degrees of freedom from which each group's noise was estimated; inf: it is known.
     ``log_bayes``: ln of the Bayes factor of a disturbance that gathers against none (which may
-    hold single outliers); -inf without groups. ``weighed``: what it is made of.
+    hold single outliers); -inf without groups. ``weighed``: what it is made of, ``log_weight``: ln
+    of the sum of prior times Bayes factor of all that gathers.
     """
 
     groups: tuple[Group, ...]
     freedom: tuple[float, ...]
     log_bayes: float
     weighed: tuple[WeighedHypotheses, ...]
+    log_weight: float = 0.0
 
     @cached_property
     def by_group(self) -> Floats:
@@ -127,13 +131,10 @@ class Judgement:
         """Yield what gathers with its posterior probabilities (q, t)."""
         odds = np.log(BELIEF.disturbed) + self.log_bayes
         evidence = np.logaddexp(np.log(1.0 - BELIEF.disturbed), odds)
-        gathers = [
-            hypotheses.log_weight[~hypotheses.single].ravel() for hypotheses in self.weighed
-        ]
-        whole = float(log_sum(np.concatenate(gathers))) if gathers else 0.0
+        shift = odds - evidence - self.log_weight
         for hypotheses in self.weighed:
-            share = np.exp(hypotheses.log_weight - whole + odds - evidence)
-            yield hypotheses, share * ~hypotheses.single[:, None]
+            logs = hypotheses.found.log_bayes() + hypotheses.log_prior[:, None]
+            yield hypotheses, np.exp(logs + shift) * ~hypotheses.single[:, None]
 
     @property
     def gathered(self) -> tuple[Hypotheses, ...]:
@@ -193,28 +194,35 @@ def judge(groups: Sequence[Group], rest: tuple[float, float] | None = None) -> J
     """
     if not groups:
         return Judgement((), (), -np.inf, ())
-    groups, freedom = zip(*(_seen(group, rest) for group in groups), strict=True)
-    weighed = tuple(_weighed(groups))
-    logs = np.concatenate([w.log_weight.ravel() for w in weighed])
-    logs -= np.log(len(groups))
-    single = np.concatenate([np.repeat(w.single, w.log_weight.shape[1]) for w in weighed])
-    calm = float(log_sum(np.append(logs[single], np.log(1.0 - BELIEF.outlier))))
-    bayes = float(log_sum(logs[~single])) - calm
-    return Judgement(groups, freedom, bayes, weighed)
+    groups, freedom, chance = zip(*(_seen(group, rest) for group in groups), strict=True)
+    weighed, alone, gathers = list[WeighedHypotheses](), list[float](), list[float]()
+    for begin in range(0, len(groups), AT_ONCE):
+        some = slice(begin, begin + AT_ONCE)
+        found = list(_weighed(groups[some], chance[some], begin))
+        each = log_bayes_of_each([w.found for w in found])
+        logs = np.concatenate(
+            [(b + w.log_prior[:, None]).ravel() for b, w in zip(each, found, strict=True)]
+        )
+        single = np.concatenate([np.repeat(w.single, len(SIZES)) for w in found])
+        alone.append(float(log_sum(logs[single])))
+        gathers.append(float(log_sum(logs[~single])))
+        weighed += found
+    many, whole = float(np.log(len(groups))), float(log_sum(np.array(gathers)))
+    calm = float(log_sum(np.append(np.array(alone) - many, np.log(1.0 - BELIEF.outlier))))
+    return Judgement(groups, freedom, whole - many - calm, tuple(weighed), whole)
 
 
-def _seen(group: Group, rest: tuple[float, float] | None) -> tuple[Group, float]:
+def _seen(group: Group, rest: tuple[float, float] | None) -> tuple[Group, float, float]:
     """Return ``group`` with the noise that the others show, where it was estimated.
 
-    And from how many degrees of freedom that is.
+    And from how many degrees of freedom that is, and how probably chance scatters more.
     """
-    if rest is None:
-        return group, np.inf
     squares, rank = group.together
-    left = rest[1] - rank
-    if left < 1.0:
-        return group, np.inf
-    return studentised(group, max((rest[0] - squares) / left, 1e-9)), left
+    left = np.inf if rest is None else rest[1] - rank
+    if rest is None or left < 1.0:
+        return group, np.inf, chi2_sf(squares, rank)
+    variance = max((rest[0] - squares) / left, 1e-9)
+    return studentised(group, variance), left, chi2_sf(squares / variance, rank)
 
 
 def _families(group: Group) -> tuple[list[tuple[Bools, Floats]], float]:
@@ -230,28 +238,28 @@ def _families(group: Group) -> tuple[list[tuple[Bools, Floats]], float]:
     return [single, (group.gathered, np.full(many, BELIEF.gathered / many))], noisier
 
 
-def _weighed(groups: Sequence[Group]) -> Iterator[WeighedHypotheses]:
-    """Yield the families of each group, each with priors that add up to its share of belief."""
+def _weighed(
+    groups: Sequence[Group], chance: Sequence[float], begin: int
+) -> Iterator[WeighedHypotheses]:
+    """Yield the families of each group, each with priors that add up to its share of belief.
+
+    ``chance``: how probably a group scatters more. ``begin``: the number of the first.
+    """
     parts, priors, noisier = list[Bools](), list[Floats](), list[float]()
-    for group in groups:
+    for group, rare in zip(groups, chance, strict=True):
         families, noisy = _families(group)
-        if chi2_sf(*group.together) < SEARCHED and len(other := search(group)):
+        if rare < SEARCHED and len(other := search(group)):
             count = other.sum(axis=1).astype(np.float64)
             families.append((other, BELIEF.scattered * np.exp(any_subset(group.size, count))))
         parts.append(np.concatenate([subsets for subsets, _ in families]))
         priors.append(np.concatenate([prior for _, prior in families]))
         noisier.append(noisy)
-    found, whole = shifts_of_each(groups, parts), [scatter(group) for group in groups]
-    each = zip(groups, found, whole, log_bayes_of_each(found), log_bayes_of_each(whole),
-               priors, noisier, strict=True)  # fmt: skip
     alike, nothing = float(np.log(len(SIZES))), np.zeros(1, dtype=np.bool_)
-    for g, (group, shift, scattered, logs, noisy_logs, prior, noisy) in enumerate(each):
-        weight, single = (
-            logs + (np.log(prior) - alike)[:, None],
-            np.arange(len(prior)) < group.size,
-        )
-        yield WeighedHypotheses(g, shift, weight, single)
-        yield WeighedHypotheses(g, scattered, noisy_logs + float(np.log(noisy)) - alike, nothing)
+    every = zip(groups, shifts_of_each(groups, parts), priors, noisier, strict=True)
+    for g, (group, shift, prior, noisy) in enumerate(every, begin):
+        single = np.arange(len(prior)) < group.size
+        yield WeighedHypotheses(g, shift, np.log(prior) - alike, single)
+        yield WeighedHypotheses(g, scatter(group), np.log([noisy]) - alike, nothing)
 
 
 def _drawn(

@@ -35,6 +35,7 @@ from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, me
 from rotcal_ros.adjust.observable import columns_of, observable_by, seen_of
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 
 RARER: Final = 3.0
 """How much rarer an effect or a gathering is held to be than a single wrong observation."""
@@ -191,14 +192,14 @@ class Look:
         sign = float(np.sign(residual[0])) if len(rows) == 1 else 1.0
         columns = np.zeros((len(fit.white), len(rows)))
         columns[rows, np.arange(len(rows))] = 1.0
-        reason = (
-            f"its test value {sign * value:+.1f} is beyond {limit:.2f} (residual "
-            f"{model.unit.shown(sign * left)})"
-        )
+        reason = phrase(
+            "its test value {0:+.1f} is beyond {1:.2f} (residual {2})", sign * value, limit,
+            model.unit.shown(sign * left)
+        )  # fmt: skip
         support, price = self._support(squares, int(rank), model.rejectable_elements)
         return Explanation(
-            f"{model.names[rows[0]]} is off by {model.unit.shown(sign * off)}", reason,
-            columns, rows, support, price, -fit.response_of(rows) @ missed,
+            phrase("{0} is off by {1}", model.names[rows[0]], model.unit.shown(sign * off)),
+            reason, columns, rows, support, price, -fit.response_of(rows) @ missed,
         )  # fmt: skip
 
     @cached_property
@@ -235,10 +236,10 @@ class Look:
         subsets = float(np.exp(min(np.log(listed), any_of_them)))
         groups = len(self.diagnosis.gathering.counts)
         support, price = self._support(test.squares, test.rank, RARER * groups * subsets)
-        size = model.unit.shown(float(np.linalg.norm(case.size)))
+        name, size = case.group.name, model.unit.shown(float(np.linalg.norm(case.size)))
         return Explanation(
-            f"{k} {model.words.elements} of {case.group.name} are off by {size}",
-            f"one of {k} of {case.group.name} that are off together by {size}", column, rows,
+            phrase("{0} {1} of {2} are off by {3}", k, phrase(model.words.elements), name, size),
+            phrase("one of {0} of {1} that are off together by {2}", k, name, size), column, rows,
             support, price + len(rows) - test.rank, case.change, blamed=case,
         )  # fmt: skip
 
@@ -324,19 +325,23 @@ class Look:
         """
         every = effect.at(self.fit.computed)
         support, price = self._support(test.squares, test.rank, RARER * among)
-        where = ""
+        what = phrase(effect.what)
         if isinstance(every, Steps):
             touched = np.flatnonzero((columns > 0.0 if every.centred else columns).any(axis=1))
-            where = f" from {self.before.model.names[touched[every.when[touched].argmin()]]} on"
+            what = phrase(
+                "{0} from {1} on", what,
+                self.before.model.names[touched[every.when[touched].argmin()]]
+            )  # fmt: skip
         elif effect.family:
             touched = np.flatnonzero(columns.any(axis=1))
             if len(np.unique(columns[touched, 0])) == 2 and columns[touched, 0].max() > 0.0:
                 touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift counted from its mean
             first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
             stays = effect.stays or np.ptp(columns[touched, 0]) == 0.0
-            where = f" from {first} on" if stays else f" from {first} to {last}"
+            begins = phrase("{0} from {1} on", what, first)
+            what = begins if stays else phrase("{0} from {1} to {2}", what, first, last)
         return Explanation(
-            f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
+            what, listed(()), columns @ test.axes, np.zeros(0, dtype=np.int64),
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
             hidden=hidden_beside(test, seen),
         )  # fmt: skip
@@ -355,7 +360,7 @@ class Look:
                 kept = members[used[members]]
                 if not 1 < len(kept) < len(used):
                     continue
-                name, lost = f"{grouping.kind} {number}", len(members) - len(kept)
+                name, lost = grouping.name_of(number), len(members) - len(kept)
                 if len(kept) * each > LARGEST_GROUP and not fit.jacobian.divided:
                     rows = model.rows_of(kept)
                     found.append(_as_a_whole(fit, grouping.kind, name, rows, lost))
@@ -364,7 +369,11 @@ class Look:
                 for k, part in enumerate(parts):
                     here = part[used[part]]
                     if len(here) > 1:
-                        of = f"{name}, part {k + 1} of {len(parts)}" if len(parts) > 1 else name
+                        of = (
+                            phrase("{0}, part {1} of {2}", name, k + 1, len(parts))
+                            if parts[1:]
+                            else name
+                        )
                         found.append(_Members(grouping, of, here, len(part) - len(here)))
         groups = self._of_one_size([each for each in found if isinstance(each, _Members)])
         return [next(groups) if isinstance(each, _Members) else each for each in found]
@@ -384,9 +393,12 @@ class Look:
                 leverage = self.fit.kernel.among_each(np.stack(rows))
                 groups = [self._group(asked[k], of) for k, of in zip(some, leverage, strict=True)]
                 cofactors = [group.cofactor.reshape(size, size) for group in groups]
-                eigen = zip(*np.linalg.eigh(np.stack(cofactors)), strict=True)
-                for k, group, own in zip(some.tolist(), groups, eigen, strict=True):
-                    found[k] = replace(group, eigen=own)
+                values, vectors = np.linalg.eigh(np.stack(cofactors))
+                white = np.stack([group.residual.ravel() for group in groups])
+                along = (white[:, None] @ vectors)[:, 0]
+                spectra = zip(np.clip(values, 0.0, 1.0), along, strict=True)
+                for k, group, own in zip(some.tolist(), groups, spectra, strict=True):
+                    found[k] = replace(group, spectrum=own)
         return iter([found[k] for k in range(len(asked))])
 
     def _together_each(self, grouping: Grouping) -> list[JudgedWhole]:
@@ -401,7 +413,7 @@ class Look:
         found = dict[int, JudgedWhole]()
         for size in {len(rows) for rows in of.values()}:
             numbers = [number for number, rows in of.items() if len(rows) == size]
-            names = {number: f"{grouping.kind} {number}" for number in numbers}
+            names = {number: grouping.name_of(number) for number in numbers}
             if size > MANY_ROWS:
                 for k in numbers:
                     found[k] = _as_a_whole(fit, grouping.kind, names[k], of[k], lost[k])
@@ -435,6 +447,8 @@ class Look:
 
         def influence() -> Sensitivity:
             found = fit.sensitivity(rows.ravel())
+            if frame is None:
+                return found
             return replace(found, along=turned(found.along.T).T, own=turned(found.own.T).T)
 
         return Group.of(
@@ -447,7 +461,7 @@ class _Members(NamedTuple):
     """A group of elements ``members`` (e,) that are used, of which ``lost`` ones are not."""
 
     grouping: Grouping
-    name: str
+    name: Phrase
     members: Ints
     lost: int
 
@@ -472,7 +486,7 @@ def parts_of(grouping: Grouping, members: Ints, each: int = 1) -> list[Ints]:
     return [np.sort(part) for part in np.array_split(ordered, count)]
 
 
-def _as_a_whole(fit: Fit, kind: str, name: str, rows: Ints, lost: int) -> JudgedWhole:
+def _as_a_whole(fit: Fit, kind: str, name: Phrase, rows: Ints, lost: int) -> JudgedWhole:
     """Return a group of very many ``rows`` (e,), of which ``lost`` ones are left out.
 
     Of circles T is what chi-squared is less by in the solution without them, where that is firm.

@@ -15,10 +15,11 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.fit import Fit
-from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.outputs import FEW_ROWS, Outputs
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 
@@ -32,7 +33,7 @@ class MappedFit(Fit):
     """
 
     found: Floats
-    by: Floats
+    by: Outputs
     left_out: Floats
 
     @property
@@ -42,60 +43,55 @@ class MappedFit(Fit):
 
     def alone(self, rows: Ints) -> Floats:
         """Return what whitened errors of some ``rows`` (k,) do to the outputs (o, k)."""
-        return self.by[:, rows]
-
-    @cached_property
-    def response(self) -> Floats:
-        """The same of all, correlated ones as independent, (o, n)."""
-        found = self.by
-        if self.model.correlated:
-            found = found.copy()
-            for rows, spread in self.in_common():
-                found[:, rows] = spread
-        return found
+        return self.by.columns(rows)
 
     def response_of(self, rows: Ints, outputs: Outputs | None = None) -> Floats:
-        """Return the same of some ``rows`` (k,)."""
-        return self.response[:, rows]
+        """Return the same, correlated ones as independent."""
+        return super().response_of(rows)
 
     def response_to(self, asked: Floats) -> Floats:
         """Return what whitened errors do to combinations ``asked`` (k, o) of the outputs, (k, n).
 
         Correlated ones as independent.
         """
-        return np.asarray(asked @ self.response[: asked.shape[1]])
+        by = self.by.part(slice(asked.shape[1]))
+        found = np.asarray((by.few.T @ asked.T).T + (asked @ by.share) @ by.common)
+        for mine, spread in self.in_common():
+            found[:, mine] = asked @ spread[: asked.shape[1]]
+        return found
 
     def sensitivity(self, rows: Ints) -> Sensitivity:
-        """Return the same in parts that are few."""
-        return Sensitivity.whole(self.by[:, rows])
+        """Return what whitened errors of some ``rows`` (k,) do to the outputs, in few parts."""
+        return self.by.sensitivity(rows)
 
     def moved(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) do to the outputs."""
-        return np.asarray(self.by @ white)
+        return self.by.times(white)
 
     def moved_by(self, _gain: Floats, white: Floats) -> Floats:
         """Return the same."""
         return self.moved(white)
 
-    def covariance(self, part: slice) -> Floats:
-        """Return the covariance (k, k) of a ``part`` of the outputs."""
-        by, left = self.response[part], self.left_out[part]
-        return np.asarray(by @ by.T + np.outer(left, left))
+    def _plain_covariance(self, part: slice) -> Floats:
+        left = self.left_out[part]
+        return np.asarray(self.by.part(part).products() + np.outer(left, left))
 
     @cached_property
-    def variance(self) -> Floats:
-        """Variances (o,) of the outputs."""
-        return np.asarray(np.einsum("on,on->o", self.response, self.response) + self.left_out**2)
+    def _plain_variance(self) -> Floats:
+        return np.asarray(self.by.lengths(np.ones(self.by.shape[1])) ** 2 + self.left_out**2)
 
     def products_of(self, first: Ints, second: Ints, weight: Floats) -> Floats:
         """Return sums (o, c) over pairs of rows, as of :class:`Fit`."""
-        # output by output: the pairs of all are several times as large as the map
-        return np.stack([weight @ (own[first] * own[second]) for own in self.by])
+        found = np.zeros((len(self.found), len(weight)))
+        for some in np.array_split(np.arange(len(first)), len(first) // FEW_ROWS + 1):
+            pairs = self.alone(first[some]) * self.alone(second[some])
+            found += pairs @ weight[:, some].T
+        return found
 
     @property
     def output_std(self) -> Floats:
         """Standard deviations (o,) of the outputs, those that nothing correlates."""
-        return self.counting(np.sqrt(np.einsum("on,on->o", self.by, self.by) + self.left_out**2))
+        return self.counting(np.sqrt(self._plain_variance))
 
 
 def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
@@ -112,10 +108,11 @@ def mapped(found: Adjusted, value: Floats, by: Floats) -> Adjusted:
     if len(known):
         white[:, ~model.rejectable] = -beyond @ np.linalg.pinv(known)
         beyond = beyond + white[:, ~model.rejectable] @ known
-    return replaced(found, value, white, beyond @ fit.x[: model.size[1]])
+    every = Outputs.alone(csr_array(white))
+    return replaced(found, value, every, beyond @ fit.x[: model.size[1]])
 
 
-def replaced(found: Adjusted, value: Floats, by: Floats, left_out: Floats) -> Adjusted:
+def replaced(found: Adjusted, value: Floats, by: Outputs, left_out: Floats) -> Adjusted:
     """Return a solution whose outputs are those of a map that is known: see :class:`MappedFit`."""
     own = {f.name: getattr(found.fit, f.name) for f in fields(Fit)}
     other = MappedFit(**own, found=value, by=by, left_out=left_out)

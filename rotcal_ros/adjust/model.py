@@ -27,6 +27,7 @@ from rotcal_ros.adjust.scattering import Scattering
 from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.protection import Effect
 from rotcal_ros.foundation.units import ARCSEC, TURN
 
@@ -56,9 +57,9 @@ class Unit(NamedTuple):
         """Whether it is one of angles; else it counts as one of lengths."""
         return self.name in ANGULAR
 
-    def shown(self, value: float) -> str:
+    def shown(self, value: float) -> Phrase:
         """Return an SI ``value`` for people."""
-        return f"{value / self.si:.3g} {self.name}"
+        return phrase("{0:.3g} {1}", value / self.si, self.name)
 
 
 SECONDS: Final = Unit()
@@ -87,6 +88,10 @@ class Grouping(NamedTuple):
         """Whether it says which observations lie together."""
         return self.along is not None or self.near is not None
 
+    def name_of(self, number: int) -> Phrase:
+        """Return what people call one of the groups."""
+        return phrase("{0} {1}", phrase(self.kind), number)
+
     def at(self, rows: Ints) -> Grouping:
         """Return the same of some ``rows`` (k,) alone."""
         known = (self.along, self.near, self.frame)
@@ -111,14 +116,14 @@ class Steps:
     They are written out when they are asked for: of many observations they are very many.
     ``run`` (n,): -1 for none; ``when`` (n,): the order or the time. ``ways`` (n, w): what each
     observation feels of w ways to move by one unit; None: of one way, by which all shift alike.
-    ``most``: of far more moments than this only some, evenly: one between two is seen nearly as
-    well. ``centred``: moves count from their mean in the run.
+    ``stride``: only each so many-th moment: one between two is seen nearly as well. ``centred``:
+    moves count from their mean in the run.
     """
 
     run: Ints
     when: Floats
     ways: Floats | None = None
-    most: int | None = None
+    stride: int = 1
     centred: bool = False
 
     @property
@@ -140,11 +145,15 @@ class Steps:
             rows = mine[np.argsort(self.when[mine], kind="stable")]
             found.append((rows, np.unique(self.when[rows], return_index=True)[1][1:]))
         ends = np.cumsum([0, *(len(first) for _, first in found)])
-        stride = max(1, int(ends[-1]) // (self.most or int(ends[-1]) + 1))
         return [
-            (rows, first[-end % stride :: stride])
+            (rows, first[-end % self.stride :: self.stride])
             for (rows, first), end in zip(found, ends.tolist(), strict=False)
         ]
+
+    def fewer(self, most: int) -> Steps:
+        """Return the same of some moments, evenly, where they are far more than ``most``."""
+        moments = self.shape[1] // self.width
+        return replace(self, stride=self.stride * max(1, moments // most))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -211,7 +220,7 @@ class Disturbing:
     def whole(self, computed: Floats) -> Floats:
         """Return the same, written out; of very many moments some, evenly."""
         found = self.at(computed)
-        return replace(found, most=MOST_MOMENTS).whole() if isinstance(found, Steps) else found
+        return found.fewer(MOST_MOMENTS).whole() if isinstance(found, Steps) else found
 
     def mapped(
         self, to: Callable[[Floats], Floats], back: Callable[[Floats], Floats], *, apart: bool
@@ -317,14 +326,16 @@ def knocks(run: Ints, when: Floats) -> Floats:
     return Steps(run, when).whole()
 
 
-def effect_texts(instrument: str, moved: str = "") -> tuple[str, str, str, str, str]:
+def effect_texts(
+    instrument: str, moved: str = ""
+) -> tuple[Phrase, Phrase, Phrase, Phrase, Phrase]:
     """Return what :func:`instrument_effects` are called, in their order."""
     return (
-        f"{instrument} drifts",
-        f"{instrument} drifts in one run,",
-        f"{instrument} drifts in each run alike",
-        f"{moved or instrument} moved",
-        f"the scale of {instrument} is wrong",
+        phrase("{0} drifts", phrase(instrument)),
+        phrase("{0} drifts in one run,", phrase(instrument)),
+        phrase("{0} drifts in each run alike", phrase(instrument)),
+        phrase("{0} moved", phrase(moved or instrument)),
+        phrase("the scale of {0} is wrong", phrase(instrument)),
     )
 
 
@@ -585,18 +596,22 @@ class Model:
     def names(self) -> Sequence[str]:
         """What people call each observation: its groups, and which one of several it is."""
         if self.row_names or not self.groupings:
-            return self.row_names or [f"observation {k}" for k in range(len(self.observed))]
+            return self.row_names or [
+                phrase("observation {0}", k) for k in range(len(self.observed))
+            ]
         first = self.elements[:, 0]
         groups = zip(*(g.number[first].tolist() for g in self.groupings), strict=True)
-        kinds = [g.kind for g in self.groupings]
         plain = [
-            ", ".join(f"{kind} {k}" for kind, k in zip(kinds, numbers, strict=True) if k >= 0)
-            for numbers in groups
+            listed(
+                [g.name_of(k) for g, k in zip(self.groupings, each, strict=True) if k >= 0], ", "
+            )
+            for each in groups
         ]
         whole, seen, found = Counter(plain), Counter[str](), []
         for name in plain:
             seen[name] += 1
-            found.append(f"{name} ({seen[name]} of {whole[name]})" if whole[name] > 1 else name)
+            of = phrase("{0} ({1} of {2})", name, seen[name], whole[name])
+            found.append(of if whole[name] > 1 else name)
         return [found[k] for k in self.of_element.tolist()]
 
     def linearised(self, x: Floats) -> tuple[Floats, Design]:
@@ -628,12 +643,12 @@ class Model:
         blocks with those before.
         """
         k, every = len(values), tuple(dict.fromkeys([*self.components, what]))
-        before = 0
+        read, before = self.equations, 0  # of this model no more is kept
         if what in self.components:
             before = int((self.of_component == every.index(what)).sum())
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
-            computed, design = self.equations(x)
+            computed, design = read(x)
             return np.append(computed, rows @ x), design_of(design).beside(rows)
 
         return replace(
@@ -647,7 +662,10 @@ class Model:
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
             expected=[e._replace(effect=e.effect.beside(k)) for e in self.expected],
-            row_names=[*self.names, *(f"value {before + i} of {what}" for i in range(k))],
+            row_names=[
+                *self.names,
+                *(phrase("value {0} of {1}", before + i, phrase(what)) for i in range(k)),
+            ],
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
             if self.mixed is None
@@ -799,11 +817,11 @@ class Model:
             expected=expected,
         )
 
-    def name_of(self, unknown: int) -> str:
+    def name_of(self, unknown: int) -> Phrase:
         """Return the name of an unknown for people: its block, its number there."""
         for name, count in self.blocks.items():
             if unknown < count:
-                return f"{name} {unknown}" if count > 1 else name
+                return phrase("{0} {1}", phrase(name), unknown) if count > 1 else phrase(name)
             unknown -= count
         raise DataError(f"the model has no unknown {unknown}")
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,6 @@ SETTLED: Final = 1e-4
 NEARLY_SETTLED: Final = 1e-2
 """The same while outliers are still looked for."""
 MAX_ITERATIONS: Final = 40
-
-Fit = TypeVar("Fit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,22 +95,21 @@ def bent_squares(squares: Floats, redundancy: Floats, least: float) -> Floats:
 
 
 def estimate_factors(
-    at: Callable[[Floats, Fit], tuple[NoiseEvidence, Fit]],
-    start: Fit,
+    at: Callable[[Floats], NoiseEvidence],
     factors: Floats,
     prior: Floats,
     settled: float = SETTLED,
     lowest: Floats | float = LEAST_FACTOR,
-) -> tuple[EstimatedFactors, Fit]:
-    """Return the factors that fit the residuals best, and the adjustment with them.
+) -> EstimatedFactors:
+    """Return the factors that fit the residuals best, from such ``factors`` (c,) on.
 
-    ``at(factors, fit)`` adjusts anew with the ``factors`` (c,), from a ``fit`` that is nearly the
-    same. ``prior`` (c, c): information of the statements on ln s. ``settled``: squared last step
-    in standard deviations, see NEARLY_SETTLED. No factor is found below the ``lowest``.
+    ``at(factors)`` adjusts anew. ``prior`` (c, c): information of the statements on ln s.
+    ``settled``: squared last step in standard deviations, see NEARLY_SETTLED. No factor is found
+    below the ``lowest``.
     """
-    logs, fit = np.log(factors), start
+    logs = np.log(factors)
     for _ in range(MAX_ITERATIONS):
-        evidence, fit = at(np.exp(logs), fit)
+        evidence = at(np.exp(logs))
         slope = evidence.squares - evidence.redundancy - prior @ logs
         known = 2.0 * evidence.information + prior
         least = (logs <= np.log(lowest)) & (slope < 0.0)  # these stay where they are
@@ -126,7 +123,7 @@ def estimate_factors(
         logs = logs + step
     log_std = np.full(len(logs), np.nan)
     log_std[evidence.present] = np.sqrt(np.linalg.inv(known).diagonal())[evidence.present]
-    return EstimatedFactors(np.exp(logs), log_std), fit
+    return EstimatedFactors(np.exp(logs), log_std)
 
 
 def _steeper(known: Floats, evidence: NoiseEvidence) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 
 AT_A_TIME, FEW = 128, 64
 """Steps that are summed up at once, of themselves and of what they do to all outputs."""
+MOST_NUMBERS: Final = 100_000
+"""Numbers of members of a family that are written out at once (1 MB)."""
 WEAK, ROUNDED = 1e-6, 1e-12
 """Information of a size, per that of its errors without the unknowns, below which digits go, and
 all of them are gone."""
@@ -49,11 +52,12 @@ def observable_by(fit: Fit, columns: Floats) -> Observable:
 
 def family_observable_by(fit: Fit, columns: Floats | Steps, width: int = 1) -> ObservableFamily:
     """Return what a solution makes of ``columns`` (n, k w), of members of so many each."""
-    if isinstance(columns, Steps) and not columns.centred:
+    if isinstance(columns, Steps) and not columns.centred and columns.stride == 1:
         return _steps_observable_by(fit, columns)
     parts, count = list[ObservableFamily](), columns.shape[1] // width
-    for begin in range(0, max(count, 1), AT_A_TIME):
-        end = begin + AT_A_TIME  # of each part the first member of the next comes last
+    some = max(1, min(AT_A_TIME, MOST_NUMBERS // (len(fit.std) * width)))
+    for begin in range(0, max(count, 1), some):
+        end = begin + some  # of each part the first member of the next comes last
         written = columns_of(columns, slice(begin * width, (end + 1) * width))
         parts.append(_part_observable_by(fit, written, width, end < count))
     moved, own, beside, score, whole = (

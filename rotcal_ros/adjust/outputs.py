@@ -10,12 +10,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import DTypeLike
 from scipy.linalg import block_diag
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csc_array, csr_array, vstack
 
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 AT_ONCE: Final = 1024
 """Rows or columns that are worked out at once: what is dense of them stays small."""
+FEW_ROWS: Final = 256
+"""The same of what is dense beside other things that are."""
 ROUNDED: Final = 1e-12
 """Share of the largest number below which one is the rounding of zero."""
 
@@ -81,6 +84,41 @@ class Outputs:
     def some(self, which: Ints) -> Floats:
         """Return some of them (k,), written out."""
         return np.asarray(self.few[which].toarray() + self.share[which] @ self.common)
+
+    def columns(self, which: Ints) -> Floats:
+        """Return some columns (o, k), written out."""
+        return np.asarray(self._by_column[:, which].toarray() + self.share @ self.common[:, which])
+
+    @cached_property
+    def _by_column(self) -> csc_array:
+        return csc_array(self.few)
+
+    def weighted(self, weight: Floats) -> Outputs:
+        """Return them with each column times its ``weight`` (p,)."""
+        entries = self.few.data * weight[self.few.indices], self.few.indices, self.few.indptr
+        few = csr_array(entries, shape=self.few.shape)
+        return Outputs(few, self.common * weight, self.share)
+
+    def after(self, right: csr_array) -> Outputs:
+        """Return C times ``right`` (p, k)."""
+        return Outputs(csr_array(self.few @ right), (right.T @ self.common.T).T, self.share)
+
+    def products(self) -> Floats:
+        """Return C C', (o, o)."""
+        both = self.share @ (self.few @ self.common.T).T
+        both += both.T + (self.share @ (self.common @ self.common.T)) @ self.share.T
+        for begin in range(0, len(self), FEW_ROWS):
+            here = slice(begin, begin + FEW_ROWS)
+            both[here] += (self.few[here] @ self.few.T).toarray()
+        return np.asarray(both)
+
+    def sensitivity(self, which: Ints) -> Sensitivity:
+        """Return some columns in parts that are few."""
+        if not len(self.common):
+            return Sensitivity.whole(self.columns(which))
+        own = self._by_column[:, which].tocsr()
+        at = np.flatnonzero(np.diff(own.indptr))
+        return Sensitivity(self.common[:, which], self.share, at, own[at].toarray())
 
     def __matmul__(self, x: Floats) -> Floats:
         """Return C times ``x`` (p,) or (p, k)."""

@@ -127,17 +127,16 @@ class _Reach:
 
     def most(self, unseen: _Undetected) -> float:
         """Return what the error of no subset exceeds."""
-        sensitivity = unseen.found.group.sensitivity
+        sensitivity = unseen.found.group.influence()  # of all groups that is much
         if self.root is None or sensitivity.common is None:
             return np.inf
-        along, own = (
-            unseen.found.of_rows(part).reshape(len(part), -1)
-            for part in (sensitivity.along, sensitivity.own)
-        )
-        share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
-        counted = self.std[sensitivity.at] > 0.0
+        along, counted = sensitivity.along, self.std[sensitivity.at] > 0.0
         at = sensitivity.at[counted]
-        if len(at):
-            influence = np.abs(sensitivity.common[at] @ along + own[counted]) / self.std[at, None]
-            share = np.maximum(share, SAFELY * influence.max(axis=0))
-        return float((share * unseen.size.ravel()).max())
+        own = (sensitivity.common[at] @ along + sensitivity.own[counted]) / self.std[at, None]
+        squares, worst = np.zeros(unseen.size.shape), np.zeros(unseen.size.shape)
+        for common in unseen.found.of_many(self.root @ along):
+            squares += (common**2).sum(axis=0)
+        for each in unseen.found.of_many(own):
+            np.maximum(worst, np.abs(each).max(axis=0, initial=0.0), out=worst)
+        share = np.maximum(self.longest * np.sqrt(squares), SAFELY * worst)
+        return float((share * unseen.size).max())

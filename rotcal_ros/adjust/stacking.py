@@ -19,6 +19,7 @@ from rotcal_ros.adjust.designs import Derivatives, dense
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Disturbing, Model, Unit
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.language import phrase
 
 IN_NOISE: Final = Unit("standard deviations", 1.0)
 """In which people read the observations of several instruments."""
@@ -73,7 +74,7 @@ def stacked(
     blocks = dict(shared)
     for name, model in models.items():
         its_own = list(model.blocks.items())[len(shared) :]
-        blocks |= {f"{block} of {name}": size for block, size in its_own}
+        blocks |= {phrase("{0} of {1}", phrase(block), name): size for block, size in its_own}
 
     columns = [np.append(np.arange(width), np.arange(u.start, u.stop)) for u in own]
     every = list(zip(models.items(), rows, columns, strict=True))
@@ -88,15 +89,21 @@ def stacked(
         unit=IN_NOISE,
         start=np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)]),
         further={
-            f"{what} of {name}": _spread(np.asarray(further), mine, p)
+            phrase("{0} of {1}", phrase(what), name): _spread(np.asarray(further), mine, p)
             for (name, model), _, mine in every
             for what, further in model.further.items()
         },
-        components=[f"{c} of {name}" for name, m in models.items() for c in m.components],
+        components=[
+            phrase("{0} of {1}", phrase(c), name)
+            for name, m in models.items()
+            for c in m.components
+        ],
         component=np.concatenate([m.of_component + k for m, k in zip(parts, begins, strict=True)]),
         judged=np.concatenate([m.rejectable for m in parts]),
         groupings=[
-            grouping._replace(kind=f"{name}, {grouping.kind}").with_others(n - at.stop, at.start)
+            grouping._replace(kind=phrase("{0}, {1}", name, phrase(grouping.kind))).with_others(
+                n - at.stop, at.start
+            )
             for (name, model), at, _ in every
             for grouping in model.groupings
         ],
@@ -105,7 +112,9 @@ def stacked(
             for (name, model), at, _ in every
             for effect in model.effects
         ],
-        row_names=[f"{row} of {name}" for name, m in models.items() for row in m.names],
+        row_names=[
+            phrase("{0} of {1}", row, name) for name, m in models.items() for row in m.names
+        ],
         correlated=[each.below(at.start) for (_, m), at, _ in every for each in m.correlated],
         element=_elements(parts),
         definitions=_definitions(parts, columns, p),
@@ -168,4 +177,6 @@ def _spread(rows: Floats, columns: Floats, unknowns: int) -> Floats:
 
 def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:
     """Return the effect on the rows ``at`` of n, which says in whose observations it is."""
-    return replace(effect, what=f"in {name} {effect.what}").beside(n - at.stop, at.start)
+    return replace(effect, what=phrase("in {0} {1}", name, phrase(effect.what))).beside(
+        n - at.stop, at.start
+    )

@@ -17,6 +17,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.language import Phrase, phrase
 
 _LARGEST: Final = 1 << 64
 """Beyond any log time or count in a bag."""
@@ -54,18 +55,20 @@ class Dropout:
             gaps=self.gaps + later.gaps,
         )
 
-    def sentence(self) -> str:
+    def sentence(self) -> Phrase:
         """Return it in words."""
         begin, end = (
             datetime.fromtimestamp(ns // 1_000_000 / 1e3, timezone.utc)
             for ns in (self.from_ns, self.to_ns)
         )
-        many = "messages" if self.count == 0 else f"{self.count} message{'s'[: self.count > 1]}"
-        return (
-            f"{self.topic}: {many} missing between {begin:%Y-%m-%d %H:%M:%S.%f}"[:-3]
-            + f" and {end:%H:%M:%S.%f}"[:-3]
-            + f" UTC ({(self.to_ns - self.from_ns) / 1e9:.3f} s): {self.reason}"
-        )
+        many = phrase("1 message") if self.count == 1 else phrase("messages")
+        if self.count > 1:
+            many = phrase("{0} messages", self.count)
+        return phrase(
+            "{0}: {1} missing between {2} and {3} UTC ({4:.3f} s): {5}",
+            self.topic, many, f"{begin:%Y-%m-%d %H:%M:%S.%f}"[:-3], f"{end:%H:%M:%S.%f}"[:-3],
+            (self.to_ns - self.from_ns) / 1e9, phrase(self.reason),
+        )  # fmt: skip
 
     def values(self) -> dict[str, str]:
         """Return the values of the status in its message, as texts; see :func:`of_status`."""

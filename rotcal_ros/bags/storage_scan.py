@@ -16,6 +16,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropouts import Dropout, DropoutReader
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.untrusted import reading, require_plain
 
 _SHOWN: Final = 20
@@ -96,18 +97,24 @@ class FileVerdict:
         noted = self.notes.get(names.LOSSES, {})
         return {name: text for name, text in noted.items() if name not in self.losses_recorded}
 
-    def sentence(self) -> str:
+    def sentence(self) -> Phrase:
         """Return the verdict in words."""
         if self.state == "complete":
-            return "complete"
+            return phrase("complete")
         first = self.damages[0]
         if self.state == "index wrong":
-            return f"data sound, index wrong at byte {first.offset}: {first.what}; nothing is lost"
-        lost = f"{self.lost} messages lost" if self.lost else "no message known to be lost"
-        if self.proves_loss and not self.lost:
-            lost = "messages lost, it is not known how many"
-        more = "" if self.lost_exactly else "; more may be missing"
-        return f"{self.state} at byte {first.offset}: {first.what}; {lost}{more}"
+            return phrase(
+                "data sound, index wrong at byte {0}: {1}; nothing is lost",
+                first.offset, phrase(first.what),
+            )  # fmt: skip
+        lost = phrase("no message known to be lost")
+        if self.lost:
+            lost = phrase("{0} messages lost", self.lost)
+        elif self.proves_loss:
+            lost = phrase("messages lost, it is not known how many")
+        at = phrase("{0} at byte {1}: {2}", phrase(self.state), first.offset, phrase(first.what))
+        more = [] if self.lost_exactly else [phrase("more may be missing")]
+        return listed([at, lost, *more])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form."""
@@ -144,22 +151,26 @@ def session_losses(verdicts: Iterable[FileVerdict]) -> dict[str, int]:
     return {name: count for name, count in total.items() if count}
 
 
-def unread_losses(verdicts: Iterable[FileVerdict]) -> tuple[str, ...]:
+def unread_losses(verdicts: Iterable[FileVerdict]) -> tuple[Phrase, ...]:
     """Return a sentence for each recorded loss whose count cannot be read."""
     return tuple(
-        f"{verdict.path.name}: a loss was recorded ({name}), but its count is not a number: "
-        f"{text[:_SHOWN]!r}"
+        phrase(
+            "{0}: a loss was recorded ({1}), but its count is not a number: {2!r}",
+            verdict.path.name,
+            name,
+            text[:_SHOWN],
+        )
         for verdict in verdicts
         for name, text in verdict.losses_unread.items()
     )
 
 
-def losses_in_words(losses: Mapping[str, int]) -> tuple[str, ...]:
+def losses_in_words(losses: Mapping[str, int]) -> tuple[Phrase, ...]:
     """Return one sentence per counter."""
     return tuple(
-        f"{name.partition(' ')[2]} fell silent ({count} times)"
+        phrase("{0} fell silent ({1} times)", name.partition(" ")[2], count)
         if name.startswith(names.SILENT)
-        else f"{count} lost live ({name})"
+        else phrase("{0} lost live ({1})", count, name)
         for name, count in losses.items()
     )
 

@@ -33,13 +33,16 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.names import run_number
 from rotcal_ros.bags.storage_scan import Scan, StorageContents
 from rotcal_ros.foundation.arrays import Bools, Ints
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 
 LEAST_NS: Final = 1_000_000_000
 """Smaller disorder between topics is normal."""
 STANDSTILL_NS: Final = 20_000_000_000
 """A recorder that stood still writes what waited topic by topic: no warning up to this."""
 LOG, PUBLISH, STAMP = range(3)
-IN_WORDS: Final = ("log times", "publish times", "the stamps in their headers")
+IN_WORDS: Final = (
+    noted("log times"), noted("publish times"), noted("the stamps in their headers")
+)  # fmt: skip
 _SHARED, _APART = 0.5, 0.1
 """Share of the whole time that long streams have in common by a true and by a false clock."""
 _MOST_SETS: Final = 10
@@ -66,27 +69,33 @@ class TimeOrder:
     doubtful: bool = False
     rearranged: bool = True
 
-    def describe(self) -> tuple[str, ...]:
+    def describe(self) -> tuple[Phrase, ...]:
         """Return what a reader of the messages should know; nothing if all is in order."""
         if self.sort_by is not None and self.rearranged:
-            reason = (
-                "its log times are those of the program that wrote it"
-                if self.sort_by != LOG
-                else f"some stand {self.apart_ns / 1e9:.1f} s behind later ones"
-            )
-            what = f"its messages were read by {IN_WORDS[self.sort_by]}"
-            return (f"the bag is not in the order of time ({reason}): {what}",)
+            reason = phrase("its log times are those of the program that wrote it")
+            if self.sort_by == LOG:
+                reason = phrase("some stand {0:.1f} s behind later ones", self.apart_ns / 1e9)
+            return (
+                phrase(
+                    "the bag is not in the order of time ({0}): its messages were read by {1}",
+                    reason, phrase(IN_WORDS[self.sort_by]),
+                ),
+            )  # fmt: skip
         if self.doubtful:
             return (
-                "the bag is not in the order of time, and not all of its streams have times that "
-                "are true: its messages were read in the order of the file",
+                phrase(
+                    "the bag is not in the order of time, and not all of its streams have times "
+                    "that are true: its messages were read in the order of the file"
+                ),
             )
         if self.back:
             return (
-                f"log times go back {self.back} times, by up to {self.back_ns / 1e9:.1f} s: the "
-                "recorder's clock was set, or somebody exchanged parts of the file; the messages "
-                "were read in the order of the file",
-            )
+                phrase(
+                    "log times go back {0} times, by up to {1:.1f} s: the recorder's clock was "
+                    "set, or somebody exchanged parts of the file; the messages were read in the "
+                    "order of the file", self.back, self.back_ns / 1e9
+                ),
+            )  # fmt: skip
         return ()
 
 

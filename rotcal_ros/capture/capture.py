@@ -37,6 +37,7 @@ from rotcal_ros.capture.table import (
 )
 from rotcal_ros.capture.window import Beam, TracerStream
 from rotcal_ros.foundation.arrays import Stamps
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import (
     Command,
     Observation,
@@ -483,8 +484,10 @@ class Capture:
         missing = [q.name for q in self._required if getattr(observation, q.column) is None]
         if missing:
             raise AttemptRejectedError(
-                f"no {', '.join(missing)} of the air came in time: the index of refraction is "
-                "unknown"
+                phrase(
+                    "no {0} of the air came in time: the index of refraction is unknown",
+                    ", ".join(missing),
+                )
             )
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:

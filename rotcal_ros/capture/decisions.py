@@ -34,6 +34,7 @@ from rotcal_ros.capture.window import (
     reduce_window,
     sequence_steps,
 )
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
 from rotcal_ros.planning.plan import Step
@@ -118,22 +119,24 @@ def _too_few(
     first = tracer.index(begin)
     count = max(0, tracer.index(deadline + 1) - first)
     left_s = max(0.0, seconds(deadline - begin))
-    reason = (
-        f"only {count} of {settings.window_samples} tracer readings in the {left_s:.3g} s that "
-        "were left after settling"
-    )
+    reason = phrase(
+        "only {0} of {1} tracer readings in the {2:.3g} s that were left after settling", count,
+        settings.window_samples, left_s
+    )  # fmt: skip
     pauses = np.diff(tracer.stamps[-settings.window_samples :])
     needed_s = settings.window_samples * seconds(int(np.median(pauses))) if len(pauses) else 0.0
     if needed_s > settings.step_timeout_s - settings.settle_time_s:
-        reason += (
-            f"; so many take {needed_s:.3g} s: a smaller capture.window_samples, or a longer "
-            "capture.step_timeout_s and planner.step_timeout_s"
-        )
+        reason = phrase(
+            "{0}; so many take {1:.3g} s: a smaller capture.window_samples, or a longer "
+            "capture.step_timeout_s and planner.step_timeout_s", reason, needed_s
+        )  # fmt: skip
     if not count and first < len(tracer.stamps):
         ahead = seconds(int(tracer.stamps[first]) - begin)
-        reason += f"; the next is stamped {ahead:.3g} s after settling (another clock?)"
+        reason = phrase(
+            "{0}; the next is stamped {1:.3g} s after settling (another clock?)", reason, ahead
+        )
     elif not count:
-        reason += _early_reading(attempt, tracer, begin)
+        reason = _early_reading(reason, attempt, tracer, begin)
     return AttemptRejectedError(reason)
 
 
@@ -181,27 +184,24 @@ def _refuse_clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> None:
 
 def single_shot_missing(attempt: Attempt, wait: Wait, lag_ns: int) -> AttemptRejectedError:
     """Return the reason that a single shot did not come."""
-    return AttemptRejectedError(
-        f"{wait.samples} tracer readings of the window have not come in {seconds(lag_ns):.3g} s: "
-        "expected one for each order and step, taken at the earliest capture.settle_time_s after "
-        "the table came to rest, or requested by topics.length_trigger"
-        f"{_early_reading(attempt, wait.stream, wait.stamp_ns)}"
-    )
+    reason = phrase(
+        "{0} tracer readings of the window have not come in {1:.3g} s: expected one for each "
+        "order and step, taken at the earliest capture.settle_time_s after the table came to "
+        "rest, or requested by topics.length_trigger", wait.samples, seconds(lag_ns)
+    )  # fmt: skip
+    return AttemptRejectedError(_early_reading(reason, attempt, wait.stream, wait.stamp_ns))
 
 
-def _early_reading(attempt: Attempt, tracer: Stream, begin_ns: int) -> str:
-    """Return a clause on the last reading of this attempt before the table had settled, if any.
-
-    It ends the sentence about a window without readings.
-    """
+def _early_reading(reason: Phrase, attempt: Attempt, tracer: Stream, begin_ns: int) -> Phrase:
+    """Return why a window has no readings, with the last one before the table had settled."""
     first = tracer.index(begin_ns)
     if not first or tracer.stamps[first - 1] <= attempt.begin_ns:
-        return ""
+        return reason
     early_s = seconds(begin_ns - int(tracer.stamps[first - 1]))
-    return (
-        f"; the last one is stamped {early_s:.3g} s before the end of settling: it was taken too "
-        "early (capture.settle_time_s)"
-    )
+    return phrase(
+        "{0}; the last one is stamped {1:.3g} s before the end of settling: it was taken too "
+        "early (capture.settle_time_s)", reason, early_s
+    )  # fmt: skip
 
 
 PointReducer = Callable[[Sequence[ProbeSample], Step, CaptureSettings], ReducedWindow]
@@ -224,8 +224,12 @@ def decide_points(
         return Wait(table, patience)
     if len(samples) < wanted or samples[-1].stamp_ns > deadline:
         raise AttemptRejectedError(
-            f"only {len(samples)} of {wanted} probe points within "
-            f"{seconds(deadline - attempt.begin_ns):.3g} s"
+            phrase(
+                "only {0} of {1} probe points within {2:.3g} s",
+                len(samples),
+                wanted,
+                seconds(deadline - attempt.begin_ns),
+            )
         )
     begin_ns, end_ns = samples[0].stamp_ns, samples[-1].stamp_ns
     if not table.knows(end_ns):
@@ -237,8 +241,12 @@ def decide_points(
     if departure(table, begin_ns, end_ns, angle, settings) is not None:
         off = farthest(table, begin_ns, end_ns, angle) / ARCSEC
         reduced = ReducedWindow(
-            reason=f"table not at rest in position during the probe points: up to {off:.4g} "
-            f"arcsec off (allowed {settings.position_tolerance_arcsec:g})"
+            reason=phrase(
+                "table not at rest in position during the probe points: up to {0:.4g} "
+                "arcsec off (allowed {1:g})",
+                off,
+                settings.position_tolerance_arcsec,
+            )
         )
     return attempt.observation(
         reduced,

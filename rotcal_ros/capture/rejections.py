@@ -10,6 +10,7 @@ from typing import Final
 
 from rotcal_ros.capture.window import BEAM_BROKEN
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation, place_in_words
 
 ALARM_AFTER: Final = 3
@@ -46,9 +47,10 @@ class MostFrequentReason:
         ((kind, count),) = kinds.most_common(1)
         return cls(examples[kind], count, kinds.total())
 
-    def describe(self) -> str:
+    def describe(self) -> Phrase:
         """Return how many, and an example."""
-        return f"{self.count} of {self.total} like this: {self.example}"
+        like = phrase("{0} of {1} like this", self.count, self.total)
+        return phrase("{0}: {1}", like, phrase(self.example))
 
 
 @dataclass

@@ -11,6 +11,7 @@ from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.foundation.arrays import Bools, Floats, steps_from
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.planning.table_feedback import (
     PUBLISH_VELOCITY,
@@ -93,35 +94,39 @@ def farthest(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> flo
 
 def why_not_at_rest(
     table: Stream, begin_ns: int, end_ns: int, commanded: float, settings: CaptureSettings
-) -> str:
+) -> Phrase:
     """Return in words and numbers how far the table was off between two stamps."""
     first, last = table.index(begin_ns), table.index(end_ns + 1)
     limit = (end_ns - begin_ns) * NANOSECOND
     if first == last:
-        text = f"no table feedback in the {limit:.3g} s after the probe reached its target"
+        text = phrase(
+            "no table feedback in the {0:.3g} s after the probe reached its target", limit
+        )
         if last < len(table.stamps):
             ahead = (int(table.stamps[last]) - begin_ns) * NANOSECOND
-            text += f"; the next is stamped {ahead:.3g} s later (another clock?)"
-        elif table.latest is None:
-            text += ", and none before: does cell.joint name a joint of the feedback?"
+            return phrase("{0}; the next is stamped {1:.3g} s later (another clock?)", text, ahead)
+        if table.latest is None:
+            return phrase(
+                "{0}, and none before: does cell.joint name a joint of the feedback?", text
+            )
         return text
     pause = float(np.diff(table.stamps[first:last]).max(initial=0)) * NANOSECOND
     if pause > settings.table_silence_s:
-        return (
-            f"the table's feedback pauses for up to {pause:.3g} s, allowed "
-            f"{settings.table_silence_s:g} s (capture.table_silence_s)"
-        )
+        return phrase(
+            "the table's feedback pauses for up to {0:.3g} s, allowed {1:g} s "
+            "(capture.table_silence_s)", pause, settings.table_silence_s
+        )  # fmt: skip
     angle, velocity = table.values[last - 1].tolist()
     had_velocity = bool(np.isfinite(table.values[:last, VELOCITY]).any())
-    return (
-        f"table not at rest in position for a whole window within {limit:.3g} s: "
-        f"{off_in_words(angle, velocity, commanded, settings, had_velocity=had_velocity)}"
-    )
+    return phrase(
+        "table not at rest in position for a whole window within {0:.3g} s: {1}", limit,
+        off_in_words(angle, velocity, commanded, settings, had_velocity=had_velocity)
+    )  # fmt: skip
 
 
 def lasting_feedback_fault(
     table: Stream, since_ns: int, commanded: float, had_velocity: bool, ordered_ns: int | None
-) -> str | None:
+) -> Phrase | None:
     """Return why nothing will ever be measured with this feedback, if that is certain.
 
     The fault must have lasted for :data:`STANDING_NS` since ``since_ns``. A
@@ -158,7 +163,7 @@ def off_in_words(
     settings: CaptureSettings,
     *,
     had_velocity: bool = False,
-) -> str:
+) -> Phrase:
     """Return in words how far (rad, rad/s) the last feedback is off its order, and why.
 
     One that ``had_velocity`` before lacks it while its joint has not begun to obey: so says
@@ -166,41 +171,41 @@ def off_in_words(
     """
     off = float(offset(np.array([angle]), commanded)[0])
     if isnan(velocity) and had_velocity:
-        return (
-            f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
-            f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}), and "
-            "its driver does not take it for rest: it has not begun to move as ordered"
-        )
+        return phrase(
+            "the last feedback is {0:.4g} arcsec off the commanded {1:.4f} deg (allowed {2:g}), "
+            "and its driver does not take it for rest: it has not begun to move as ordered",
+            off / ARCSEC, commanded / DEGREE, settings.position_tolerance_arcsec
+        )  # fmt: skip
     fault = _feedback_fault(angle, velocity, commanded)
-    return (
-        f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
-        f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}) at "
-        f"{velocity / DEGREE:.3g} deg/s (allowed {settings.velocity_tolerance_deg_s:g})"
-        f"{'' if fault is None else f'; {fault}'}"
-    )
+    off_and_fast = phrase(
+        "the last feedback is {0:.4g} arcsec off the commanded {1:.4f} deg (allowed {2:g}) at "
+        "{3:.3g} deg/s (allowed {4:g})", off / ARCSEC, commanded / DEGREE,
+        settings.position_tolerance_arcsec, velocity / DEGREE, settings.velocity_tolerance_deg_s
+    )  # fmt: skip
+    return off_and_fast if fault is None else listed([off_and_fast, fault])
 
 
-def _feedback_fault(angle: float, velocity: float, commanded: float) -> str | None:
+def _feedback_fault(angle: float, velocity: float, commanded: float) -> Phrase | None:
     """Return what is wrong with a feedback itself, so that it is never in position."""
     if isnan(velocity):
-        return f"the feedback has no velocity: {PUBLISH_VELOCITY}"
+        return phrase("the feedback has no velocity: {0}", phrase(PUBLISH_VELOCITY))
     if in_degrees(angle, commanded):
-        return (
-            f"it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
-            "commanded: degrees? Publish radians, or set topics.angle_unit: deg"
-        )
+        return phrase(
+            "it says {0:.6g} where {1:.6g} rad = {2:.6g} deg was commanded: degrees? Publish "
+            "radians, or set topics.angle_unit: deg", angle, commanded, commanded / DEGREE
+        )  # fmt: skip
     if other_way(angle, commanded):
-        return (
-            f"it says {remainder(angle, 2.0 * pi) / DEGREE:+.6g} deg where "
-            f"{remainder(commanded, 2.0 * pi) / DEGREE:+.6g} deg was commanded: is a sign wrong? "
-            "Positive is counter-clockwise seen from above, in orders and feedback"
-        )
+        return phrase(
+            "it says {0:+.6g} deg where {1:+.6g} deg was commanded: is a sign wrong? Positive is "
+            "counter-clockwise seen from above, in orders and feedback",
+            remainder(angle, 2.0 * pi) / DEGREE, remainder(commanded, 2.0 * pi) / DEGREE
+        )  # fmt: skip
     # A settings file with angle_unit: deg for a drive that publishes radians: the number before
     # the conversion is the commanded angle.
     angle_deg = angle / DEGREE
     same = abs(remainder(angle_deg - commanded, 2.0 * pi)) <= _SAME
     if same and abs(angle - commanded) > DEGREE:
-        return (
-            f"in position if its {angle_deg:.6g} are radians, not degrees: see topics.angle_unit"
+        return phrase(
+            "in position if its {0:.6g} are radians, not degrees: see topics.angle_unit", angle_deg
         )
     return None

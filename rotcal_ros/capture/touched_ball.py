@@ -12,6 +12,7 @@ from rotcal_ros.capture.decisions import mean_point
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.window import ReducedWindow
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import ProbeSample
 from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
 from rotcal_ros.geometry.sphere import Spheres, fit_spheres
@@ -71,12 +72,12 @@ def in_place(reduced: ReducedWindow, step: Step, settings: CaptureSettings) -> R
     away = dist(reduced.mean, step.position)
     if away <= settings.ball_tolerance_m:
         return reduced
-    reason = (
-        f"the ball of step {step.target} is {away / MILLIMETRE:.4g} mm from its planned place "
-        f"{step.position} m, found {reduced.mean}, allowed "
-        f"{settings.ball_tolerance_m / MILLIMETRE:g} mm: another ball, a plate mounted shifted or "
-        "upside down, or millimetres instead of metres"
-    )
+    reason = phrase(
+        "the ball of step {0} is {1:.4g} mm from its planned place {2} m, found {3}, allowed "
+        "{4:g} mm: another ball, a plate mounted shifted or upside down, or millimetres instead "
+        "of metres", step.target, away / MILLIMETRE, step.position, reduced.mean,
+        settings.ball_tolerance_m / MILLIMETRE
+    )  # fmt: skip
     return replace(reduced, reason=reason)
 
 
@@ -88,11 +89,11 @@ def _doubt(
     free = fit_spheres(points, radius=None, tip_radius=tip_radius, used=spheres.used, reject=False)
     found, doubt = float(free.radii[0]), _DOUBT * float(free.radius_std[0])
     if abs(found - radius) > max(settings.max_form_m, doubt):
-        return (
-            f"the touch points lie on a ball of diameter {2.0 * found / MILLIMETRE:.4f} mm with "
-            f"the tip radius {tip_radius / MILLIMETRE:.4f} mm, the plate says "
-            f"{2.0 * radius / MILLIMETRE:.4f} mm: check ball diameter and tip radius"
-        )
+        return phrase(
+            "the touch points lie on a ball of diameter {0:.4f} mm with the tip radius {1:.4f} "
+            "mm, the plate says {2:.4f} mm: check ball diameter and tip radius",
+            2.0 * found / MILLIMETRE, tip_radius / MILLIMETRE, 2.0 * radius / MILLIMETRE
+        )  # fmt: skip
     below = float(points[0, spheres.used[0], 2].mean() - spheres.centres[0, 2])
     if below < -LOWER * (radius + tip_radius):
         return (
@@ -101,14 +102,14 @@ def _doubt(
         )
     count, n_used = points.shape[1], int(spheres.used.sum())
     if n_used < settings.min_used_share * count:
-        return (
-            f"only {n_used} of {count} touch points fit the ball, expected at least "
-            f"{settings.min_used_share:.0%}: clean ball and tip"
-        )
+        return phrase(
+            "only {0} of {1} touch points fit the ball, expected at least {2:.0%}: clean ball "
+            "and tip", n_used, count, settings.min_used_share
+        )  # fmt: skip
     form = float(spheres.form_deviation[0])
     if form > settings.max_form_m:
-        return (
-            f"form deviation {form / MICROMETRE:.3g} um of the touch points, allowed "
-            f"{settings.max_form_m / MICROMETRE:g} um: dirt, or something moved"
-        )
+        return phrase(
+            "form deviation {0:.3g} um of the touch points, allowed {1:g} um: dirt, or something "
+            "moved", form / MICROMETRE, settings.max_form_m / MICROMETRE
+        )  # fmt: skip
     return None

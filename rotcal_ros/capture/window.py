@@ -21,6 +21,7 @@ import numpy as np
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints, Stamps, steps_from
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
 
@@ -186,7 +187,7 @@ def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
     return float(fsum(time * (length - mean)) / fsum(time * time) * (time[-1] - time[0]))
 
 
-def _gap(sequence: Floats) -> str | None:
+def _gap(sequence: Floats) -> Phrase | None:
     """Return, as a reason, which readings are missing inside a window."""
     steps = sequence_steps(sequence[1:], sequence[0])
     at = np.flatnonzero(steps != 1)
@@ -195,42 +196,45 @@ def _gap(sequence: Floats) -> str | None:
     before, after = int(sequence[at[0]]), int(sequence[at[0] + 1])
     # Modulo 2^32, a number in the upper half is a step back.
     if (steps[at] >= WRAP // 2).any() or (steps[at] == 0).any():
-        return (
-            f"tracer sequence goes from {before} to {after} in the window; expected {before + 1}"
-            " (two publishers on the topic?)"
-        )
+        return phrase(
+            "tracer sequence goes from {0} to {1} in the window; expected {2} (two publishers on "
+            "the topic?)", before, after, before + 1
+        )  # fmt: skip
     lost = int((steps[at] - 1).sum())
-    return f"{lost} tracer readings lost in the window (sequence {before} to {after})"
-
-
-def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> str:
-    counts = Counter(ReadingFault(f) for f in faults.tolist() if f != ReadingFault.NONE)
-    parts = ", ".join(f"{counts[fault]} {_WORDS[fault]}" for fault in sorted(counts))
-    needed = f"expected at least {settings.min_used_share:.0%}"
-    text = (
-        f"only {len(faults) - counts.total()} of {len(faults)} readings usable: {parts}; {needed}"
+    return phrase(
+        "{0} tracer readings lost in the window (sequence {1} to {2})", lost, before, after
     )
+
+
+def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> Phrase:
+    counts = Counter(ReadingFault(f) for f in faults.tolist() if f != ReadingFault.NONE)
+    parts = [phrase("{0} {1}", counts[fault], phrase(_WORDS[fault])) for fault in sorted(counts)]
+    needed = phrase("expected at least {0:.0%}", settings.min_used_share)
+    text = phrase(
+        "only {0} of {1} readings usable: {2}; {3}", len(faults) - counts.total(), len(faults),
+        listed(parts, ", "), needed
+    )  # fmt: skip
     if counts[ReadingFault.IMPLAUSIBLE]:
         largest = float(np.abs(length[faults == ReadingFault.IMPLAUSIBLE]).max())
-        text += (
-            f"; found {largest:.6g} m, plausible are {settings.max_length_m:g} m"
-            " (millimetres instead of metres?); topics.length_unit says which"
-        )
+        text = phrase(
+            "{0}; found {1:.6g} m, plausible are {2:g} m (millimetres instead of metres?); "
+            "topics.length_unit says which", text, largest, settings.max_length_m
+        )  # fmt: skip
     return text
 
 
-def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> str | None:
+def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> Phrase | None:
     """Return, as a reason, why a window is not stable."""
     if scatter > settings.max_std_m:
-        return (
-            f"unstable: standard deviation {scatter / MICROMETRE:.3g} um of the readings, "
-            f"allowed {settings.max_std_m / MICROMETRE:g} um"
-        )
+        return phrase(
+            "unstable: standard deviation {0:.3g} um of the readings, allowed {1:g} um",
+            scatter / MICROMETRE, settings.max_std_m / MICROMETRE
+        )  # fmt: skip
     if abs(drift) > settings.max_drift_m:
-        return (
-            f"drifting: {drift / MICROMETRE:+.3g} um over the window, "
-            f"allowed {settings.max_drift_m / MICROMETRE:g} um"
-        )
+        return phrase(
+            "drifting: {0:+.3g} um over the window, allowed {1:g} um", drift / MICROMETRE,
+            settings.max_drift_m / MICROMETRE
+        )  # fmt: skip
     return None
 
 

@@ -22,8 +22,8 @@ from rotcal_ros.foundation.language import ENGLISH, codes
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
-    from rotcal_ros.foundation.sheets.forms import SheetSettings
-    from rotcal_ros.foundation.sheets.reading import Reading
+    from rotcal_ros.foundation.table_columns import SheetSettings
+    from rotcal_ros.foundation.table_reading import Reading
     from rotcal_ros.planning.check_rule import CheckRule
     from rotcal_ros.recordings.result_sources import References
 
@@ -114,7 +114,8 @@ def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], 
 
     ``remembers``: what was stated of the table is kept beside it.
     """
-    from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, remember
+    from rotcal_ros.foundation.table_columns import AS_IT_STANDS
+    from rotcal_ros.foundation.table_reading import remember
     from rotcal_ros.report.terminal.console import say, tell, understood
 
     def announce(reading: Reading) -> None:
@@ -132,7 +133,7 @@ def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], 
 def sheet_of(changes: Sequence[str]) -> SheetSettings:
     """Return what ``--set sheet.NAME=VALUE`` says of a table."""
     from rotcal_ros.foundation.settings import of_changes
-    from rotcal_ros.foundation.sheets.forms import SheetSettings
+    from rotcal_ros.foundation.table_columns import SheetSettings
     from rotcal_ros.foundation.untrusted import load_yaml
 
     return of_changes(SheetSettings, "sheet", changes, load_yaml)
@@ -150,7 +151,7 @@ def references(
 
     Raises UsageError for a ``polygon`` without a reference table among ``sources``.
     """
-    from rotcal_ros.foundation.sheets.forms import of_tables
+    from rotcal_ros.foundation.table_reading import of_tables
     from rotcal_ros.foundation.tables import is_table
     from rotcal_ros.recordings.result_sources import References
 

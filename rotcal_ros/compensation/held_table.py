@@ -26,6 +26,7 @@ from rotcal_ros.foundation.curves.directional import directional_curve
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.in_force import NONE
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, TURN
@@ -156,16 +157,19 @@ class Effect:
         sure = abs(self.factor) - COVERAGE_FACTOR * self.std > SURE and self.share >= SHARE
         for (low, high), cause in zip(WRONG, CAUSES, strict=True):
             if sure and low <= self.factor < high:
-                return f"the table in force does not do what it should: {cause}; {self.describe()}"
+                return phrase(
+                    "the table in force does not do what it should: {0}; {1}", phrase(cause),
+                    self.describe()
+                )  # fmt: skip
         return None
 
     def describe(self) -> str:
         """Return the factor with its expanded uncertainty."""
         factor = value_with_uncertainty(self.factor, COVERAGE_FACTOR * self.std)
-        return (
-            f"{factor} (k = {COVERAGE_FACTOR:g}) times what it corrects is left "
-            "(0: it acts; 1: it does not; 2: its sign is wrong)"
-        )
+        return phrase(
+            "{0} (k = {1:g}) times what it corrects is left (0: it acts; 1: it does not; 2: its "
+            "sign is wrong)", factor, COVERAGE_FACTOR
+        )  # fmt: skip
 
 
 def effect(left: Floats, corrected: Floats, covariance: Floats) -> Effect | None:

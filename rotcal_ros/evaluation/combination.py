@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import reduce
+from functools import partial, reduce
 from itertools import combinations
 from math import hypot
 from typing import Any, Final
@@ -33,6 +33,7 @@ from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.protection import (
     ALL_EFFECTS,
     PARTICULAR,
@@ -47,7 +48,7 @@ from rotcal_ros.foundation.results import FreeDirection, Result, Verdict, Zeros
 METHOD: Final = "combination"
 REFERENCE: Final = "reference"
 """The method of a table of values."""
-UNCHECKED: Final = "nothing checked its values: none was measured twice"
+UNCHECKED: Final = phrase("nothing checked its values: none was measured twice")
 UNTOLD: Final = (Protection("single readings", "not protected", UNCHECKED),)
 
 
@@ -63,7 +64,7 @@ class CombinationInput:
     method: str
     curves: Curves
     verdict: Verdict = "ok"
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Phrase, ...] = ()
     protections: tuple[Protection, ...] = ()
     circumstances: Circumstances | None = None
     zeros: Zeros = field(default_factory=Zeros)
@@ -160,17 +161,24 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
     deviations, covariance, zeros, left_out = _curves(groups, inputs, angles)
     closed = {c: own for c, own in joined.items() if c not in " ".join(left_out)}
     doubtful = [m for m in inputs if m.verdict != "ok"]
-    warnings = [f"{m.name} is {m.verdict} ({'; '.join(m.warnings)})" for m in doubtful]
+    warnings = [
+        phrase("{0} is {1} ({2})", m.name, phrase(m.verdict), listed(m.warnings)) for m in doubtful
+    ]
     warnings += [group.describe() for group in groups if not group.consistent]
     warnings += [
-        f"{group.name}: {TOO_ALIKE} (chi2/dof {group.chi2_of_noise / group.dof:.2f})"
+        phrase(
+            "{0}: {1} (chi2/dof {2:.2f})",
+            group.name,
+            phrase(TOO_ALIKE),
+            group.chi2_of_noise / group.dof,
+        )
         for group in groups
         if too_alike(group.chi2_of_noise, group.dof, SURE / len(groups))
     ]
     checked = {n for group in groups if group.dof for names in group.members for n in names}
     unchecked = [m.name for m in inputs if m.method == REFERENCE and m.name not in checked]
     notes = [link.describe() for group in groups for link in group.links] + left_out
-    notes += [f"{name}: {UNCHECKED}" for name in unchecked]
+    notes += [phrase("{0}: {1}", name, UNCHECKED) for name in unchecked]
     chi2, dof = sum(group.chi2 for group in groups), sum(group.dof for group in groups)
     steps = np.diff(np.eye(len(angles)), axis=0) if "ECC" in deviations else None
     result = Result(
@@ -206,11 +214,11 @@ def result_of(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInpu
 
 def _curves(
     groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput], angles: Floats
-) -> tuple[dict[str, Floats], dict[str, Floats], list[FreeDirection], list[str]]:
+) -> tuple[dict[str, Floats], dict[str, Floats], list[FreeDirection], list[Phrase]]:
     """Return deviations and covariances at ``angles``, what is open, and what is left out."""
     whole = any(not group.open_of(c).shape[1] for group in groups for c in group.joined)
     deviations, covariance = {}, {}
-    left_out: dict[str, list[str]] = {}
+    left_out: dict[Phrase, list[str]] = {}
     free: list[FreeDirection] = []
     for group in groups:
         maps = {
@@ -224,7 +232,7 @@ def _curves(
             for direction in m.zeros.free
             if direction.name and direction.columns.keys() & group.joined.keys()
         )
-        words = " and ".join(names)  # between what zeros differ
+        words = reduce(partial(phrase, "{0} and {1}"), names) if names else listed(())
         for c, to_all in maps.items():
             if whole and group.open_of(c).shape[1]:
                 left_out.setdefault(words, []).append(c)
@@ -236,7 +244,7 @@ def _curves(
             touched = {c: part for c, part in parts.items() if np.max(np.abs(part)) > OPEN}
             free.append(FreeDirection(words, touched))
     notes = [
-        f"{', '.join(names)} left out: no input measured the offset between {words}"
+        phrase("{0} left out: no input measured the offset between {1}", ", ".join(names), words)
         for words, names in left_out.items()
     ]
     return deviations, covariance, free, notes
@@ -255,11 +263,16 @@ def _linked(
     bare = {link.name: link.others[0] for link in own if not link.checked}
     others = sorted({other for link in own for other in link.others})
     joined = Protection(
-        "gauge", "estimated", f"the offsets that it leaves open come from {', '.join(others)}"
+        "gauge",
+        "estimated",
+        phrase("the offsets that it leaves open come from {0}", ", ".join(others)),
     )
     if bare:
-        links = [f"the offset between {what} comes from {other}" for what, other in bare.items()]
-        why = f"{', '.join(links)} alone, whose error nothing checks"
+        links = [
+            phrase("the offset between {0} comes from {1}", phrase(what), other)
+            for what, other in bare.items()
+        ]
+        why = phrase("{0} alone, whose error nothing checks", listed(links, ", "))
         joined = Protection("gauge", "not protected", why)
     return (*(p for p in protections if p.effect != "gauge"), joined)
 
@@ -275,16 +288,27 @@ def _to_all(own: Joined, angles: Floats) -> Floats | None:
 
 def _read_between(
     groups: Sequence[ComponentGroup], joined: Mapping[str, Joined], count: int, whole: set[str]
-) -> list[str]:
+) -> list[Phrase]:
     """Return in words what was not measured at all ``count`` angles; ``whole``: is there now."""
     fewer = []
     for c, own in joined.items():
         if len(own.angles) < count:
-            done = "interpolated at the others" if c in whole else "only on an arc, left out"
-            fewer.append(f"{c} was measured at {len(own.angles)} of {count} angles: {done}")
+            done = (
+                phrase("interpolated at the others")
+                if c in whole
+                else phrase("only on an arc, left out")
+            )
+            fewer.append(
+                phrase(
+                    "{0} was measured at {1} of {2} angles: {3}", c, len(own.angles), count, done
+                )
+            )
     names = {name for group in groups for name in group.interpolated}
     return fewer + [
-        f"{name} shares fewer than two angles with the others: these are interpolated at its own"
+        phrase(
+            "{0} shares fewer than two angles with the others: these are interpolated at its own",
+            name,
+        )
         for name in sorted(names)
     ]
 
@@ -371,7 +395,7 @@ def weaker(first: Protection, second: Protection) -> Protection:
 def _joined(
     effect: Effect, inputs: Mapping[str, Sequence[Protection]], shares: Mapping[str, float]
 ) -> Protection:
-    silent = Protection(effect, "not protected", "not stated")
+    silent = Protection(effect, "not protected", phrase("not stated"))
     stated = {
         name: next((p for p in protections if p.effect == effect), silent)
         for name, protections in inputs.items()
@@ -383,5 +407,5 @@ def _joined(
     named = {name: p for name, p in stated.items() if p.treatment == weakest}
     errors = [shares[name] * p.error for name, p in stated.items() if p.error is not None]
     error = sum(errors) if effect in LASTING else hypot(*errors)
-    why = "; ".join(f"{name}: {p.why}" for name, p in sorted(named.items()))
+    why = listed([phrase("{0}: {1}", name, p.why) for name, p in sorted(named.items())])
     return Protection(effect, weakest, why, error if errors else None)

@@ -30,12 +30,13 @@ from rotcal_ros.foundation.curves.interpolation import (
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.gum_numbers import uncertainty, value
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 SURE: Final = 0.01
 """Two curves disagree if chance alone makes such differences less often than this."""
-OFFSETS_OFF: Final = "; such offsets are removed, like the zero"
+OFFSETS_OFF: Final = noted("{0}: {1}; such offsets are removed, like the zero")
 TOO_ALIKE: Final = (
     "they agree better than independent measurements would: the same data, a common error, or "
     "uncertainties stated too large"
@@ -63,7 +64,7 @@ class Comparison(ByAngle):
     dof: int
     p_value: float
     agree: bool
-    notes: tuple[str, ...]
+    notes: tuple[Phrase, ...]
 
     def __repr__(self) -> str:
         """Return in one line whether the curves agree; without their unit, which is not known."""
@@ -76,16 +77,16 @@ class Comparison(ByAngle):
         """The largest |E_n|."""
         return float(np.max(np.abs(self.normalised_error)))
 
-    def describe(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> str:
+    def describe(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> Phrase:
         """Return the verdict in one line."""
         worst = int(np.argmax(np.abs(self.normalised_error)))
         above = int(np.sum(np.abs(self.normalised_error) > 1.0))
-        return (
-            f"{'agree' if self.agree else 'DISAGREE'}: rms {self.rms / unit:.3g} {unit_name}, "
-            f"largest |E_n| {abs(self.normalised_error[worst]):.2f} at "
-            f"{self.angles[worst] / DEGREE:.6g} deg, {above} of {len(self.angles)} above 1, "
-            f"chi2/dof {self.chi2 / self.dof:.2f}"
-        )
+        return phrase(
+            "{0}: rms {1:.3g} {2}, largest |E_n| {3:.2f} at {4:.6g} deg, {5} of {6} above 1, "
+            "chi2/dof {7:.2f}", phrase("agree") if self.agree else phrase("DISAGREE"),
+            self.rms / unit, unit_name, abs(self.normalised_error[worst]),
+            self.angles[worst] / DEGREE, above, len(self.angles), self.chi2 / self.dof
+        )  # fmt: skip
 
     def rows(self, unit: float) -> list[tuple[str, str, str, str]]:
         """Return angle (deg), difference, expanded uncertainty (k = 2) and E_n as text."""
@@ -148,11 +149,13 @@ def compare(
     else:
         least = chi2
     doubts = [
-        f"{name}: {curve.verdict_line}{OFFSETS_OFF if curve.open_zeros else ''}"
+        phrase(OFFSETS_OFF if curve.open_zeros else "{0}: {1}", name, curve.verdict_line)
         for name, curve in zip(names, (first, second), strict=True)
         if curve.verdict_line not in ("", "ok")
     ]
-    alike = [f"{TOO_ALIKE} (chi2/dof {least / dof:.2f})"] * (not exact and too_alike(least, dof))
+    alike = [phrase("{0} (chi2/dof {1:.2f})", phrase(TOO_ALIKE), least / dof)] * (
+        not exact and too_alike(least, dof)
+    )
     harmonics = harmonic_basis(angles, align_order)
     return Comparison(
         angles=angles,
@@ -224,19 +227,24 @@ def _normalised(difference: Floats, std: Floats) -> Floats:
     return np.asarray(np.where(zero, 0.0, np.clip(scaled, -1e6, 1e6)), dtype=np.float64)
 
 
-def _notes(both: PairedCurves, why: str | None, exact: bool) -> list[str]:
+def _notes(both: PairedCurves, why: Phrase | None, exact: bool) -> list[Phrase]:
     notes = []
     if np.any(both.interpolated):
         notes.append(
-            f"{int(np.sum(both.interpolated))} of {len(both.angles)} angles were not measured by "
-            "both: interpolated there"
+            phrase(
+                "{0} of {1} angles were not measured by both: interpolated there",
+                int(np.sum(both.interpolated)),
+                len(both.angles),
+            )
         )
     if both.outside:
-        notes.append(f"{both.outside} angles lie outside the other's arc: left out")
+        notes.append(phrase("{0} angles lie outside the other's arc: left out", both.outside))
     if both.shared is not None:
-        notes.append("both rest in part on the same observations, which is taken into account")
+        notes.append(
+            phrase("both rest in part on the same observations, which is taken into account")
+        )
     if exact:
-        notes.append("neither curve states an uncertainty: E_n says nothing")
+        notes.append(phrase("neither curve states an uncertainty: E_n says nothing"))
     if why:
         notes.append(why)
     return notes
@@ -257,7 +265,7 @@ SCALES: Final = {
 }
 
 
-def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> str | None:
+def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> Phrase | None:
     """Return what may be wrong with one of two curves, if their shapes show it.
 
     ``first`` and ``second`` are the values at the same angles, ``second_mirrored`` the negative
@@ -266,19 +274,19 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
     if second_mirrored is not None:
         straight, mirrored = _likeness(first, second), _likeness(first, second_mirrored)
         if mirrored > ALIKE and mirrored > abs(straight) + 0.2:
-            return "the curves fit if one is reversed: is its angle counted clockwise?"
+            return phrase("the curves fit if one is reversed: is its angle counted clockwise?")
     likeness = _likeness(first, second)
     if abs(likeness) < ALIKE:
         return None
     ratio = float(np.std(first) / np.std(second))
-    mistakes = ["its sign is turned (commanded - actual?)"] if likeness < 0.0 else []
+    mistakes = [phrase("its sign is turned (commanded - actual?)")] * (likeness < 0.0)
     for factor, mistake in SCALES.items():
         if abs(ratio / factor - 1.0) < 0.2 or abs(ratio * factor - 1.0) < 0.2:
-            mistakes.append(mistake)
+            mistakes.append(phrase(mistake))
             break
     if not mistakes:
         return None
-    return f"both curves have one shape, but for one of them {'; '.join(mistakes)}"
+    return phrase("both curves have one shape, but for one of them {0}", listed(mistakes))
 
 
 def _likeness(first: Floats, second: Floats) -> float:

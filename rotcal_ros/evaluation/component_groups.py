@@ -20,6 +20,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, covers_circle
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.units import DEGREE, TURN
 
 Curves = Mapping[str, MeasuredCurve]
@@ -54,15 +55,20 @@ class Link:
     std: float
     share: float
 
-    def describe(self) -> str:
+    def describe(self) -> Phrase:
         """Return where the offset comes from and what it costs, in one sentence."""
         unit, label = unit_of(self.component)
-        alone = "" if self.checked else " alone: nothing checks that, its stated uncertainty rules"
-        return (
-            f"{self.component} of {self.input}: the offset between {self.name}, "
-            f"{self.offset / unit:+.3g} {label}, comes from {', '.join(self.others)}{alone}; it "
-            f"adds up to {COVERAGE_FACTOR * self.share / unit:.2g} {label} to U"
-        )
+        others = phrase("{0}", ", ".join(self.others))
+        if not self.checked:
+            others = phrase(
+                "{0} alone: nothing checks that, its stated uncertainty rules", *self.others
+            )
+        return phrase(
+            "{0} of {1}: the offset between {2}, {3:+.3g} {4}, comes from {5}; it adds up to "
+            "{6:.2g} {4} to U",
+            self.component, self.input, phrase(self.name), self.offset / unit, label, others,
+            COVERAGE_FACTOR * self.share / unit,
+        )  # fmt: skip
 
     @property
     def checked(self) -> bool:
@@ -127,22 +133,25 @@ class ComponentGroup:
         own = self.columns[component]
         return self.factor**2 * self.spread[own, own]
 
-    def describe(self) -> str:
+    def describe(self) -> Phrase:
         """Return in words that the inputs contradict each other, and what was done about it."""
         unit, label = unit_of(next(iter(self.joined)))
         done = {
-            "birge": f"uncertainties enlarged by the factor {self.factor:.3g} (Birge)",
-            "mandel-paule": f"{self.common_std / unit:.3g} {label} added to the standard "
-            "uncertainty of every value (Mandel-Paule)",
-            "none": "uncertainties not enlarged",
-        }
-        off = f"; {self.farthest} is farthest off" if self.farthest else ""
-        off += f"; {self.differs}" if self.differs else ""
-        return (
-            f"{self.name}: the inputs contradict each other (chi-square {self.chi2:.4g} with "
-            f"{self.dof} degrees of freedom, p = {self.p_value:.2g}{off}): "
-            f"{done[self.enlargement]}"
-        )
+            "birge": phrase("uncertainties enlarged by the factor {0:.3g} (Birge)", self.factor),
+            "mandel-paule": phrase(
+                "{0:.3g} {1} added to the standard uncertainty of every value (Mandel-Paule)",
+                self.common_std / unit, label,
+            ),
+            "none": phrase("uncertainties not enlarged"),
+        }  # fmt: skip
+        found = [phrase("p = {0:.2g}", self.p_value)]
+        found += [phrase("{0} is farthest off", self.farthest)] if self.farthest else []
+        found += [phrase(self.differs)] if self.differs else []
+        return phrase(
+            "{0}: the inputs contradict each other (chi-square {1:.4g} with {2} degrees of "
+            "freedom, {3}): {4}", self.name, self.chi2, self.dof, listed(found),
+            done[self.enlargement],
+        )  # fmt: skip
 
 
 def surest_evaluations(inputs: Mapping[str, Curves]) -> list[str]:
@@ -235,7 +244,9 @@ def links_of(
                 telling = (n for n in others if shown[n] > OPEN * np.linalg.norm(along))
                 if curves[c].free_names.count(word) > 1:  # with the first angle that it moves
                     first = curves[c].angles[rows][way[rows] > 0.5 * way[rows].max()][0] / DEGREE
-                    word = f"{word}, that with {first:.6g} deg against the others"
+                    word = phrase(
+                        "{0}, that with {1:.6g} deg against the others", phrase(word), first
+                    )
                 yield Link(
                     component=c,
                     input=name,

@@ -28,11 +28,10 @@ from scipy.special import stdtrit
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import noted, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
-from rotcal_ros.foundation.sheets.reading import Reading, read_any
-from rotcal_ros.foundation.sheets.words import ACTUAL, REVERSED
+from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
+from rotcal_ros.foundation.table_reading import Reading, read_any, reads_any_form
 from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -131,7 +130,7 @@ class Iso230(ByAngle):
     accuracy_forward: float
     accuracy_reverse: float
     accuracy: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Phrase, ...]
     uncertainties: Mapping[str, FigureUncertainty] = field(default_factory=dict)
     measurement_stated: bool = False
 
@@ -179,16 +178,20 @@ def iso230(runs: BidirectionalRuns) -> Iso230:
     )
 
 
-def _short_of_the_standard(runs: BidirectionalRuns) -> list[str]:
+def _short_of_the_standard(runs: BidirectionalRuns) -> list[Phrase]:
     """Return in words what the runs lack of the standard's demands."""
     travel = float(np.ptp(runs.targets)) / DEGREE
     wanted = 3 if travel <= 90.0 else 5 if travel <= 180.0 else 8
     targets, n = runs.forward.shape
     notes = []
     if n < 5:
-        notes.append(f"{n} runs in each direction, the standard requires 5")
+        notes.append(phrase("{0} runs in each direction, the standard requires 5", n))
     if targets < wanted:
-        notes.append(f"{targets} targets over {travel:.4g} deg, the standard requires {wanted}")
+        notes.append(
+            phrase(
+                "{0} targets over {1:.4g} deg, the standard requires {2}", targets, travel, wanted
+            )
+        )
     return notes
 
 
@@ -291,6 +294,7 @@ def _ends(values: Floats) -> Floats:
 
 
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
+_IN_SI: Final = ("angle_rad", "run", "direction", "deviation_rad")
 DIRECTIONS: Final = ("up", "down")
 """up: approached with increasing angle, down: with decreasing angle."""
 _Visit: TypeAlias = "tuple[float, str, str]"
@@ -298,21 +302,22 @@ _Visit: TypeAlias = "tuple[float, str, str]"
 
 
 def read_runs(table: Table) -> BidirectionalRuns:
-    """Return the runs in a table of our own form.
+    """Return the runs in a table of our own form, or in one with the same columns in radians.
 
     Every target must occur once in every run and direction. Raises BagError for other columns;
     DataError names what is missing, double or not a number.
     """
-    require_header(table, (HEADER,))
+    require_header(table, (HEADER, _IN_SI))
+    degree, arcsec = (1.0, 1.0) if table.header == HEADER else (DEGREE, ARCSEC)
     rows = []
     for row in table.rows():
-        angle, run, direction, deviation = HEADER
+        angle, run, direction, deviation = table.header
         if row.cells[direction] not in DIRECTIONS:
             raise DataError(
                 f"{row.place}: direction {row.cells[direction]!r}, expected up or down"
             )
-        visit = row.number(angle), row.cells[run], row.cells[direction]
-        rows.append((row.place, visit, row.number(deviation)))
+        visit = row.number(angle) / degree, row.cells[run], row.cells[direction]
+        rows.append((row.place, visit, row.number(deviation) / arcsec))
     return _complete(rows, str(table.path))
 
 
@@ -324,10 +329,13 @@ def read_any_runs(
     Columns state run and direction, or the order of the rows. ``sheet`` says what the table leaves
     open, ``announce`` is given how it was understood. Raises as :func:`read_runs`.
     """
-    reading = read_any(path, (("position", "deviation_rad"),), sheet)
+    by_columns = not reads_any_form()
+    reading = read_any(path, (_IN_SI if by_columns else ("position", "deviation_rad"),), sheet)
     announce(reading)
+    if by_columns:
+        return read_runs(reading.table)
     if not reading.both_directions:
-        listed = not reading.uses.keys().isdisjoint(("deviation", ACTUAL, REVERSED))
+        listed = not reading.uses.keys().isdisjoint(("deviation", "actual", "reversed"))
         advice = (
             "a column 'direction' states them, and so does the order of the rows"
             if listed or not reading.form

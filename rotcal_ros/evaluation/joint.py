@@ -70,6 +70,7 @@ from rotcal_ros.evaluation.component_groups import (
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Rejection, Result
 
 Members: TypeAlias = "tuple[str, ...]"
@@ -493,7 +494,12 @@ class _Views:
             factor, label = unit_of(c)
             yield Disturbing(
                 "gauge",
-                f"order {order} of {c} (cosine, sine) is another for {name} than for the others",
+                phrase(
+                    "order {0} of {1} (cosine, sine) is another for {2} than for the others",
+                    order,
+                    c,
+                    name,
+                ),
                 self.own_curve(design, name, curves),
                 LARGEST * factor,
                 Unit(label.replace("µ", "u"), factor),

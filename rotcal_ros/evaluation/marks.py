@@ -298,10 +298,10 @@ def _contradicted(result: Result, truth: Mapping[str, Any]) -> str | None:
         if times[worst] > SURELY_WRONG:
             unit, label = unit_of(name)
             stated = uncertainty(float(expanded[worst]) / unit)
-            return (
-                f"{name} at {result.angles[worst] / DEGREE:g} degrees is "
-                f"{error[worst] / unit:.2g} {label} off what the simulation injected, "
-                f"{times[worst]:.1f} times its U of {stated} {label}: "
-                "the model is incomplete"
-            )
+            return phrase(
+                "{0} at {1:g} degrees is {2:.2g} {3} off what the simulation injected, {4:.1f} "
+                "times its U of {5} {6}: the model is incomplete", name,
+                result.angles[worst] / DEGREE, error[worst] / unit, label, times[worst], stated,
+                label
+            )  # fmt: skip
     return None

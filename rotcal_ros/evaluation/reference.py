@@ -17,9 +17,14 @@ import numpy as np
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, wrapped
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
-from rotcal_ros.foundation.sheets.reading import Reading, read_any
-from rotcal_ros.foundation.sheets.words import TableColumn, meaning, undecided
+from rotcal_ros.foundation.table_columns import (
+    AS_IT_STANDS,
+    SheetSettings,
+    TableColumn,
+    meaning,
+    undecided,
+)
+from rotcal_ros.foundation.table_reading import Reading, read_any
 from rotcal_ros.foundation.tables import Header, Row, Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 

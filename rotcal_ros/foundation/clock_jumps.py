@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import Final
 
+from rotcal_ros.foundation.language import phrase
+
 LEAST_NS: Final = 50_000_000
 """A smaller step does not count, since two clocks cannot be read at the same instant."""
 NAMED_NS: Final = 30_000_000_000
@@ -35,7 +37,7 @@ class ClockJump:
     def describe(self) -> str:
         """Return what happened and when, in UTC."""
         at = f"{_EPOCH + timedelta(microseconds=self.at_ns // 1000):%Y-%m-%dT%H:%M:%SZ}"
-        return f"the system clock jumped by {self.ahead_ns / 1e9:+.1f} s at {at}"
+        return phrase("the system clock jumped by {0:+.1f} s at {1}", self.ahead_ns / 1e9, at)
 
 
 class ClockWatch:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 
 UNKNOWN: Final = "unknown"
 NONE: Final = "none"
@@ -49,27 +49,26 @@ def agreed(states: Iterable[str]) -> str:
     return definite.pop()
 
 
-def contradiction(states: Iterable[str]) -> str | None:
+def contradiction(states: Iterable[str]) -> Phrase | None:
     """Return in words how ``states`` contradict each other, if they do."""
     stated = set(states) - {""}
     if stated == {NONE, UNKNOWN}:
-        return (
-            f"'{NONE}' was stated as the table in force, and '{UNKNOWN}' was announced too: which "
-            f"table was in force is {UNKNOWN}"
-        )
+        return phrase(
+            "'{0}' was stated as the table in force, and '{1}' was announced too: which table "
+            "was in force is {2}", NONE, UNKNOWN, UNKNOWN
+        )  # fmt: skip
     definite = sorted(stated - {UNKNOWN})
     if wrong := [state for state in definite if not _is_state(state)]:
-        return (
-            f"the cell announced {wrong[0]!r}, which is not a table in force (a SHA-256, '{NONE}' "
-            "or "
-            f"'{UNKNOWN}'): which one was is {UNKNOWN}"
-        )
+        return phrase(
+            "the cell announced {0!r}, which is not a table in force (a SHA-256, '{1}' or '{2}'): "
+            "which one was is {2}", wrong[0], NONE, UNKNOWN
+        )  # fmt: skip
     if len(definite) < 2:
         return None
-    return (
-        f"more than one table was in force ({', '.join(s[:12] for s in definite)}): which is "
-        f"{UNKNOWN}"
-    )
+    return phrase(
+        "more than one table was in force ({0}): which is {1}",
+        ", ".join(s[:12] for s in definite), UNKNOWN
+    )  # fmt: skip
 
 
 def known_hash(state: str) -> bool:

@@ -1,57 +1,85 @@
 """Texts that people read, in their language: English in the code, others in catalogues.
 
-A text has places ``{0}``, ``{1}`` ... for what differs. Catalogues are files of gettext,
+A text has places ``{0}``, ``{1:.3g}`` ... for its arguments. Catalogues are files of gettext,
 ``translations/LANGUAGE.po``; what a catalogue lacks stays English. Packages beside the core have
 catalogues of their own.
 
-Results, bags and logs hold finished English texts. One of these is understood again by the entry
-that could have made it, and what fills its places by other entries: so a stored result speaks
-every language, however old it is.
+A warning, a reason or a refusal is a :class:`Phrase`: its English words, and the code and the
+arguments of which they were made. Files and messages carry both, see :func:`codes_of`, so that a
+stored one speaks every language. Nothing reads the words back.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
+from math import isfinite
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
 
 FOLDER: Final = Path(__file__).with_name("translations")
 PACKAGES: Final = "rotcal_ros.translations"
 """Entry points of packages that have a folder ``translations``: any name -> the package."""
-JOINTS: Final = ("; ", ": ", ", ")
-"""What stands between texts that were made one by one."""
-LONGEST: Final = 4000
-"""Letters of a text that is still taken apart."""
-MOST_LETTERS: Final = 200
-"""Most letters of the words before a mere blank."""
-LETTERS: Final = 7
-"""An entry with fewer beside its places may have made a text, if no others did piece by piece."""
-DEPTH: Final = 6
-"""Texts in places of texts: this far down they are understood."""
-_COUNTED: Final = re.compile(r"(\d+ |)([^\d].*[^\d])( \d+|)")
-_PLACE: Final = re.compile(r"\{(\d+)\}")
+DEPTH: Final = 8
+"""Phrases in arguments of phrases: this far down they are read from a file."""
+_PLACE: Final = re.compile(r"\{(\d+)([^{}]*)\}")
+_CODE: Final = re.compile(
+    r"(?:[^{}]|\{\{|\}\}|\{\d{1,2}(?:!r)?(?::[+]?(?:\.\d{1,2})?[a-z%]?)?\})*"
+)
+"""Templates that a file may name: their places name a format, and reach into nothing."""
 _ENTRY: Final = re.compile(r'^msgid ((?:".*"\n)+)msgstr ((?:".*"\n)+)', re.MULTILINE)
 
 
 class Phrase(str):
-    """A text in English that knows how it was made: what a catalogue translates, and the rest.
+    """A text in English that knows how it was made: its code, and what fills its places.
 
-    ``parts`` fill the places of ``template``: texts as they are, or phrases in turn.
+    The code is the ``template``, which is what a catalogue translates. Of ``parts``, numbers are
+    as they were, texts are names that no language changes, and phrases are translated in turn.
     """
 
     __slots__ = ("parts", "template")
     template: str
-    parts: tuple[str, ...]
+    parts: tuple[str | int | float, ...]
+
+    def __str__(self) -> str:
+        """Return the phrase itself: an exception or a figure that holds it gives it back."""
+        return self
+
+    @property
+    def text(self) -> str:
+        """The English words alone."""
+        return str.__str__(self)
+
+    @property
+    def shown(self) -> list[str]:
+        """The parts as the text shows them, phrases as they are."""
+        forms = dict(_PLACE.findall(self.template))
+        return [
+            part if isinstance(part, str) else f"{{0{forms.get(str(k), '')}}}".format(part)
+            for k, part in enumerate(self.parts)
+        ]
+
+    @property
+    def coded(self) -> dict[str, Any]:
+        """The phrase as plain data of JSON: text, code and arguments, phrases in turn."""
+        arguments = [
+            part.coded if isinstance(part, Phrase)
+            else {"number": str(part)} if isinstance(part, float) and not isfinite(part)
+            else part
+            for part in self.parts
+        ]  # fmt: skip
+        if not arguments:
+            return {"code": self.template}
+        return {"text": self.text, "code": self.template, "arguments": arguments}
 
 
 def noted(template: str) -> str:
@@ -60,128 +88,129 @@ def noted(template: str) -> str:
 
 
 def phrase(template: str, *parts: object) -> Phrase:
-    """Return a text for the catalogues, with its places filled.
+    """Return a text for the catalogues, with its places filled; a phrase stays as it is.
 
-    >>> phrase("table position {0}", 5)
-    'table position 5'
+    >>> phrase("table position {0}, off by {1:.1f} mm", 5, 0.25)
+    'table position 5, off by 0.2 mm'
     """
-    texts = tuple(part if isinstance(part, str) else str(part) for part in parts)
-    whole = Phrase(template.format(*texts) if texts else template)
-    whole.template, whole.parts = template, texts
+    if isinstance(template, Phrase) and not parts:
+        return template
+    kept = tuple(map(_kept, parts))
+    whole = Phrase(template.format(*kept) if kept else template)
+    whole.template, whole.parts = template, kept
     return whole
 
 
-def listed(texts: Sequence[str], between: str = "; ") -> str:
+def _kept(part: object) -> str | int | float:
+    """Return a part of a phrase as JSON can hold it: numbers of numpy as plain ones."""
+    if isinstance(part, str | int | float) and type(part).__module__ != "numpy":
+        return part
+    plain = part.item() if hasattr(part, "item") else part
+    return plain if isinstance(plain, str | int | float) else str(plain)
+
+
+def listed(texts: Sequence[str], between: str = "; ") -> Phrase:
     """Return texts one after the other; phrases among them stay phrases."""
     places = between.join(f"{{{place}}}" for place in range(len(texts)))
-    return texts[0] if len(texts) == 1 else phrase(places, *texts)
+    return phrase(texts[0]) if len(texts) == 1 else phrase(places, *texts)
 
 
-@dataclass(frozen=True, slots=True)
-class Template:
-    """An entry with places: the ``pieces`` between its ``places``, and its translation."""
+def codes_of(texts: Any) -> list[dict[str, Any]]:
+    """Return every phrase with arguments among ``texts`` once, as plain data of JSON.
 
-    pieces: tuple[str, ...]
-    places: tuple[int, ...]
-    translated: str
+    A text of ours that is not among them is its own code.
+    """
+    found: dict[str, Phrase] = {}
+    for text in _phrases(texts):
+        found.setdefault(text, text)
+    return [text.coded for text in found.values()]
 
-    @classmethod
-    def of(cls, english: str, translated: str) -> Template:
-        """Return an entry of a catalogue, taken apart."""
-        parts = _PLACE.split(english)
-        return cls(tuple(parts[::2]), tuple(map(int, parts[1::2])), translated)
 
-    @property
-    def letters(self) -> int:
-        """How many letters a text of this entry has for sure."""
-        return sum(map(str.isalpha, "".join(self.pieces)))
+def _phrases(texts: Any) -> Iterator[Phrase]:
+    if isinstance(texts, Phrase):
+        if texts.parts:
+            yield texts
+    elif isinstance(texts, Mapping | list | tuple):
+        for text in texts.values() if isinstance(texts, Mapping) else texts:
+            yield from _phrases(text)
 
-    def filling(self, text: str, known: Container[str]) -> list[str] | None:
-        """Return what fills the places in ``text``; None if this entry did not make it.
 
-        Each place ends where the next piece begins first, so no text takes long; if that is a
-        mere blank, behind the most words that are ``known``.
-        """
-        first, *between, last = self.pieces
-        rest = text.removeprefix(first).removesuffix(last)
-        if len(text) != len(first) + len(rest) + len(last):
-            return None
-        found: dict[int, str] = {}
-        for place, piece in zip(self.places, [*between, ""], strict=True):
-            end = rest.find(piece) if piece else len(rest)
-            if piece == " ":
-                blanks = (blank.start() for blank in re.finditer(" ", rest[:MOST_LETTERS]))
-                end = max((b for b in blanks if rest[:b] in known), default=end)
-            if end < 0:
+def with_codes(texts: Any, coded: Any) -> Any:
+    """Return plain data with its texts as the phrases that :func:`codes_of` made of them."""
+    known = {
+        str.__str__(text): text
+        for text in map(_read, coded if isinstance(coded, list) else ())
+        if text
+    }
+    return _spoken_again(texts, known) if known else texts
+
+
+def _spoken_again(texts: Any, known: Mapping[str, Phrase]) -> Any:
+    if isinstance(texts, str):
+        return known.get(texts, texts)
+    if isinstance(texts, Mapping):
+        return {name: _spoken_again(text, known) for name, text in texts.items()}
+    return [_spoken_again(t, known) for t in texts] if isinstance(texts, list) else texts
+
+
+def _read(coded: Any, depth: int = DEPTH) -> Phrase | None:
+    """Return a phrase of plain data; None if code and arguments do not give its text."""
+    match coded:
+        case {"code": str(code)} if len(coded) == 1:
+            return phrase(code)
+        case {"text": str(text), "code": str(code), "arguments": list(given)} if depth:
+            parts = [_argument(argument, depth) for argument in given]
+            if None in parts or not _CODE.fullmatch(code):
                 return None
-            found[place], rest = rest[:end], rest[end + len(piece) :]
-        return [found.get(place, "") for place in range(max(found) + 1)]
+            try:
+                found = phrase(code, *parts)
+            except (IndexError, OverflowError, ValueError):
+                return None
+            return found if found == text else None
+    return None
+
+
+def _argument(given: Any, depth: int) -> str | int | float | None:
+    match given:
+        case {"number": "inf" | "-inf" | "nan" as number}:
+            return float(number)
+        case str() | int() | float():
+            return given
+    return _read(given, depth - 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Language:
-    """One language: ``texts`` are English ones with their translations.
-
-    ``templates`` are those among them that have places, the most specific ones first: those with
-    LETTERS, and the rest.
-    """
+    """One language: ``texts`` are English ones, with their places, and their translations."""
 
     code: str = "en"
     texts: Mapping[str, str] | None = None
-    templates: tuple[Sequence[Template], Sequence[Template]] = ((), ())
 
     def __call__(self, template: str, *parts: object) -> str:
         """Return a text of the catalogue in this language, with its places filled."""
         if not parts:
-            return self.understood(template) or template
+            return self.say(template) if isinstance(template, Phrase) else self._known(template)
         spoken = (self.say(part) if isinstance(part, str) else part for part in parts)
-        return (self.texts or {}).get(template, template).format(*spoken)
+        return self._known(template).format(*spoken)
 
     def say(self, text: str) -> str:
         """Return a phrase in this language, any other text as it is."""
-        return self(text.template, *text.parts) if isinstance(text, Phrase) else text
+        if not isinstance(text, Phrase):
+            return text
+        return self(text.template, *text.parts) if text.parts else self._known(text.template)
 
-    def understood(self, text: str, depth: int = DEPTH) -> str | None:
-        """Return a finished text of ours in this language; None if no entry made it.
+    def knows(self, text: Phrase) -> bool:
+        """Return whether a phrase is of this language: words of its own are in the catalogue."""
+        template = text.template
+        return self.texts is None or bool(text.parts) or self._known(template) != template
 
-        A text that only begins with a capital is the entry without it.
-        """
-        if self.texts is None or text in self.texts or not depth or len(text) > LONGEST:
-            return None if self.texts is None else self.texts.get(text)
-        if lower := self.texts.get(text[:1].lower() + text[1:]):
-            return lower[:1].upper() + lower[1:]
-        whole, short = self.templates
-        return (
-            self._filled(whole, text, depth)
-            or self._piecewise(text, depth)
-            or self._filled(short, text, depth)
-            or self._counted(text, depth)
-        )
-
-    def _filled(self, templates: Sequence[Template], text: str, depth: int) -> str | None:
-        for template in templates:
-            filling = template.filling(text, self.texts or ())
-            if filling is not None:
-                parts = [self.understood(part, depth - 1) or part for part in filling]
-                return template.translated.format(*parts)
-        return None
-
-    def _piecewise(self, text: str, depth: int) -> str | None:
-        for joint in filter(text.__contains__, JOINTS):
-            each = [
-                self.understood(part, depth - 1) or (None if " " in part else part)
-                for part in text.split(joint)
-            ]
-            if None not in each:
-                return joint.join(map(str, each))
-        return None
-
-    def _counted(self, text: str, depth: int) -> str | None:
-        counted = _COUNTED.fullmatch(text)
-        if counted is None or counted[2] == text:
-            return None
-        words = self.understood(counted[2], depth - 1)
-        return words and f"{counted[1]}{words}{counted[3]}"
+    def _known(self, template: str) -> str:
+        """Return the translation; one that only begins with a capital is that without it."""
+        texts = self.texts or {}
+        if template in texts or not template[:1].isupper():
+            return texts.get(template, template)
+        small = texts.get(template[:1].lower() + template[1:])
+        return small[:1].upper() + small[1:] if small else template
 
 
 ENGLISH: Final = Language()
@@ -224,12 +253,7 @@ def language(code: str) -> Language:
     files = [path for folder in folders() if (path := folder / f"{code}.po").exists()]
     entries = [e for f in files for e in _ENTRY.findall(f.read_text(encoding="utf-8") + "\n")]
     texts = {_joined(english): _joined(translated) for english, translated in entries}
-    texts = {english: text for english, text in texts.items() if english and text}
-    templates = [Template.of(*entry) for entry in texts.items() if _PLACE.search(entry[0])]
-    specific = sorted(templates, key=lambda template: template.letters, reverse=True)
-    whole = [template for template in specific if template.letters >= LETTERS]
-    short = [template for template in specific if 0 < template.letters < LETTERS]
-    return Language(code, texts, (whole, short))
+    return Language(code, {english: text for english, text in texts.items() if english and text})
 
 
 def _joined(lines: str) -> str:

@@ -225,7 +225,7 @@ REASONS: Final = {
     Why.SOLVING: "solving",
     Why.CLOSING_BAG: "closing the bag",
     Why.GOING_ON: "going on",
-    **{code: f"paused: {text}" for code, text in INSTRUCTIONS.items()},
+    **{code: phrase("paused: {0}", text) for code, text in INSTRUCTIONS.items()},
     Why.TABLE_REFUSED: "table refused: {0}",
     Why.TABLE_WRITTEN: "table {0} written, not applied",
     Why.TABLE_APPLIED: "table applied, read back and equal",

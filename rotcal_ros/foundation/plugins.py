@@ -51,6 +51,8 @@ CERTIFICATES: Final = "rotcal_ros.certificates"
 """The writer of certificates for ``rotcal report``."""
 HISTORIES: Final = "rotcal_ros.histories"
 """The module that keeps results, and says what has changed since the last one."""
+TABLES: Final = "rotcal_ros.tables"
+"""What reads tables of another form than ours: a :class:`~.table_reading.FormReader`."""
 KINDS: Final = {
     METHODS: "method",
     CONTROLLERS: "controller",
@@ -58,6 +60,7 @@ KINDS: Final = {
     INSTRUMENTS: "instrument",
     VERBS: "verb",
     PLANS: "plan",
+    TABLES: "reader of tables",
 }
 INDEX: Final = Path(__file__).with_name("packages.json")
 """Package beside the core -> group -> names that it brings: errors say what to install for them.
@@ -245,7 +248,11 @@ def nearest(name: str, known: Any, *groups: str) -> str:
 
 def package_hint(name: str, group: str) -> str:
     """Return what to install for a name that a package beside the core brings; "" for others."""
-    for package, brought in json.loads(INDEX.read_text(encoding="utf-8")).items():
-        if name in brought.get(group, ()):
-            return f"; its package is not installed: pip install {package}"
-    return ""
+    package = provider(name, group)
+    return f"; its package is not installed: pip install {package}" if package else ""
+
+
+def provider(name: str, group: str) -> str:
+    """Return which package beside the core brings a name, installed or not; "" for others."""
+    index = json.loads(INDEX.read_text(encoding="utf-8"))
+    return next((owner for owner, brought in index.items() if name in brought.get(group, ())), "")

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 
 Common = Literal[
     "drift",
@@ -81,7 +81,7 @@ class Protection:
 
     effect: Effect
     treatment: Treatment
-    why: str
+    why: Phrase
     error: float | None = None
 
     def __post_init__(self) -> None:
@@ -108,6 +108,10 @@ def unprotected(protections: Iterable[Protection]) -> tuple[Effect, ...]:
     return tuple(effect for effect in ALL_EFFECTS if effect in bare)
 
 
+BOTH_LINES: Final = noted("{0}. Not tested for: {1}")
+"""A verdict, never without what it does not cover."""
+
+
 def below(missing: str) -> str:
     """Return the line below a verdict, which names what is ``missing``; empty for nothing."""
     return phrase("Not tested for: {0}", missing) if missing else ""
@@ -115,6 +119,9 @@ def below(missing: str) -> str:
 
 def two_lines(verdict_line: str) -> tuple[str, str]:
     """Return the verdict and what it does not cover, of both as one text."""
+    if isinstance(verdict_line, Phrase) and verdict_line.template == BOTH_LINES:
+        found, missing = map(str, verdict_line.parts)
+        return found, below(missing)
     words, mark, rest = verdict_line.partition(". Not tested for: ")
     return words, below(rest if mark else "")
 

@@ -14,6 +14,8 @@ from enum import Enum
 from functools import cache
 from typing import Any, Final, TypeVar
 
+from rotcal_ros.foundation.language import Phrase, phrase
+
 T = TypeVar("T")
 
 _LARGEST: Final = 1 << 63
@@ -80,6 +82,8 @@ def _plain(kind: type, value: Any, where: str) -> Any:
     """Return a value whose type has no arguments."""
     if dataclasses.is_dataclass(kind):
         return value if isinstance(value, kind) else record(kind, value, where)
+    if kind is Phrase:
+        return phrase(_scalar(str, value, where))
     if issubclass(kind, Enum):
         if not isinstance(value, bool) and any(value == member.value for member in kind):
             return kind(value)

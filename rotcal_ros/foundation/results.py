@@ -29,8 +29,8 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_o
 from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
-from rotcal_ros.foundation.language import listed, phrase
-from rotcal_ros.foundation.protection import Effect, Protection, ordered, unprotected
+from rotcal_ros.foundation.language import Phrase, codes_of, listed, noted, phrase, with_codes
+from rotcal_ros.foundation.protection import BOTH_LINES, Effect, Protection, ordered, unprotected
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.units import DEGREE
@@ -60,7 +60,7 @@ class Rejection:
     """An observation that was not used: its row ``index`` and the reason."""
 
     index: int
-    why: str
+    why: Phrase
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +262,7 @@ class FreeDirection:
     lies between, such as "the odd and even table positions".
     """
 
-    name: str
+    name: Phrase
     columns: Mapping[str, Floats]
 
 
@@ -298,18 +298,15 @@ class Zeros:
         )
         return replace(self, free=tuple(moved))
 
-    def describe(self, components: Iterable[str] = COMPONENTS) -> str:
+    def describe(self, components: Iterable[str] = COMPONENTS) -> Phrase:
         """Return a clause for each open offset of ``components``."""
-        wanted = set(components)
-        touched: dict[str, set[str]] = {}
+        touched: dict[Phrase, set[str]] = {}
         for direction in self.free:
-            if found := wanted & direction.columns.keys():
+            if found := set(components) & direction.columns.keys():
                 touched.setdefault(direction.name, set()).update(found)
-        return "; ".join(
-            f"the offset between {name} is not measured "
-            f"({', '.join(c for c in COMPONENTS if c in found)})"
-            for name, found in touched.items()
-        )
+        clause = noted("the offset between {0} is not measured ({1})")
+        names = [", ".join(c for c in COMPONENTS if c in found) for found in touched.values()]
+        return listed([phrase(clause, *each) for each in zip(touched, names, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -348,7 +345,7 @@ class Result:
     n_observations: int
     rejected: tuple[Rejection, ...] = ()
     verdict: Verdict = "ok"
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Phrase, ...] = ()
     adjacent_deviations: Floats | None = None
     adjacent_std: Floats | None = None
     residuals: Residuals | None = None
@@ -376,17 +373,17 @@ class Result:
         return unprotected(self.protections)
 
     @property
-    def verdict_words(self) -> str:
+    def verdict_words(self) -> Phrase:
         """The verdict for people, the first of the two lines that belong together."""
-        verdict: str = phrase(self.verdict)
+        verdict = phrase(self.verdict)
         if self.simulated:
             verdict = phrase("{0} (SIMULATED)", verdict)
         if self.zeros.free:
-            verdict = phrase("{0}, {1}", verdict, phrase(self.zeros.describe()))
+            verdict = phrase("{0}, {1}", verdict, self.zeros.describe())
         return verdict
 
     @property
-    def not_tested(self) -> str:
+    def not_tested(self) -> Phrase:
         """What the verdict does not cover; empty where it covers everything."""
         if not self.protections:
             if self.dof == 0:
@@ -395,10 +392,10 @@ class Result:
         return listed([phrase(effect) for effect in self.unprotected], ", ")
 
     @property
-    def verdict_line(self) -> str:
+    def verdict_line(self) -> Phrase:
         """Both lines as one text: the verdict, never without what it does not cover."""
         words, missing = self.verdict_words, self.not_tested
-        return phrase("{0}. Not tested for: {1}", words, missing) if missing else words
+        return phrase(BOTH_LINES, words, missing) if missing else words
 
     @property
     def verdict_within(self) -> Verdict:
@@ -495,6 +492,7 @@ class Result:
             "not_protected": list(self.unprotected),
             "warnings": list(self.warnings),
             "protections": [plain_fields(p) for p in self.protections],
+            "codes": codes_of(self._texts()),
             "details": self.all_details,
         }
         if self.raw_data.hashes:
@@ -505,6 +503,12 @@ class Result:
                 del columns["unit"]
             data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
         return {name: plain(value) for name, value in data.items()}
+
+    def _texts(self) -> Any:
+        """Return all that has texts for people."""
+        of_rows = [[r.why for r in self.rejected], [p.why for p in self.protections]]
+        names = [free.name for free in self.zeros.free]
+        return [self.warnings, of_rows, names, self.circumstances.refraction, self.details]
 
     def _places(self) -> dict[str, Any]:
         """Return where axes and instrument stand, as far as that was measured."""
@@ -669,6 +673,7 @@ _WHOLE: Final[Mapping[str, type]] = {
 """Columns of the residuals that are not floats."""
 _ROUNDING: Final = 1e-6
 """Share of the largest variance by which a covariance may exceed what the variances allow."""
+_TEXTS: Final = ("rejected", "warnings", "protections", "details", "zeros", "circumstances")
 
 
 @dataclass(frozen=True)
@@ -681,7 +686,7 @@ class _Plain:
     n_observations: int
     rejected: tuple[Rejection, ...]
     verdict: str
-    warnings: tuple[str, ...]
+    warnings: tuple[Phrase, ...]
     details: Mapping[str, Any]
     protections: tuple[Protection, ...]
     measured_on: str = UNKNOWN
@@ -690,6 +695,7 @@ class _Plain:
 def _result(data: Mapping[str, Any]) -> Result:
     for each in fields(_Plain)[:-1]:
         data[each.name]
+    data = {**data, **with_codes({n: data[n] for n in _TEXTS if n in data}, data.get("codes"))}
     plain = record(_Plain, {f.name: data[f.name] for f in fields(_Plain) if f.name in data})
     if plain.verdict not in get_args(Verdict):
         raise ValueError(f"verdict: {plain.verdict!r} is none of {', '.join(get_args(Verdict))}")
@@ -738,7 +744,7 @@ def _zeros(data: Mapping[str, Any], n: int) -> Zeros:
     if data and data["within"] not in get_args(Verdict):
         raise ValueError(f"zeros.within: {data['within']!r:.60} is no verdict")
     free = [
-        FreeDirection(str(d["name"]), finite_columns(d["columns"], "zeros.free", (n,)))
+        FreeDirection(phrase(str(d["name"])), finite_columns(d["columns"], "zeros.free", (n,)))
         for d in data.get("free", ())
     ]
     counts_from = str(data.get("counts_from", UNKNOWN))

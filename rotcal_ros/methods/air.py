@@ -16,6 +16,7 @@ import numpy as np
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.refraction import EQUATIONS, Air, Equation, Sensors, index_std
 from rotcal_ros.foundation.results import Result
@@ -115,14 +116,14 @@ class Refraction:
         air = self._air(observations)
         index = equation.index(air, settings.vacuum_wavelength_nm, settings.co2_ppm)
         std = float(np.max(self._std(air, equation)))
-        return (
-            f"{equation.name} with {settings.vacuum_wavelength_nm:g} nm in vacuum, CO2 "
-            f"{settings.co2_ppm:g} umol/mol, dead path {settings.dead_path_m:g} m: index "
-            f"{index.min():.8f} to {index.max():.8f}, standard uncertainty {std:.1e} from "
-            f"{settings.temperature_std_k:g} K, {settings.pressure_std_pa:g} Pa, "
-            f"{settings.humidity_std:g} of humidity and {equation.std:.0e} of the equation, "
-            "common to all lengths and part of the uncertainties"
-        )
+        return phrase(
+            "{0} with {1:g} nm in vacuum, CO2 {2:g} umol/mol, dead path {3:g} m: index {4:.8f} "
+            "to {5:.8f}, standard uncertainty {6:.1e} from {7:g} K, {8:g} Pa, {9:g} of humidity "
+            "and {10:.0e} of the equation, common to all lengths and part of the uncertainties",
+            equation.name, settings.vacuum_wavelength_nm, settings.co2_ppm, settings.dead_path_m,
+            index.min(), index.max(), std, settings.temperature_std_k, settings.pressure_std_pa,
+            settings.humidity_std, equation.std
+        )  # fmt: skip
 
     def _over(self, observations: Observations, errors: float) -> tuple[Observation, ...]:
         """Return the observations corrected with every index ``errors`` of its std larger."""

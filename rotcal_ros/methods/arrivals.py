@@ -20,6 +20,7 @@ from rotcal_ros.adjust.model import CurveModel, block_rows
 from rotcal_ros.adjust.stacking import reparametrised
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Directions, RepeatedRuns, Result
 from rotcal_ros.methods.added_errors import with_steps
@@ -157,7 +158,7 @@ def mean_of_arrivals(
     for c, std in known.items():
         mean = block_rows(model.blocks, f"mean of {c}")
         left = every[c] - mean[side]
-        model = model.with_prior(f"the arrivals of {c}", left, np.zeros(len(side)), std)
+        model = model.with_prior(phrase("the arrivals of {0}", c), left, np.zeros(len(side)), std)
         curves[c] = arrivals.averaging() @ mean[side]
     return CurveModel(model, arrivals.targets[arrivals.measured], curves, found.mixed)
 

@@ -22,6 +22,7 @@ from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
+from rotcal_ros.foundation.language import Phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Effect, Protection
 from rotcal_ros.foundation.results import AxisLine, Result
@@ -69,7 +70,7 @@ class Statement:
     ``axes``: where rotary axes stand, of a method that measures this.
     """
 
-    doubts: Sequence[str] = ()
+    doubts: Sequence[Phrase] = ()
     protections: Sequence[Protection] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
     axes: tuple[AxisLine, ...] = ()
@@ -80,7 +81,7 @@ class Restated:
     """A configuration whose statements fit what was found, and why others did not."""
 
     configuration: Configuration
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Phrase, ...] = ()
 
 
 @dataclass(frozen=True)

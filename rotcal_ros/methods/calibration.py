@@ -18,6 +18,7 @@ from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
+from rotcal_ros.foundation.language import listed, phrase
 from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN, Observation
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.raw_data import RawData
@@ -117,7 +118,9 @@ class Calibration:
         warnings = (*result.warnings, *conflicts)
         if not self.method.set_by_hand and all(o.captured for o in used):
             # it cannot be numbered off, as a table that is written down can
-            why = "all was captured while the table's own feedback stood at the commanded angle"
+            why = phrase(
+                "all was captured while the table's own feedback stood at the commanded angle"
+            )
             result = result.protected(Protection("numbering", "harmless", why))
         raw = replace(RawData.of(used, _DATED_NS), influence=result.raw_data.influence)
         return replace(
@@ -245,7 +248,9 @@ class Calibration:
             dof=0,
             n_observations=len(used),
             verdict="suspect",
-            zeros=Zeros(free=tuple(FreeDirection("", dict.fromkeys(names, k)) for k in each)),
+            zeros=Zeros(
+                free=tuple(FreeDirection(listed(()), dict.fromkeys(names, k)) for k in each)
+            ),
             circumstances=self._circumstances(used),
             raw_data=RawData.of(used, _DATED_NS),
         )

@@ -32,7 +32,7 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
-from rotcal_ros.foundation.sheets.forms import SheetSettings
+from rotcal_ros.foundation.table_columns import SheetSettings
 from rotcal_ros.foundation.untrusted import (
     composed,
     line_of,

@@ -8,6 +8,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.results import Placement, Result
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.geometry.frames import FrameTree, StaticFrame
@@ -18,7 +19,7 @@ from rotcal_ros.planning.settings import CellSettings
 
 def frame_conflicts(
     cell: CellSettings, plan: Plan, result: Result, frames: Iterable[StaticFrame]
-) -> tuple[str, ...]:
+) -> tuple[Phrase, ...]:
     """Return in words where static ``frames`` contradict a result by more than is allowed.
 
     Empty where they agree, where none joins the frames of the cell, or the method finds no axis.
@@ -29,32 +30,33 @@ def frame_conflicts(
     return (*_of_the_table(cell, tree, placed), *_of_the_tracer(cell, plan, tree, placed))
 
 
-def _of_the_table(cell: CellSettings, tree: FrameTree, axis: Placement) -> Iterator[str]:
+def _of_the_table(cell: CellSettings, tree: FrameTree, axis: Placement) -> Iterator[Phrase]:
     """Yield where the table's frame is not on the axis, or its z not along it."""
     pose = tree.pose(cell.table_frame, cell.machine_frame)
     if pose is None:
         return
-    names = f"tf has {printable(cell.table_frame)} in {printable(cell.machine_frame)}"
+    names = phrase("tf has {0} in {1}", printable(cell.table_frame), printable(cell.machine_frame))
     off = axis.distance(pose.origin)
     if off > cell.frame_tolerance_m:
-        yield (
-            f"{names} at {_place(pose.origin)}, {off / MILLIMETRE:.1f} mm from the axis of the "
-            f"solution, which goes through {_place(axis.point)}; allowed "
-            f"{cell.frame_tolerance_m / MILLIMETRE:g} mm (cell.frame_tolerance_m)"
-        )
+        yield phrase(
+            "{0} at {1}, {2:.1f} mm from the axis of the solution, which goes through {3}; "
+            "allowed {4:g} mm (cell.frame_tolerance_m)", names, _place(pose.origin),
+            off / MILLIMETRE, _place(axis.point), cell.frame_tolerance_m / MILLIMETRE
+        )  # fmt: skip
     z = pose.axes[:, 2]
     tilt = float(np.arctan2(np.linalg.norm(np.cross(z, axis.direction)), z @ axis.direction))
     if tilt > cell.frame_tolerance_deg * DEGREE:
-        yield (
-            f"{names} with z along {_direction(z)}, {tilt / DEGREE:.2f} degrees from the axis of "
-            f"the solution, {_direction(axis.direction)}; allowed {cell.frame_tolerance_deg:g} "
-            "(cell.frame_tolerance_deg)"
-        )
+        yield phrase(
+            "{0} with z along {1}, {2:.2f} degrees from the axis of the solution, {3}; allowed "
+            "{4:g} (cell.frame_tolerance_deg)",
+            names, _direction(z), tilt / DEGREE, _direction(axis.direction),
+            cell.frame_tolerance_deg,
+        )  # fmt: skip
 
 
 def _of_the_tracer(
     cell: CellSettings, plan: Plan, tree: FrameTree, placed: Placement
-) -> Iterator[str]:
+) -> Iterator[Phrase]:
     """Yield where the tracer's frame, carried by the table, is not at the solved stations."""
     pose = tree.pose(cell.tracer_frame, cell.machine_frame)
     if pose is None or not len(placed.positions):
@@ -65,13 +67,13 @@ def _of_the_tracer(
     off = np.linalg.norm(placed.stations - by_tf, axis=1)
     worst = int(np.argmax(off))
     if off[worst] > cell.frame_tolerance_m:
-        yield (
-            f"tf has {printable(cell.tracer_frame)} in {printable(cell.machine_frame)} at "
-            f"{_place(pose.origin)}; with the table at {angles[worst] / DEGREE:g} degrees that is "
-            f"{off[worst] / MILLIMETRE:.1f} mm from the station of the solution, "
-            f"{_place(placed.stations[worst])}; allowed "
-            f"{cell.frame_tolerance_m / MILLIMETRE:g} mm (cell.frame_tolerance_m)"
-        )
+        yield phrase(
+            "tf has {0} in {1} at {2}; with the table at {3:g} degrees that is {4:.1f} mm "
+            "from the station of the solution, {5}; allowed {6:g} mm (cell.frame_tolerance_m)",
+            printable(cell.tracer_frame), printable(cell.machine_frame), _place(pose.origin),
+            angles[worst] / DEGREE, off[worst] / MILLIMETRE, _place(placed.stations[worst]),
+            cell.frame_tolerance_m / MILLIMETRE,
+        )  # fmt: skip
 
 
 def _place(point: Floats) -> str:

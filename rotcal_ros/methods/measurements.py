@@ -12,9 +12,8 @@ from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.settings import declarations
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, FILE, SheetSettings, remembered
-from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
-from rotcal_ros.foundation.sheets.words import TableColumn
+from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings, TableColumn
+from rotcal_ros.foundation.table_reading import FILE, Known, Reading, read_any, remembered
 from rotcal_ros.foundation.tables import (
     Header,
     Row,
@@ -100,7 +99,9 @@ def read_measurements(
     if method.table is None:
         raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")
     _require_own_method(source, configuration)
-    reader, settings = method.table, remembered(path, configuration.sheet)
+    reader, settings = method.table, configuration.sheet
+    if not isinstance(source, Table):
+        settings = remembered(source, settings)
     aim, aimed_by = _targets(source, targets, reader.targets, settings)
 
     def known() -> Mapping[str, Known]:

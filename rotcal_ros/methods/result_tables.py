@@ -142,5 +142,5 @@ def corrections_table(details: Mapping[str, Any]) -> list[ResultTable]:
         (EXPANDED, "target_corrections_std", COVERAGE_FACTOR),
     ):
         columns |= by_axis(f"{head}{{}}_um", factor * np.asarray(details[key]), MICROMETRE)
-    title = f"Corrections of the targets, {GAUGE[details['datum']]}"
+    title = phrase("Corrections of the targets, {0}", phrase(GAUGE[details["datum"]]))
     return [ResultTable.of("target_corrections", title, **columns)]

@@ -313,7 +313,7 @@ def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
 def plain(value: Any) -> Any:
     """Return what JSON can hold: of a phrase its parts; NaN and infinity become None."""
     if isinstance(value, Phrase):
-        return [value.template, *map(plain, value.parts)]
+        return [value.template, *map(plain, value.shown)]
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):

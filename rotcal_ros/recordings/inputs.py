@@ -9,7 +9,7 @@ from pathlib import Path
 from rotcal_ros.bags.reader import Progress, bag_files
 from rotcal_ros.bags.settings import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.sheets.reading import Reading
+from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import is_table
 from rotcal_ros.methods.configuration import (
     OFFLINE_GROUPS,

@@ -19,6 +19,7 @@ from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.rejections import MostFrequentReason
 from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
 
 _SENTENCES: Final = 20
@@ -51,14 +52,16 @@ class PlacedDropout:
     dropout: Dropout
     steps: tuple[int, ...]
 
-    def sentence(self) -> str:
+    def sentence(self) -> Phrase:
         """Return it in words."""
         if not self.steps:
             return self.dropout.sentence()
         few = len(self.steps) <= _NAMED
-        listed = ", ".join(map(str, self.steps))
-        named = listed if few else f"{self.steps[0]} to {self.steps[-1]}, {len(self.steps)} in all"
-        return f"{self.dropout.sentence()}; step{'s'[: len(self.steps) > 1]} {named}"
+        if len(self.steps) == 1:
+            return phrase("{0}; step {1}", self.dropout.sentence(), self.steps[0])
+        named = phrase("{0} to {1}, {2} in all", self.steps[0], self.steps[-1], len(self.steps))
+        every = ", ".join(map(str, self.steps))
+        return phrase("{0}; steps {1}", self.dropout.sentence(), every if few else named)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form."""
@@ -86,11 +89,11 @@ def placed_in(
     return placed(verdicts, _windows(tuple(verdict.path for verdict in verdicts), limits))
 
 
-def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[str, ...]:
+def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[Phrase, ...]:
     """Return dropouts in words; where there are many, the first ones."""
     shown = tuple(dropout.sentence() for dropout in dropouts[:_SENTENCES])
     left = len(dropouts) - len(shown)
-    return (*shown, f"and {left} more dropouts") if left else shown
+    return (*shown, phrase("and {0} more dropouts", left)) if left else shown
 
 
 def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]:
@@ -148,8 +151,11 @@ def require_accepted(
     """
     if any(observation.accepted for observation in observations):
         return
-    reasons = list(wrong)
-    reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
+    reasons = [*map(phrase, wrong)]
+    reasons += [
+        phrase("{0}: {1} messages cannot be decoded", topic, count)
+        for topic, count in broken.items()
+    ]
     silent = [
         _TOPICS[stream]
         for stream, counted in counts.items()
@@ -158,26 +164,28 @@ def require_accepted(
     if observations:
         reasons.append(_rejections(observations))
     elif not counts:
-        reasons.append(f"no topic {names.OBSERVATION} holds any; solve its streams instead")
+        reasons.append(
+            phrase("no topic {0} holds any; solve its streams instead", names.OBSERVATION)
+        )
     elif silent:
-        reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
+        reasons.append(phrase("nothing was read on {0}; {1}", ", ".join(silent), _present(topics)))
     elif counts.get("command", {}).get("unanswered"):
         reasons.append(unanswered(counts["command"]))
     else:
-        reasons.append("its streams hold no complete step of the plan")
+        reasons.append(phrase("its streams hold no complete step of the plan"))
     raise DataError(f"the bag yields no observation that was accepted: {'; '.join(reasons)}")
 
 
-def _rejections(observations: Sequence[Observation]) -> str:
+def _rejections(observations: Sequence[Observation]) -> Phrase:
     """Return how many were rejected, and the commonest reason."""
     most_frequent = MostFrequentReason.of(o.reason for o in observations)
     assert most_frequent is not None
-    return f"all {most_frequent.total} were rejected, {most_frequent.describe()}"
+    return phrase("all {0} were rejected, {1}", most_frequent.total, most_frequent.describe())
 
 
 def doubtful(
     observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
-) -> tuple[str, ...]:
+) -> tuple[Phrase, ...]:
     """Return what a reader should know about failed attempts if some succeeded.
 
     Also how many messages contradict others: it is not known which of them are true.
@@ -187,14 +195,22 @@ def doubtful(
     most_frequent = MostFrequentReason.of(rejected)
     if most_frequent and 2 * most_frequent.total > len(observations):
         texts.append(
-            f"{most_frequent.total} of {len(observations)} attempts were rejected, "
-            f"{most_frequent.describe()}"
+            phrase(
+                "{0} of {1} attempts were rejected, {2}",
+                most_frequent.total,
+                len(observations),
+                most_frequent.describe(),
+            )
         )
     elif failed := _failed_steps(observations):
         texts.append(failed)
     texts += [
-        f"{n} messages on {_TOPICS[stream]} contradict others of the same time or order: two "
-        "publishers, or stamps that are too coarse; the first one counts"
+        phrase(
+            "{0} messages on {1} contradict others of the same time or order: two "
+            "publishers, or stamps that are too coarse; the first one counts",
+            n,
+            _TOPICS[stream],
+        )
         for stream in ("tracer", "table", "probe")
         if (n := counts.get(stream, {}).get("contradicting", 0))
     ]
@@ -204,7 +220,7 @@ def doubtful(
     return tuple(texts)
 
 
-def _failed_steps(observations: Sequence[Observation]) -> str | None:
+def _failed_steps(observations: Sequence[Observation]) -> Phrase | None:
     """Return how many steps were tried in vain, and why; None for few, as after a blocked beam."""
     done = {o.step for o in observations if o.accepted}
     failed = [o for o in observations if o.step not in done]
@@ -212,15 +228,18 @@ def _failed_steps(observations: Sequence[Observation]) -> str | None:
     steps = len({o.step for o in failed})
     if most_frequent is None or steps <= _FEW * (len(done) + steps):
         return None
-    return f"{steps} of {len(done) + steps} steps were tried in vain, {most_frequent.describe()}"
+    return phrase(
+        "{0} of {1} steps were tried in vain, {2}", steps, len(done) + steps,
+        most_frequent.describe()
+    )  # fmt: skip
 
 
-def unanswered(commands: Mapping[str, int]) -> str:
+def unanswered(commands: Mapping[str, int]) -> Phrase:
     """Return a sentence: the machine did not echo its orders."""
-    return (
-        f"{commands['unanswered']} of {commands['received']} orders have no answer: a point on "
-        f"{names.PROBE_POINT} must echo step and attempt of its order"
-    )
+    return phrase(
+        "{0} of {1} orders have no answer: a point on {2} must echo step and attempt of its order",
+        commands["unanswered"], commands["received"], names.PROBE_POINT,
+    )  # fmt: skip
 
 
 def _present(topics: Iterable[str]) -> str:

@@ -42,6 +42,7 @@ from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejecte
 from rotcal_ros.foundation.clock_jumps import read_note
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
 from rotcal_ros.foundation.in_force import contradiction, of_axis
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.geometry.frames import StaticFrame
@@ -195,12 +196,16 @@ class Recording:
                 return ()
             return recorded_setup.differences(calibration, self.choices, self.observations)
         except RotcalError as error:
-            return (f"the policy cannot choose again: {error}",)
+            return (phrase("the policy cannot choose again: {0}", error),)
 
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Phrase, ...]:
         """Return the warnings about the bag for the reader of a result."""
         texts = [*self.session.missing, *self.session.repaired]
-        texts += [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
+        texts += [
+            phrase("{0}: {1}", v.path.name, v.sentence())
+            for v in self.verdicts
+            if v.state != "complete"
+        ]
         texts += losses_in_words(session_losses(self.verdicts))
         texts += unread_losses(self.verdicts)
         texts += [*self.unreadable.values(), *self.clock, *sentences(self.dropouts)]
@@ -209,19 +214,25 @@ class Recording:
         texts += _left_alone(self.verdicts)
         if self.foreign_plans:
             texts.append(
-                f"{self.foreign_plans} plans on {names.PLAN} belong to no run that the planner "
-                "named: a stranger's, they were ignored"
-            )
+                phrase(
+                    "{0} plans on {1} belong to no run that the planner named: a stranger's, they "
+                    "were ignored", self.foreign_plans, names.PLAN
+                )
+            )  # fmt: skip
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
         if clash := contradiction(self.calibration.in_force(self.announced)):
             texts.append(clash)
         if self.other_axes:
             texts.append(
-                f"the cell announced what the controller of axis {', '.join(self.other_axes)} "
-                f"holds: not counted for axis {self.calibration.configuration.cell.axis}"
+                phrase(
+                    "the cell announced what the controller of axis {0} holds: not "
+                    "counted for axis {1}",
+                    ", ".join(self.other_axes),
+                    self.calibration.configuration.cell.axis,
+                )
             )
-        return tuple(texts)
+        return tuple(map(phrase, texts))
 
 
 def read_recording(
@@ -331,7 +342,10 @@ def _recording(
 
 def _undecoded(broken: Mapping[str, int]) -> list[str]:
     """Return how many messages of each topic could not be decoded."""
-    return [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
+    return [
+        phrase("{0}: {1} messages cannot be decoded", topic, count)
+        for topic, count in broken.items()
+    ]
 
 
 def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
@@ -342,8 +356,13 @@ def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
         for topic in {t for v in verdicts for t in v.topics if t.endswith(ending)}
     })  # fmt: skip
     return [
-        f"{n} messages on {topic.rpartition('/')[2].removesuffix(ending)} came from a publisher "
-        f"that joined during the run; they were ignored, and are kept in {topic}"
+        phrase(
+            "{0} messages on {1} came from a publisher that joined during the run; they "
+            "were ignored, and are kept in {2}",
+            n,
+            topic.rpartition("/")[2].removesuffix(ending),
+            topic,
+        )
         for topic, n in sorted(count.items())
     ]
 
@@ -499,7 +518,7 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
     jumps = sorted(set(jumps), key=lambda jump: (not jump.named, jump.at_ns))
     texts = [jump.describe() for jump in jumps[:_SHOWN]]
     if len(jumps) > _SHOWN:
-        texts.append(f"the system clock jumped {len(jumps) - _SHOWN} times more")
+        texts.append(phrase("the system clock jumped {0} times more", len(jumps) - _SHOWN))
     if not (jumps and order.back):
         texts += order.describe()
     return tuple(texts)

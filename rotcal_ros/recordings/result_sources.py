@@ -33,10 +33,11 @@ from rotcal_ros.foundation.errors import (
     GeometryError,
     ObservabilityError,
 )
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, SheetSettings
-from rotcal_ros.foundation.sheets.reading import Reading
+from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
+from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import is_table, own_table
 from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
 from rotcal_ros.methods.configuration import read_configuration
@@ -147,7 +148,9 @@ def instrument_of(name: str, measured: Recording | Measurements) -> JointInput:
         if isinstance(measured, Recording):
             untold = measured.with_warnings(untold)
         if not isinstance(refused, ObservabilityError | GeometryError):
-            untold = replace(untold, warnings=(f"alone: {refused}", *untold.warnings)).as_suspect()
+            untold = replace(
+                untold, warnings=(phrase("alone: {0}", refused), *untold.warnings)
+            ).as_suspect()
         return JointInput(name, untold, model)
 
 

@@ -27,6 +27,7 @@ from rotcal_ros.capture.messages import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.planning.table_feedback import without_joint, without_velocity
 from rotcal_ros.recordings.topics import RoleMessages
@@ -98,10 +99,10 @@ class HeardJoints:
         if self._joint or len(firsts) < 2:
             return ""
         seen = "; ".join(", ".join(map(printable, order)) for order in self._orders)
-        return (
-            f"{self.topic}: its joints come in changing order ({seen}), so the first one is not "
-            "always the table: name the table's joint (cell.joint)"
-        )
+        return phrase(
+            "{0}: its joints come in changing order ({1}), so the first one is not always the "
+            "table: name the table's joint (cell.joint)", self.topic, seen
+        )  # fmt: skip
 
     def faults(self) -> Iterator[str]:
         """Yield what keeps the table from being known to rest, as the preflight says it."""
@@ -110,15 +111,17 @@ class HeardJoints:
         if names_heard and chosen not in names_heard:
             yield without_joint(self.topic, self._joint, names_heard)
         elif names_heard and not self._placed:
-            yield f"{self.topic}: joint {printable(chosen)} has no position: publish it, in rad"
+            yield phrase(
+                "{0}: joint {1} has no position: publish it, in rad", self.topic, printable(chosen)
+            )
         elif names_heard and not self._timed:
             yield without_velocity(self.topic, chosen)
         elif not self._joint and len(names_heard) > 1:
-            yield (
-                f"{self.topic} has the joints {', '.join(map(printable, names_heard))}, and the "
-                f"first one, {printable(chosen)}, was taken for the table: if it is another one, "
-                "name it (cell.joint)"
-            )
+            yield phrase(
+                "{0} has the joints {1}, and the first one, {2}, was taken for the table: if it "
+                "is another one, name it (cell.joint)", self.topic,
+                ", ".join(map(printable, names_heard)), printable(chosen)
+            )  # fmt: skip
 
 
 _MOST_ORDERS: Final = 8

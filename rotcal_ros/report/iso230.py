@@ -25,7 +25,7 @@ def diagrams(runs: BidirectionalRuns, figures: Iso230) -> str:
     angles = figures.targets / DEGREE
     for values, colour, label in ((runs.forward, UP, "up ↑"), (runs.reverse, DOWN, "down ↓")):
         lines = every.plot(angles, values / ARCSEC, "-", color=colour, alpha=0.6, lw=0.9)
-        lines[0].set_label(f"{values.shape[1]} runs {label}")
+        lines[0].set_label(phrase("{0} runs {1}", values.shape[1], phrase(label)))
     every.set_ylabel("deviation / arcsec")
     _accuracy(accuracy, angles, figures)
     _spread(spread, angles, figures)

@@ -496,7 +496,7 @@ def bars(found: Mapping[str, HarmonicContent]) -> str:
             )  # fmt: skip
         ax.set_ylim(bottom=0.0)
         ax.set_xlabel("order per turn")
-        ax.set_ylabel(f"{name} amplitude / {label}")
+        ax.set_ylabel(phrase("{0} amplitude / {1}", name, label))
         style.whole_numbers(ax.xaxis)
     for ax in panels[len(found) :]:
         ax.set_axis_off()

@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from rotcal_ros import __version__
 from rotcal_ros.foundation.escapes import printable, printable_lines
-from rotcal_ros.foundation.language import ENGLISH, SPOKEN, Language, Phrase, language
+from rotcal_ros.foundation.language import SPOKEN, Language, Phrase, language
 from rotcal_ros.methods.figures import style
 
 _OWN: Final = "rotcal_ros.report"
@@ -68,9 +68,8 @@ def _sentence(spoken: Language, text: str) -> str:
 
 def _foreign(spoken: Language, text: Any) -> Markup:
     """Return the attribute of an element whose text, one of ours, no catalogue knows."""
-    spoken_as_it_is = isinstance(text, Phrase) and spoken.say(text) == text
-    unknown = spoken_as_it_is and " " in text and spoken.understood(text) is None
-    return Markup(' lang="en"' * (unknown and spoken is not ENGLISH))
+    unknown = isinstance(text, Phrase) and " " in text and not spoken.knows(text)
+    return Markup(' lang="en"' * unknown)
 
 
 def _drawn(spoken: Language, svg: str, name: str) -> Markup:

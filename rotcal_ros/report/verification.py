@@ -84,11 +84,9 @@ def _in_words(verification: Verification) -> str:
     text = phrase(
         "Measured, compensated, measured again: the range is {0} times smaller. Up to {1} arcsec "
         "were expected to be left: the uncertainty of both measurements and {2} arcsec of the "
-        "table itself.",
-        f"{verification.ratio:.0f}",
-        f"{verification.expected / ARCSEC:.3f}",
-        f"{verification.stated / ARCSEC:.3f}",
-    )
+        "table itself.", f"{verification.ratio:.0f}", f"{verification.expected / ARCSEC:.3f}",
+        f"{verification.stated / ARCSEC:.3f}"
+    )  # fmt: skip
     if verification.effect is not None:
         acts = phrase(verification.fault or verification.effect.describe())
         text = phrase("{0} Does the table act? {1}.", text, acts)
@@ -115,5 +113,6 @@ def before_and_after(before: Positioning, after: Positioning) -> str:
 def _draw(ax: Axes, run: Positioning, colour: str, label: str) -> None:
     ax.errorbar(
         run.angles / DEGREE, run.deviation / ARCSEC, COVERAGE_FACTOR * run.std / ARCSEC,
-        fmt="o-", color=colour, markersize=3.5, linewidth=1.2, capsize=2, label=f"{label}, k = 2",
+        fmt="o-", color=colour, markersize=3.5, linewidth=1.2, capsize=2,
+        label=phrase("{0}, k = 2", phrase(label)),
     )  # fmt: skip

@@ -101,7 +101,7 @@ def test_an_error_names_the_row(column, value, words, lengths):
 def test_an_error_names_what_is_no_table(lengths, targets):
     with pytest.raises(rc.RotcalError, match="DataFrame is a table of the method tracer_multi"):
         rc.read_table(lengths, DATA / "ball_plate.yaml")
-    with pytest.raises(rc.RotcalError, match=r"^DataFrame: no column length_m: found position"):
+    with pytest.raises(rc.RotcalError, match=r"^DataFrame: no column length_m: found '?position"):
         rc.read_table(lengths.rename(columns={"length_m": "mm"}), DATA / "tracer.yaml")
     with pytest.raises(rc.RotcalError, match="has a header but no rows"):
         rc.read_table(lengths[:0], DATA / "tracer.yaml")
@@ -196,7 +196,7 @@ def test_the_dataframe_of_a_result_is_compared_checked_and_combined():
     assert rc.combine(plate, frame).components == rc.combine(plate, tracer).components
     other = rc.compare(plate.to_dataframe(), plate, "EXC")
     assert not other.difference.any()
-    with pytest.raises(rc.RotcalError, match=r"^DataFrame: the column 'ECC' .* states no unit"):
+    with pytest.raises(rc.RotcalError, match=r"^DataFrame: (no column deviation_rad|.* no unit)"):
         rc.compare(plate, frame[["angle_rad", "ECC"]])
 
 

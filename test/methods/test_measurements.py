@@ -123,10 +123,10 @@ def test_lengths_in_millimetres_do_not_fit_the_targets(
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("", "no row names the columns: expected 'position,target,length_m' or"),
-        ("0,0,0.25\n", "no row names the columns"),
-        ("position,target,speed\n0,0,1\n", "no column length_m: .* not known: 'speed'"),
-        ("position;length_m\n0;1\n", "no column target"),
+        ("", "expected .*'position,target,length_m"),
+        ("0,0,0.25\n", "expected .*'position,target,length_m"),
+        ("position,target,speed\n0,0,1\n", "no column length_m: .*'speed'"),
+        ("position;length_m\n0;1\n", "no column (position, )?target"),
     ],
 )
 def test_wrong_header(configuration: Configuration, tmp_path: Path, text: str, error: str) -> None:

@@ -254,7 +254,7 @@ def test_every_described_field_is_that_of_some_result(results):
 def test_every_field_has_words_and_every_number_a_unit():
     for field in SCRIPT["documented"]():
         assert field.meaning, field.path
-        number = not {"text", "flag"} & set(field.shape.split())
+        number = not {"text", "flag", "argument"} & set(field.shape.split())
         base64 = field.path.startswith("raw_data.influence.deviations")
         assert bool(field.unit) == (number or base64), field.path
     assert set(COMPONENTS) == set(SCHEMA["properties"]["std"]["propertyNames"]["enum"])

@@ -1,4 +1,4 @@
-"""A whole ball plate calibration over DDS, and set-up mistakes that show live."""
+"""A ball plate over DDS: who joins a run, and set-up mistakes that show live."""
 
 import json
 import sys
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from live_cell import SUITE, live_cells
 
-from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import prepare
@@ -36,26 +35,6 @@ SHORT = (
 def plate_cell(tmp_path, monkeypatch):
     """Return a function that makes a live cell with a small plate."""
     yield from live_cells(tmp_path, monkeypatch, DEMO, SHORT)
-
-
-def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
-    live = plate_cell()
-    outcome = live.calibrate()
-    assert outcome["error_code"] == 0, outcome["error_msg"]
-    assert outcome["n_used"] == 78  # the first position again at the end
-    assert outcome["skipped_steps"] == []
-
-    recording, result = live.repeated()
-    calibration = prepare(read_configuration(live.file))
-    settings = calibration.configuration.simulation
-    truth = calibration.method.gauge(result.angles, true_deviations(settings.table, result.angles))
-    for name in COMPONENTS:
-        error = (result.deviations[name] - truth[name]) / result.std[name]
-        assert np.abs(error).max() < 5.0, name
-    topics = recording.verdicts[0].topics
-    assert topics["/cell/probe_point"].messages >= 78 * 15
-    assert "/cell/tracer_length" not in topics
-    assert topics["/cell/volumetric_correction"].messages == 1
 
 
 @pytest.mark.slow

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from live_cell import SUITE, live_cells
 
-from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -51,41 +49,6 @@ def paused(client):
 
 def resume(live):
     live.processes.tell("client", "resume")
-
-
-def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(cell):
-    live, client = cell(
-        "simulation.tracker.displaced_nest=4",
-        "simulation.tracker.displaced_at_stations=[1]",
-        "simulation.tracker.displaced_attempts=1",
-    )
-    assert paused(client).startswith("put the tracker at place 1 of 2")
-    resume(live)
-    assert client.wait_for("resumed")["success"]
-
-    assert paused(client).startswith("put the tracker at place 2 of 2")
-    resume(live)
-    again = paused(client)
-    assert again.startswith("not right yet: nest 4 stood elsewhere at station 1")
-    assert "correct it" in again
-    resume(live)
-    outcome = client.result()
-    assert outcome["error_code"] == 0, outcome["error_msg"]
-    assert outcome["verdict"] == "ok"
-    assert outcome["n_used"] == 12 + 6 + 12 + 6
-    assert outcome["skipped_steps"] == []
-
-    recording, result = live.repeated()
-    # The first nests of the second station were measured twice; what counts is the second time.
-    nests = [o for o in recording.recorded if o.station == 1 and o.kind.name == "NEST"]
-    assert [o.target for o in nests] == [1, 2, 3, 4, 5, 6] * 3
-    assert "/cell/tracer_length" not in recording.verdicts[0].topics
-
-    settings = parse_configuration(live.file.read_text()).simulation
-    truth = true_deviations(settings.table, result.angles)["ECC"]
-    error = (result.deviations["ECC"] - truth)[1:]
-    assert error @ np.linalg.solve(result.covariance["ECC"][1:, 1:], error) < 23.5  # 99.99 %
-    assert [way["way"] for way in result.details["ways"]] == ["stitching", "registration"]
 
 
 @pytest.mark.long  # test_mirror_*.py solve such plans

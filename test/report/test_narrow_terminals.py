@@ -158,7 +158,7 @@ def test_columns_are_stacked_with_the_first_one_in_each_group():
 
 
 def test_who_has_read_enough_ends_a_verb_without_a_word():
-    command = [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, VERBS["effort"])]
+    command = [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, VERBS["reliability"])]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as child:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.foundation.language import language, speaking
+from rotcal_ros.foundation.language import language, phrase, speaking
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.page import ReportInput, render_report
@@ -67,11 +67,26 @@ def test_nothing_is_english_in_the_report_of_a_sample(path):
     assert len(Texts(page).texts) > 150
 
 
+def phrases_in(code):
+    """Return a code of a file with all that are its arguments."""
+    inside = [each for each in code.get("arguments", ()) if isinstance(each, dict)]
+    return [code["code"], *(text for each in inside for text in phrases_in(each))]
+
+
+def test_all_words_of_all_codes_are_german():
+    known = language("de").texts
+    for path in RESULTS:
+        for code in json.loads(path.read_text())["codes"]:
+            unknown = [t for t in phrases_in(code) if t not in known and re.search("[a-z]{3}", t)]
+            assert unknown == [], path
+
+
 def test_captions_made_of_names_are_known_to_the_catalogue():
     for path in RESULTS:
         result = read_source(path).result
         for name in result.details.get("also", ()):
-            assert name[:3].isupper() or language("de").understood(name.capitalize()), name
+            caption = phrase(name.capitalize())
+            assert name[:3].isupper() or language("de").knows(caption), name
 
 
 def test_there_is_a_sample_of_every_method():
@@ -82,7 +97,8 @@ def test_there_is_a_sample_of_every_method():
 @pytest.mark.usefixtures("without_figures")
 def test_warnings_and_reasons_are_german_and_an_unknown_one_is_marked_as_english():
     known = read_source(ROOT / "examples/data/result_ball_plate.json").result
-    warnings = ("the budget holds 3 um over the run", "the moon is full")
+    held = phrase("the budget holds {0:g} um over the run", 3.0)
+    warnings = (held, phrase("the moon is full"))
     page = german(replace(known, verdict="suspect", warnings=warnings))
     said = "das Messunsicherheitsbudget enthält 3 µm über die Dauer der Messung"
     assert f"die Bewertung lautet „zweifelhaft“: {said}; the moon is full" in page

@@ -13,6 +13,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -88,9 +89,9 @@ def states(
     seen = "mean values, and what turns with the table, are no part of the curves"
     wrong = "readings that count the other way round fit as well, and turn the sign of the result"
     return Statement(protections=(
-        Protection("error motion", "harmless", "a level sees no shift"),
-        Protection("refraction", "harmless", "a level has no line of sight"),
-        Protection("tilt", "estimated", "it is what is measured"),
+        Protection("error motion", "harmless", phrase("a level sees no shift")),
+        Protection("refraction", "harmless", phrase("a level has no line of sight")),
+        Protection("tilt", "estimated", phrase("it is what is measured")),
         Protection("gauge", "harmless", seen),
         Protection("sign of readings", "not protected", wrong),
         _arrivals(configuration, found),
@@ -100,10 +101,14 @@ def states(
 def _arrivals(configuration: Configuration, found: Adjusted) -> Protection:
     settings: LevelPlanSettings = configuration.plan
     if settings.levels == len(settings.azimuths_deg):
-        return Protection("repeatability", "not protected", "the table comes once to an angle")
+        return Protection(
+            "repeatability", "not protected", phrase("the table comes once to an angle")
+        )
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
-    return Protection("repeatability", "tested", "every setting comes to every angle", error)
+    return Protection(
+        "repeatability", "tested", phrase("every setting comes to every angle"), error
+    )
 
 
 METHOD: Final = ByModel(

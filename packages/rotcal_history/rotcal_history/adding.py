@@ -173,7 +173,7 @@ def since_last_time(result: Result, database: str, axis: str = "") -> list[tuple
         except DataError:  # not measured then, or not comparable
             continue
         unit, label = unit_of(name)
-        words = phrase("{0} against {1}: {2}", name, day, phrase(found.describe(unit, label)))
+        words = phrase("{0} against {1}: {2}", name, day, found.describe(unit, label))
         changes.append((words, curves_and_errors(curves, {(now, day): found}, name), name))
     return [(TITLE, render("since_last_time", changes=changes))] if changes else []
 
@@ -193,7 +193,7 @@ def expected(database: str, serial: str, axis: str, day: str) -> tuple[Result, f
     curve, covariance = expected_curve(curves, fit(curves.series), time_of(day))
     # A curve that counts from an angle moves by the error there, too.
     room = (curves.tolerance - float(np.max(np.abs(curve)))) / (1 if curves.zero is None else 2)
-    words = f"expected of {len(curves.campaigns)} results for {day}: not measured"
+    words = phrase("expected of {0} results for {1}: not measured", len(curves.campaigns), day)
     identity = newest.circumstances.identity
     result = Result(
         method=newest.method, angles=curves.newest.angles, deviations={"ECC": curve},

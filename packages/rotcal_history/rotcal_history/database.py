@@ -714,7 +714,7 @@ def _result_row(entry_id: int, result: Result) -> dict[str, Any]:
         "entry_id": entry_id,
         "method": result.method,
         "verdict": result.verdict,
-        "verdict_line": str(result.verdict_line),
+        "verdict_line": result.verdict_line.text,
         "covered": int(bool(result.protections) and not result.unprotected),
         "simulated": int(result.simulated),
         "measured_on": result.measured_on,

@@ -18,7 +18,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from rotcal_history.charts import FALSE_ALARM, alarms
-from rotcal_history.database import EVENT, Campaign, Item, OfAxis, ParkHistory
+from rotcal_history.database import EVENT, Campaign, Item, OfAxis, ParkHistory, result_of
 from rotcal_history.series import DeviationSeries, series_of
 from rotcal_history.settings import Chart, HistorySettings
 from rotcal_history.trend import DRAWS, YEAR_NS, Trend, fit
@@ -28,11 +28,11 @@ from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.dates import day_of
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, codes_of, listed, phrase, with_codes
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
-VERSION: Final = 3
+VERSION: Final = 4
 """A forecast of another version is made again."""
 DAY_NS: Final = 86_400_000_000_000
 ENOUGH: Final = 3
@@ -62,7 +62,7 @@ class TableFinding:
 
     kind: Kind
     time_ns: int
-    words: str
+    words: Phrase
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,11 @@ class Outlook(OfAxis):
     results: int
     last_ns: int
     verdict: str
-    verdict_line: str
+    verdict_line: Phrase
     covered: bool
     measured_on: str
     due_ns: int
-    reason: str
+    reason: Phrase
     findings: tuple[TableFinding, ...]
     deviations: tuple[DeviationOutlook, ...]
 
@@ -165,9 +165,10 @@ def park(
     for done, (item, basis) in enumerate(zip(items, bases, strict=True), 1):
         view = None
         with suppress(ValueError, KeyError):
-            view = record(Outlook, json.loads(known[basis]))
+            kept = json.loads(known[basis])
+            view = record(Outlook, with_codes(kept, kept.pop("codes")))
         if view is None and (view := outlook_of(history, item, settings)) is not None:
-            new[basis] = json.dumps(asdict(view), allow_nan=False)
+            new[basis] = json.dumps(_kept(view), allow_nan=False)
         if view is not None:
             found.append(view)
         if len(new) >= KEPT_AFTER or done == len(items):
@@ -176,6 +177,12 @@ def park(
             new.clear()
         progress(done, len(items))
     return _with_swaps(found)
+
+
+def _kept(view: Outlook) -> dict[str, Any]:
+    """Return an outlook as it is kept, with the codes of its texts."""
+    found = asdict(view)
+    return {**found, "codes": codes_of(found)}
 
 
 def _bases(history: ParkHistory, settings: HistorySettings) -> tuple[list[Item], list[str]]:
@@ -197,7 +204,7 @@ def changed_forecasts(history: ParkHistory, settings: HistorySettings) -> list[s
         if basis not in known:
             continue
         view = outlook_of(history, item, settings)
-        again = None if view is None else json.loads(json.dumps(asdict(view)))
+        again = None if view is None else json.loads(json.dumps(_kept(view)))
         kept = None
         with suppress(ValueError):
             kept = json.loads(known[basis])
@@ -229,17 +236,18 @@ def outlook_of(history: ParkHistory, item: Item, settings: HistorySettings) -> O
     found = series_of(campaigns, entries, settings.common_share)
     each = tuple(_of_deviation(curves, settings) for curves in found.values())
     findings = [f for view in each for f in _findings(view)]
+    line = result_of(history.entry(newest.entry_id)).verdict_line
     if newest.verdict != "ok":
-        words = phrase("the newest result is {0}: measure again", newest.verdict_line)
+        words = phrase("the newest result is {0}: measure again", line)
         findings.insert(0, TableFinding("verdict", newest.measured_ns, words))
     for event in (e for e in entries if e.kind == EVENT and e.measured_ns > newest.measured_ns):
         words = phrase("{0} on {1}, after the newest result: measure again", event.what, event.day)
         findings.insert(0, TableFinding("event", event.measured_ns, words))
     due_ns, reason = _due(newest, each, findings, settings)
-    reason = "; ".join([reason, *(found.words for found in findings if found.kind == "wear")])
+    reason = listed([reason, *(found.words for found in findings if found.kind == "wear")])
     return Outlook(
         serial=item.serial, axis=item.axis, results=len(campaigns),
-        last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=newest.verdict_line,
+        last_ns=newest.measured_ns, verdict=newest.verdict, verdict_line=line,
         covered=newest.covered, measured_on=newest.measured_on, due_ns=due_ns, reason=reason,
         findings=tuple(findings), deviations=each,
     )  # fmt: skip
@@ -264,7 +272,7 @@ def _due(
     each: Sequence[DeviationOutlook],
     findings: Sequence[TableFinding],
     settings: HistorySettings,
-) -> tuple[int, str]:
+) -> tuple[int, Phrase]:
     """Return when a table is due, and why."""
     pressing = [f for f in findings if f.kind not in ("drift", "wear")]
     if pressing:
@@ -291,10 +299,9 @@ def _findings(view: DeviationOutlook) -> list[TableFinding]:
     name, newest, jumped = view.component, view.times_ns[-1], view.alarm is not None
     jump_ns = view.times_ns[-1 if view.alarm is None else view.alarm]
     jump = phrase(
-        "{0} jumped before {1}: look at the table, then note what happened as an event",
-        name,
-        day_of(jump_ns),
-    )
+        "{0} jumped before {1}: look at the table, then note what happened as an event", name,
+        day_of(jump_ns)
+    )  # fmt: skip
     beyond = phrase("{0} is beyond its tolerance", name)
     wear = phrase("{0} does not drift evenly: something wears, such as a bearing", name)
     possible = (
@@ -435,9 +442,8 @@ def _with_swaps(outlooks: Sequence[Outlook]) -> list[Outlook]:
         time_ns = max(d.times_ns[d.alarm or 0] for d in jumped)
         words = phrase(
             "the result of {0} has the curve of {1}: were the serial numbers swapped?",
-            day_of(time_ns),
-            other.title,
-        )
+            day_of(time_ns), other.title
+        )  # fmt: skip
         findings = (TableFinding("swapped", time_ns, words), *view.findings)
         due_ns = min(view.due_ns, time_ns)
         named[number] = replace(view, findings=findings, due_ns=due_ns, reason=words)

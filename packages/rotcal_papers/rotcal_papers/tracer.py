@@ -149,7 +149,7 @@ def _predicted(stations: Floats, centre: Floats, *, shared: bool = False) -> flo
     known = np.eye(3 * n, rows.shape[1], 3 * m + zeros) / TARGET_STD
     upper = np.asarray(np.linalg.qr(np.vstack([rows, known]), mode="r"))
     turn = np.zeros((m, rows.shape[1]))
-    turn[:, : 3 * m] = bearing_slopes(stations, table_motion(stations, _angles(m))).dense()
+    turn[:, : 3 * m] = bearing_slopes(stations, table_motion(stations, _angles(m)))[:]
     root = np.linalg.solve(upper.T, (turn - turn.mean(axis=0)).T)
     return COVERAGE_FACTOR * float(np.sqrt((root**2).sum() / m))
 

@@ -26,9 +26,8 @@ from rotcal_ros.foundation.errors import Question, RotcalError, UndecidedError
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
 from rotcal_ros.foundation.language import Phrase, phrase, speaking
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.sheets.layout import Use
-from rotcal_ros.foundation.sheets.reading import Reading, unit_setting
-from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS, TableColumn
+from rotcal_ros.foundation.table_columns import UNITS, TableColumn, unit_setting
+from rotcal_ros.foundation.table_reading import Reading, Use
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.methods.configuration import (
@@ -45,6 +44,7 @@ from rotcal_ros.page.state import Curve, Deviations, PageMark, plain
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.page import write_measured
 from rotcal_ros.report.printing import printed
+from rotcal_tables.sheets.words import TABLE_ANGLE
 
 TABLE, TARGETS, SETUP, IN_FORCE = "table", "targets", "setup", "in_force"
 PLACES: Final = {TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml"}

@@ -130,8 +130,7 @@ def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):
 
 def test_angles_of_a_table_count_where_no_plan_is_stated(opened):
     page = opened(locale="en-GB")
-    table = Path(__file__).parents[3] / "test" / "foundation" / "sheets" / "data"
-    table = (table / "lengths_5_degrees_on.csv").read_bytes()
+    table = Path(__file__).with_name("data").joinpath("lengths_5_degrees_on.csv").read_bytes()
     dropped(page, "lengths.csv", table, positions="")
     expect(page.locator("#tables")).to_contain_text("table angles of the table")
     expect(page.locator("#solve")).to_be_enabled()

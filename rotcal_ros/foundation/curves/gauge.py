@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 
 _PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
@@ -15,18 +16,20 @@ _PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 
 def describe(result: Result) -> tuple[str, ...]:
     """Return what the curves of such a method count from."""
-    over = "the measured angles"
+    over = phrase("the measured angles")
     if result.zeros.counts_from == "mean of each group":
-        over = "the measured angles of each group"
-    nothing = (
-        ": steps from group to group, and with them the ranges, mean nothing"
-        if result.zeros.free
-        else ""
-    )
+        over = phrase("the measured angles of each group")
+    nothing = phrase(": steps from group to group, and with them the ranges, mean nothing")
     return (
-        f"Every deviation has zero mean over {over} (zero-mean gauge){nothing}.",
-        "In EXC, EYC and in EAC, EBC the part that turns with the table belongs to what stands on "
-        "it and is removed.",
+        phrase(
+            "Every deviation has zero mean over {0} (zero-mean gauge){1}.",
+            over,
+            nothing if result.zeros.free else "",
+        ),
+        phrase(
+            "In EXC, EYC and in EAC, EBC the part that turns with the table belongs to what "
+            "stands on it and is removed."
+        ),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial, reduce
 from typing import Any, Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from rotcal_ros.adjust.model import Model, block_rows
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
@@ -116,12 +118,14 @@ def states(
     rival, doubts = rivalry(configuration.plan, configuration.solver, read, found), []
     if REFERENCE not in found.further:
         doubts.append(
-            "the errors of the reference are in the result: there is one shift and no "
-            "certificate; add shifts, or solver.reference_errors_arcsec"
+            phrase(
+                "the errors of the reference are in the result: there is one shift and no "
+                "certificate; add shifts, or solver.reference_errors_arcsec"
+            )
         )
     if rival.better:
-        others = ", or if ".join(rival.better[:MOST_NAMED])
-        doubts.append(f"all readings fit if {others}: correct what is stated")
+        others = reduce(partial(phrase, "{0}, or if {1}"), rival.better[:MOST_NAMED])
+        doubts.append(phrase("all readings fit if {0}: correct what is stated", others))
     stated = {p.effect: p for p in (*_unread(), _arrivals(found), _gauge(configuration, found))}
     for protection in rival.protections():
         if protection.treatment == "not protected" or protection.effect != "gauge":
@@ -132,9 +136,11 @@ def states(
 
 def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
     if REFERENCE not in found.further:
-        return Protection("gauge", "not protected", "the reference's errors are in the result")
+        return Protection(
+            "gauge", "not protected", phrase("the reference's errors are in the result")
+        )
     if not configuration.solver.reference_errors_arcsec:
-        return Protection("gauge", "estimated", "the shifts separate the two circles")
+        return Protection("gauge", "estimated", phrase("the shifts separate the two circles"))
     bare = replace(configuration.solver, reference_errors_arcsec=())
     try:
         read = readings_of(configuration.plan)
@@ -143,34 +149,48 @@ def _gauge(configuration: Configuration, found: Adjusted) -> Protection:
     except ObservabilityError:
         checked = False
     if checked:
-        return Protection("gauge", "bounded", "the shifts check the certificate of the reference")
-    return Protection("gauge", "not protected", "nothing checks the certificate of the reference")
+        return Protection(
+            "gauge", "bounded", phrase("the shifts check the certificate of the reference")
+        )
+    return Protection(
+        "gauge", "not protected", phrase("nothing checks the certificate of the reference")
+    )
 
 
 def _unread() -> Iterator[Protection]:
-    yield Protection("error motion", "harmless", "an instrument for angles sees no shift")
-    yield Protection("refraction", "harmless", "a steady bend is the same at all angles")
-    yield Protection("tilt", "harmless", "tilts of the table turn about axes that are not read")
+    yield Protection("error motion", "harmless", phrase("an instrument for angles sees no shift"))
+    yield Protection("refraction", "harmless", phrase("a steady bend is the same at all angles"))
+    yield Protection(
+        "tilt", "harmless", phrase("tilts of the table turn about axes that are not read")
+    )
     yield Protection(
         "slip",
         "not protected",
-        "a reference that gives way by the same whenever the table comes to an angle looks like "
-        "the table",
+        phrase(
+            "a reference that gives way by the same whenever the table comes to an angle "
+            "looks like the table"
+        ),
     )
     yield Protection(
         "sign of readings",
         "not protected",
-        "readings that count the other way round fit as well, and turn the sign of the result",
+        phrase(
+            "readings that count the other way round fit as well, and turn the sign of the result"
+        ),
     )
 
 
 def _arrivals(found: Adjusted) -> Protection:
     settings = found.model.groupings[0].number
     if len(np.unique(settings[settings >= 0])) == 1:
-        return Protection("repeatability", "not protected", "the table comes once to an angle")
+        return Protection(
+            "repeatability", "not protected", phrase("the table comes once to an angle")
+        )
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
-    return Protection("repeatability", "tested", "every setting comes to every angle", error)
+    return Protection(
+        "repeatability", "tested", phrase("every setting comes to every angle"), error
+    )
 
 
 def check(

@@ -20,6 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.units import DEGREE, TURN
 from rotcal_ros.methods.angle_comparison.model import (
@@ -46,7 +47,7 @@ class Rival:
     """What else may be true: ``what``, the ``effect`` that it is, and how it would be stated."""
 
     effect: Effect
-    what: str
+    what: Phrase
     plan: ComparisonPlanSettings
     solver: ComparisonSolverSettings
 
@@ -59,10 +60,15 @@ def rivals_of(plan: ComparisonPlanSettings, solver: ComparisonSolverSettings) ->
         return  # the reference is taken for perfect: it has no numbers
     for counting in SIGNS.keys() - {solver.readings_count} if certified else ():
         counted = replace(solver, readings_count=counting)
-        yield Rival("sign of readings", f"readings count {counting}", plan, counted)
+        yield Rival(
+            "sign of readings", phrase("readings count {0}", phrase(counting)), plan, counted
+        )
     for what, errors in (
-        ("the signs of the certificate are reversed", tuple(-e for e in stated)),
-        ("the certificate lists its angles the other way round", stated[:1] + stated[:0:-1]),
+        (phrase("the signs of the certificate are reversed"), tuple(-e for e in stated)),
+        (
+            phrase("the certificate lists its angles the other way round"),
+            stated[:1] + stated[:0:-1],
+        ),
     )[: 2 * certified]:
         yield Rival("gauge", what, plan, replace(solver, reference_errors_arcsec=errors))
     for what, shifts in _shifts_of(plan.shifts_deg, circles, certified):
@@ -71,26 +77,26 @@ def rivals_of(plan: ComparisonPlanSettings, solver: ComparisonSolverSettings) ->
 
 def _shifts_of(
     stated: Sequence[float], circles: Circles, certified: bool
-) -> Iterator[tuple[str, tuple[float, ...]]]:
+) -> Iterator[tuple[Phrase, tuple[float, ...]]]:
     """Yield other shifts, deg, by steps of the marks; of one setting all others are relative."""
     count = round(TURN / np.diff(circles.marks, append=circles.marks[0] + TURN).min())
     step = 360.0 / count
     low = 0.0 if min(stated) >= 0.0 else -180.0
     first = 0 if certified or len(stated) > 2 else 1
 
-    def moved(by: int) -> Iterator[tuple[str, tuple[float, ...]]]:
+    def moved(by: int) -> Iterator[tuple[Phrase, tuple[float, ...]]]:
         for k in range(first, len(stated)):
             there = low + (stated[k] + by * step - low) % 360.0
-            what = f"setting {k} stood at {there:g} deg, not at {stated[k]:g}"
+            what = phrase("setting {0} stood at {1:g} deg, not at {2:g}", k, there, stated[k])
             yield what, (*stated[:k], there, *stated[k + 1 :])
 
     for by in (1, -1):
         yield from moved(by)
-    yield "the shifts count the other way round", tuple(-shift for shift in stated)
+    yield phrase("the shifts count the other way round"), tuple(-shift for shift in stated)
     for k, other in combinations(range(len(stated)), 2):
         swapped = list(stated)
         swapped[k], swapped[other] = stated[other], stated[k]
-        yield f"settings {k} and {other} are exchanged", tuple(swapped)
+        yield phrase("settings {0} and {1} are exchanged", k, other), tuple(swapped)
     for by in range(2, count // 2 + 1):
         yield from moved(by)
         yield from moved(-by)
@@ -105,19 +111,23 @@ class Rivalry:
     ``better``: what explains all of them where the statement does not.
     """
 
-    open: dict[Effect, str | None]
-    better: Sequence[str] = ()
+    open: dict[Effect, Phrase | None]
+    better: Sequence[Phrase] = ()
 
     def protections(self) -> Iterator[Protection]:
         """Yield whether the readings show each of the effects."""
         for effect, what in self.open.items():
             if what is None:
-                yield Protection(effect, "tested", "the readings contradict other statements")
+                yield Protection(
+                    effect, "tested", phrase("the readings contradict other statements")
+                )
             elif what:
-                why = f"the readings fit as well if {what}, which gives another result"
+                why = phrase("the readings fit as well if {0}, which gives another result", what)
                 yield Protection(effect, "not protected", why)
             else:
-                yield Protection(effect, "not protected", "at these angles nothing else is solved")
+                yield Protection(
+                    effect, "not protected", phrase("at these angles nothing else is solved")
+                )
 
 
 def rivalry(
@@ -133,9 +143,9 @@ def rivalry(
     tolerable = TOLERABLE * found.std[counts]
     count = min(max(READ // len(read.value), LEAST), MOST)
     needed = 2.0 * float(np.log(1.0 / limits.significance)) * found.scale**2
-    open_: dict[Effect, str | None] = {}
+    open_: dict[Effect, Phrase | None] = {}
     certified = known_reference(solver, Circles.of(plan))
-    better: list[str] = []
+    better: list[Phrase] = []
     sound = found.verdict == "ok" or _chance(found.model) > limits.significance
     for _, rival in zip(range(count), rivals_of(plan, solver), strict=False):
         circles = Circles.of(rival.plan)
@@ -145,7 +155,7 @@ def rivalry(
         model = model_of(rival.plan, rival.solver, replace(read, target=shown))
         if model.size[0] != found.model.size[0]:
             continue  # a certificate of other angles
-        open_.setdefault(rival.effect, "")
+        open_.setdefault(rival.effect, listed(()))
         if not sound and _chance(model) > limits.significance:
             better.append(rival.what)
         if open_[rival.effect] or (other := _solved(model, found)) is None:

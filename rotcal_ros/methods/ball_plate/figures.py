@@ -13,6 +13,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -126,7 +127,7 @@ def machine_errors(result: Result) -> str:
         place = angle / DEGREE
         for i, ax in enumerate(panels):
             style.curve_with_band(ax, place, values[:, i], band[:, i] / MICROMETRE, "")
-            ax.set_ylabel(f"{_DIRECTIONS[i]} / µm")
+            ax.set_ylabel(phrase("{0} / µm", phrase(_DIRECTIONS[i])))
     label = "measuring position on the ball circle / °"
     style.angle_axis(panels[-1], np.array([0.0, 360.0]), label)
     return style.svg(panels[0])
@@ -161,7 +162,7 @@ def residual_maps(result: Result) -> str:
                 position[~rows.used], ball[~rows.used], "x", color=style.INK, markersize=6,
                 markeredgewidth=1.4,
             )  # fmt: skip
-        panels[2 * i].set_ylabel(f"{name}: ball")
+        panels[2 * i].set_ylabel(phrase("{0}: ball", phrase(name)))
         panels[2 * i].set_yticks(np.arange(len(balls)), [str(step) for step in balls], fontsize=6)
     panels[-2].set_xlabel("table position")
     panels[-1].set_xlabel("measuring position")

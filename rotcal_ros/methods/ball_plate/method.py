@@ -19,6 +19,7 @@ from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
@@ -77,7 +78,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     number = {o.step: k for k, o in enumerate(observations)}  # the rows of the plate are steps
     result = replace(result, raw_data=result.raw_data.renumbered(number))
     if all(o.kind == PointKind.SURFACE and o.captured for o in observations):
-        why = "touch points that lie below the centre of a ball are refused by the capture"
+        why = phrase("touch points that lie below the centre of a ball are refused by the capture")
         result = result.protected(Protection("sign of z", "harmless", why))
     if configuration.plan.bidirectional:
         return mean_of_runs(result, arrivals.take(solution.table_positions), from_first=False)

@@ -14,6 +14,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
@@ -81,7 +82,7 @@ def _draw_curve(
     band = COVERAGE_FACTOR * result.std[name] / factor
     angles, values = result.angles / DEGREE, result.deviations[name] / factor
     both = result.directions.get(name)
-    label = MEASURED if both is None else f"mean of ↑ and ↓, {MEASURED}"
+    label = MEASURED if both is None else phrase("mean of ↑ and ↓, {0}", phrase(MEASURED))
     style.curve_with_band(ax, angles, values, band, label, valid=valid)
     if both is not None:
         x = both.angles / DEGREE
@@ -105,7 +106,7 @@ def _draw_band(
         return
     error = (result.deviations[name] - known) / factor
     ax.plot(angles, error, "s:", color=style.ORANGE, ms=3, lw=0.9, label="measured − injected")
-    ax.set_ylabel(f"error, ±U / {unit}")
+    ax.set_ylabel(phrase("error, ±U / {0}", unit))
 
 
 def injected(truth: Mapping[str, Any] | None, name: str, angles: Floats) -> Floats | None:
@@ -146,7 +147,7 @@ def polar(angles: Floats, motions: Sequence[Motion]) -> str:
         ax.plot(turn, around, "o-", color=style.BLUE, markersize=3)
         ax.plot(np.linspace(0.0, 2.0 * np.pi, 90), np.full(90, circle), color=style.GREY)
         ax.set_yticklabels([])
-        ax.set_title(f"{name}, circle: {circle:.3g} {unit}", fontsize=8)
+        ax.set_title(phrase("{0}, circle: {1:.3g} {2}", name, circle, unit), fontsize=8)
     for ax in panels[len(motions) :]:
         ax.set_visible(False)
     return style.svg(panels[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.figures import Figure, style
@@ -48,7 +49,7 @@ def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> s
         ax.axhline(0.0, color=style.GREY, linewidth=0.8)
         ax.set_xlabel(name)
         style.whole_numbers(ax.xaxis)
-    left.set_ylabel(f"residual / {label}")
+    left.set_ylabel(phrase("residual / {0}", label))
     return style.svg(left)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
@@ -25,13 +26,16 @@ _TURNS = ((2, style.BLUE, "azimuth"), (0, style.ORANGE, "tilt x"), (1, style.GRE
 
 def figures(result: Result, truth: Mapping[str, Any] | None = None) -> list[Figure]:
     """Return the figures that only this method can fill."""
-    reference = "the injected deviations" if truth else "the chosen way"
+    reference = phrase("the injected deviations") if truth else phrase("the chosen way")
     return [
         Figure(
             "The ways side by side",
-            "The same points solved in every way, the chosen one first. Above the deviations, "
-            f"below their difference from {reference}; the bands are expanded uncertainties "
-            "(k = 2).",
+            phrase(
+                "The same points solved in every way, the chosen one first. Above the "
+                "deviations, below their difference from {0}; the bands are expanded "
+                "uncertainties (k = 2).",
+                reference,
+            ),
             ways(result, truth),
         ),
         Figure(
@@ -133,7 +137,7 @@ def incidence(details: Mapping[str, Any]) -> str:
         x = [normal["angle_rad"] / DEGREE for normal in own]
         y = [normal["incidence_rad"] / DEGREE for normal in own]
         ax.plot(x, y, "o-", color=colours[number % len(colours)], markersize=4, linewidth=1.0,
-                label=f"station {name}")  # fmt: skip
+                label=phrase("station {0}", name))  # fmt: skip
     if "incidence_limit_rad" in details:
         ax.axhline(details["incidence_limit_rad"] / DEGREE, color=style.RED, linestyle="--",
                    linewidth=1.0, label="limit")  # fmt: skip

@@ -24,6 +24,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.raw_data import RawData, hash_of
 from rotcal_ros.foundation.results import Result
@@ -103,7 +104,7 @@ def _trials(configuration: Configuration, problem: PlaneMirrorProblem) -> Trials
 
 def _problem(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> tuple[PlaneMirrorProblem, list[str]]:
+) -> tuple[PlaneMirrorProblem, list[Phrase]]:
     """Return the problem that observations pose, and what was left out of it."""
     paired, left_out = _paired(observations)
     if not paired:
@@ -128,7 +129,7 @@ def _to_solve(problem: PlaneMirrorProblem, configuration: Configuration) -> Plan
 
 def check(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> tuple[str, ...]:
+) -> tuple[Phrase, ...]:
     """Return in words what the nests show against the newest station.
 
     They do not stand where they were seen before, or the tracker turned by more than
@@ -186,7 +187,7 @@ def _other_way(solution: MirrorSolution, way: str, arrivals: Arrivals | None) ->
     return {"way": way, "angles_rad": angles, "ecc_rad": ecc, "ecc_std_rad": std}
 
 
-def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], list[str]]:
+def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], list[Phrase]]:
     """Return the observations without reflectors that lack one of their points, and the latter.
 
     Without any mirrored point there is no mirror, and every direct point stands for itself.
@@ -204,8 +205,13 @@ def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], lis
         if o.kind == PointKind.NEST or (o.table_position, o.station, o.target) not in single
     ]
     names = [
-        f"position {position}, tracker station {station}, reflector {number}: only "
-        f"{next(iter(found)).name.lower()} was measured"
+        phrase(
+            "position {0}, tracker station {1}, reflector {2}: only {3} was measured",
+            position,
+            station,
+            number,
+            phrase(next(iter(found)).name.lower()),
+        )
         for (position, station, number), found in single.items()
     ]
     return used, names
@@ -236,16 +242,16 @@ class TrackerCheck:
             reason = self._on_another_nest(observation)
         return replace(observation, accepted=False, reason=reason) if reason else observation
 
-    def _on_another_nest(self, observation: Observation) -> str | None:
+    def _on_another_nest(self, observation: Observation) -> Phrase | None:
         """Say on which nest the reflector stands, if it is not the one that was asked for."""
         nests = self._nests.setdefault(observation.station, {})
         for number, place in nests.items():
             apart = dist(place, observation.mean)
             if number != observation.target and apart < MIN_APART:
-                return (
-                    f"nest {observation.target} is {apart / MILLIMETRE:.3f} mm from where nest "
-                    f"{number} was measured: reflector on the wrong nest"
-                )
+                return phrase(
+                    "nest {0} is {1:.3f} mm from where nest {2} was measured: reflector on the "
+                    "wrong nest", observation.target, apart / MILLIMETRE, number
+                )  # fmt: skip
         nests[observation.target] = observation.mean
         return None
 
@@ -328,10 +334,13 @@ def zero(result: Result) -> tuple[str, ...]:
     """Return what the curve counts from, and how a whole turn closes."""
     first, details = zero_at_the_first(result), result.details
     if "closure_rad" not in details:
-        return (*first, "No whole turn was measured: how the curve closes is not known.")
+        unknown = phrase("No whole turn was measured: how the curve closes is not known.")
+        return (*first, unknown)
     error = float(details["closure_rad"]) / ARCSEC
     expanded = COVERAGE_FACTOR * float(details["closure_std_rad"]) / ARCSEC
-    closes = f"The whole turn closes to {value_with_uncertainty(error, expanded)} arcsec (k = 2)."
+    closes = phrase(
+        "The whole turn closes to {0} arcsec (k = 2).", value_with_uncertainty(error, expanded)
+    )
     return (*first, closes)
 
 

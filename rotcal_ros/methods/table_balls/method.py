@@ -21,6 +21,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind, Turn
 from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.results import AxisLine, Result
@@ -188,7 +189,9 @@ def _pauses(balls: BallsOnTable, steps: Sequence[Step]) -> Iterator[Pause]:
     for step in steps:
         here, work, move = (step.station, step.target), list[str](), Move("ball bar", step.target)
         if tilting is not None and here[0] != before[0]:
-            work.append(f"turn {tilting.letter} to {tilting.degrees[step.station]:g} deg")
+            work.append(
+                phrase("turn {0} to {1:g} deg", tilting.letter, tilting.degrees[step.station])
+            )
             move = Move(tilting.letter, step.station)
         if bars and (work or here[1] != before[1]):
             ball, number = divmod(step.target, bars)
@@ -405,10 +408,15 @@ def restated(configuration: Configuration, _read: Readings, found: Adjusted) -> 
     return Restated(
         replace(configuration, solver=replace(solver, **values)),
         tuple(
-            f"the balls show {each.kind} motions {each.factor:.2g} times as large as "
-            f"solver.{STATED_BY[each.kind]} states (p = {each.probability:.1g}): the uncertainty "
-            "is enlarged as if they were stated; state them, or look for play, squareness and "
-            "scale of the linear axes"
+            phrase(
+                "the balls show {0} motions {1:.2g} times as large as solver.{2} states (p = "
+                "{3:.1g}): the uncertainty is enlarged as if they were stated; state them, "
+                "or look for play, squareness and scale of the linear axes",
+                phrase(each.kind),
+                each.factor,
+                STATED_BY[each.kind],
+                each.probability,
+            )
             for each in beyond
         ),
     )
@@ -419,52 +427,63 @@ def _protections(
 ) -> Iterator[Protection]:
     worst = exceeded(balls, found)
     of_effects: tuple[tuple[Effect, tuple[str, ...], tuple[str, ...]], ...] = (
-        ("error motion", COMPONENTS[:3], ("radial", "axial")), ("tilt", COMPONENTS[3:5], ("tilt",))
-    )  # fmt: skip
+        ("error motion", COMPONENTS[:3], ("radial", "axial")),
+        ("tilt", COMPONENTS[3:5], ("tilt",)),
+    )
     for effect, every, kinds in of_effects:
         if untold := [name for name in every if name not in balls.shown]:
             names = ", ".join(untold)
-            why = f"the balls do not determine {names}: the uncertainty holds what is stated"
+            why = phrase(
+                "the balls do not determine {0}: the uncertainty holds what is stated", names
+            )
             yield _stated_only(effect, why, [worst[kind] for kind in kinds])
         else:
-            yield Protection(effect, "estimated", "the balls determine it at every angle")
-    yield Protection("refraction", "harmless", "no light measures")
+            yield Protection(effect, "estimated", phrase("the balls determine it at every angle"))
+    yield Protection("refraction", "harmless", phrase("no light measures"))
     for name, effect in OF_AXES.items():
         size, left = LINEAR[name](configuration), found.further[name][1].max()
-        why = (
-            f"the uncertainty holds the {name} of the linear axes: stated are "
-            f"{size / MICROMETRE:.3g} um/m, the balls leave {left / MICROMETRE:.3g} um/m of the "
-            "worst"
-        )
+        why = phrase(
+            "the uncertainty holds the {0} of the linear axes: stated are {1:.3g} um/m, the "
+            "balls leave {2:.3g} um/m of the worst", phrase(name), size / MICROMETRE,
+            left / MICROMETRE
+        )  # fmt: skip
         beside = [worst["bar"]] if effect == "gauge" and "bar" in worst else []
         yield _stated_only(effect, why, [worst[name], *beside])
     if tip := configuration.solver.tip_std_m:
-        why = f"the uncertainty of the axis holds {tip / MICROMETRE:.3g} um of the probe's tip"
+        why = phrase(
+            "the uncertainty of the axis holds {0:.3g} um of the probe's tip", tip / MICROMETRE
+        )
         yield _stated_only("probe tip", why, [worst["tip"]])
     else:
         yield Protection(
             "probe tip",
             "not protected",
-            "an offset of the probe's tip is in the place of the axis",
+            phrase("an offset of the probe's tip is in the place of the axis"),
         )
     for effect, what in LIKE_MOTIONS.items():
-        why = f"{what} is the same in every run, and read as motions of the balls"
+        why = phrase(
+            "{0} is the same in every run, and read as motions of the balls", phrase(what)
+        )
         yield Protection(effect, "not protected", why)
     if configuration.plan.measure in (DISPLACEMENT, BAR):
         # no effect for the engine: one of 100 % would explain all that is stated to be zero
-        why = "an instrument that shows 2 % too little makes all that it finds 2 % too small"
+        why = phrase(
+            "an instrument that shows 2 % too little makes all that it finds 2 % too small"
+        )
         yield Protection("gain", "not protected", why)
     if "lag" in balls.known:
         yield _lag(configuration, found)
     if configuration.plan.runs == 1:
-        yield Protection("repeatability", "not protected", "the table comes once to an angle")
+        yield Protection(
+            "repeatability", "not protected", phrase("the table comes once to an angle")
+        )
         return
     noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     error = None if noise is None else ARRIVALS * noise
-    yield Protection("repeatability", "tested", "every run comes to every angle", error)
+    yield Protection("repeatability", "tested", phrase("every run comes to every angle"), error)
 
 
-def _stated_only(effect: Effect, why: str, every: Sequence[Undetected]) -> Protection:
+def _stated_only(effect: Effect, why: Phrase, every: Sequence[Undetected]) -> Protection:
     """Return what is done about an effect that is stated: not enough where that may be exceeded.
 
     ``every``: what may stay unseen of all that is stated of it.
@@ -472,10 +491,10 @@ def _stated_only(effect: Effect, why: str, every: Sequence[Undetected]) -> Prote
     worst = max(every, key=lambda each: each.error)
     if worst.error <= TOLERABLE:
         return Protection(effect, "bounded", why, worst.error)
-    why += (
-        f"; up to {EXCEEDED:g} times as large, it moves the result by {worst.error:.2g} standard "
-        "uncertainties before the verdict changes"
-    )
+    why = phrase(
+        "{0}; up to {1:g} times as large, it moves the result by {2:.2g} standard uncertainties "
+        "before the verdict changes", why, EXCEEDED, worst.error
+    )  # fmt: skip
     return Protection(effect, worst.treatment, why, worst.error)
 
 
@@ -483,13 +502,15 @@ def _lag(configuration: Configuration, found: Adjusted) -> Protection:
     left = found.further["lag"][1][0]
     if np.isclose(left, configuration.solver.lag_std_s, rtol=0.01):
         return Protection(
-            "lag", "harmless", "at one speed a lag only moves the balls: nothing shows it"
+            "lag", "harmless", phrase("at one speed a lag only moves the balls: nothing shows it")
         )
     return Protection(
         "lag",
         "estimated",
-        f"runs of several speeds determine it to {left / MILLISECOND:.3g} ms: play of the table "
-        "looks the same",
+        phrase(
+            "runs of several speeds determine it to {0:.3g} ms: play of the table looks the same",
+            left / MILLISECOND,
+        ),
     )
 
 
@@ -515,8 +536,18 @@ def tables(result: Result) -> list[ResultTable]:
     for name, axis in zip(AXES, result.axes, strict=False):
         x, y, z = axis.origin / MILLIMETRE
         titles = (
-            f"Axis average line, from ({x:.3f}, {y:.3f}) mm at the height z = {z:.3f} mm",
-            f"Axis average line of the tilting axis, from ({x:.3f}, {y:.3f}, {z:.3f}) mm",
+            phrase(
+                "Axis average line, from ({0:.3f}, {1:.3f}) mm at the height z = {2:.3f} mm",
+                x,
+                y,
+                z,
+            ),
+            phrase(
+                "Axis average line of the tilting axis, from ({0:.3f}, {1:.3f}, {2:.3f}) mm",
+                x,
+                y,
+                z,
+            ),
         )
         columns = {"value": axis.value / factor, "U_value": COVERAGE_FACTOR * axis.std / factor}
         unit, title = [unit for _, unit in AXIS_SHOWN], titles[AXES.index(name)]

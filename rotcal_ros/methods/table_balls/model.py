@@ -54,6 +54,7 @@ from rotcal_ros.adjust.model import (
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.table_balls.motions import StatedMotions, spectra
@@ -607,7 +608,7 @@ def model_of(
     zero = read.target if count == 1 else np.tile(np.arange(3), len(read.target))
     stop, station, target = (np.repeat(k, count) for k in (balls.stop, read.station, read.target))
     when, largest = np.repeat(read.when, count), solver.largest_shift_um * MICROMETRE
-    shifts = Steps(zero, when, most=MOST_MOMENTS, centred=True)  # their mean is the axis's place
+    shifts = Steps(zero, when, centred=True).fewer(MOST_MOMENTS)  # their mean is the axis's place
     model = Model(
         blocks=balls.blocks,
         observed=read.value if count == 1 else read.points.ravel(),
@@ -619,7 +620,8 @@ def model_of(
         start=np.append(start, np.zeros(balls.sums)),
         further=_also(balls, places),
         # arrivals of the table scatter in tangential lengths, and not in others
-        components=[f"lengths of set-up {k}" for k in range(len(balls.bars))] or ["the centres"],
+        components=[phrase("lengths of set-up {0}", k) for k in range(len(balls.bars))]
+        or ["the centres"],
         component=read.target % len(balls.bars) if len(balls.bars) else None,
         groupings=(
             Grouping("position", stop),  # of each the start trusts the better part
@@ -683,11 +685,16 @@ def _also(balls: BallsOnTable, places: Floats) -> dict[str, Outputs]:
     return {name: Outputs.alone(csr_array(rows)) for name, rows in found.items()}
 
 
-def _names(balls: BallsOnTable, read: Readings) -> Iterator[str]:
-    run = "run" if balls.tilting is None else "tilt"
+def _names(balls: BallsOnTable, read: Readings) -> Iterator[Phrase]:
+    run = phrase("run") if balls.tilting is None else phrase("tilt")
     for k, at, number in np.column_stack([read.target, read.position, read.station]).tolist():
-        where = f"{k} at position {at}, {run} {number}"
-        yield from [f"bar {where}"] if len(balls.bars) else [f"{a} of ball {where}" for a in "xyz"]
+        where = k, at, run, number
+        if len(balls.bars):
+            yield phrase("bar {0} at position {1}, {2} {3}", *where)
+        else:
+            yield from (
+                phrase("{0} of ball {1} at position {2}, {3} {4}", a, *where) for a in "xyz"
+            )
 
 
 def _motions(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:

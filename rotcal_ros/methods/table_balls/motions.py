@@ -219,11 +219,11 @@ class StatedMotions(Correlated):
         if fit in self._looked:
             return self._looked[fit]
         value, gain, noise = self._moved(fit)
-        count = len(value) // 6
+        known, count = gain[:, self.rows], len(value) // 6
         scale = np.repeat(self.stated, count)
         per_way = [
             np.concatenate([
-                way / scale[:, None] - gain[:, self.rows] @ root
+                way / scale[:, None] - known @ root
                 for way, root in zip(both, roots, strict=True)
             ], axis=1)
             for both, roots in zip(zip(*self.ways.values(), strict=True),

@@ -13,6 +13,7 @@ from rotcal_ros.adjust import alternatives
 from rotcal_ros.adjust.alternatives import Alternative, WeighedAlternative
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.protection import Effect
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.configuration import Configuration
@@ -53,7 +54,7 @@ def otherwise(configuration: Configuration, read: Readings) -> Iterator[Otherwis
         if letter:
             chain = plan.chain.replace(letter, f"-{letter}").replace("--", "")
             turned = replace(configuration, plan=replace(plan, chain=chain))
-            yield Otherwise("sense", f"{letter} turns the other way", turned, read)
+            yield Otherwise("sense", phrase("{0} turns the other way", letter), turned, read)
     step = float(np.median(np.diff(table_angles(plan)))) / DEGREE
     for on, what in (
         (step, "the table stood one position behind the one that is stated"),
@@ -80,8 +81,12 @@ def _exchanged(configuration: Configuration, read: Readings) -> Iterator[tuple[s
         first, second = number == pair[0], number == pair[1]
         found = np.where(first, pair[1], np.where(second, pair[0], number))
         a, b = sorted(pair)
-        both = f"set-ups {a} and {b}" if plan.measure == BAR else f"balls {a} and {b}"
-        yield f"{both} are taken for each other", other + found
+        both = (
+            phrase("set-ups {0} and {1}", a, b)
+            if plan.measure == BAR
+            else phrase("balls {0} and {1}", a, b)
+        )
+        yield phrase("{0} are taken for each other", both), other + found
 
 
 def _signs(configuration: Configuration, read: Readings) -> Iterator[Otherwise]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.figures import Figure, style
@@ -143,7 +144,7 @@ def _circles(ways: Mapping[str, Any]) -> str:
     ax.set_aspect("equal")
     ax.set_xlabel("x / mm")
     ax.set_ylabel("y / mm")
-    ax.set_title(f"deviations {by:,.0f} times")
+    ax.set_title(phrase("deviations {0:,.0f} times", by))
     return style.svg(ax)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
@@ -86,7 +87,8 @@ def stations(result: Result) -> str:
     ax.plot(*(nominal / MILLIMETRE).T, "o", color=style.INK, markersize=3, label="stations")
     ax.quiver(
         *(nominal / MILLIMETRE).T, *(error * scale / MILLIMETRE).T, color=style.ORANGE,
-        angles="xy", scale_units="xy", scale=1, width=0.005, label=f"error × {scale:,.0f}",
+        angles="xy", scale_units="xy", scale=1, width=0.005,
+        label=phrase("error × {0:,.0f}", scale),
     )  # fmt: skip
     ax.set_aspect("equal")
     ax.set_xlabel("x / mm")
@@ -134,9 +136,12 @@ def _circle(details: Mapping[str, Any]) -> ResultTable:
     centre, normal = details["circle"]["centre"], details["plane"]["normal"]
     errors = np.abs(_array(details["algorithm_error"]))
     rows = [
-        *((f"normal {axis}", float(n), "1") for axis, n in zip("xyz", normal, strict=True)),
         *(
-            (f"centre {axis}", float(c) / MILLIMETRE, "mm")
+            (phrase("normal {0}", axis), float(n), "1")
+            for axis, n in zip("xyz", normal, strict=True)
+        ),
+        *(
+            (phrase("centre {0}", axis), float(c) / MILLIMETRE, "mm")
             for axis, c in zip("xyz", centre, strict=True)
         ),
         ("radius", float(details["circle"]["radius"]) / MILLIMETRE, "mm"),

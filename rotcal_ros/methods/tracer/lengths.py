@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.method import See
@@ -117,10 +118,11 @@ class LengthCheck:
             change = length - before
             anew = 0.0 if segment == observation.segment else _RESET
             if abs(change) > _FACTOR * (apart + _SLACK) + anew:
-                reason = (
-                    f"implausible: length changed by {change:.6g} m between targets {other} and "
-                    f"{target}, which are {apart:.6g} m apart (millimetres instead of metres?)"
-                )
+                reason = phrase(
+                    "implausible: length changed by {0:.6g} m between targets {1} and {2}, which "
+                    "are {3:.6g} m apart (millimetres instead of metres?)", change, other, target,
+                    apart
+                )  # fmt: skip
                 return replace(observation, accepted=False, reason=reason)
         self._last[here] = (target, length, observation.segment)
         return observation

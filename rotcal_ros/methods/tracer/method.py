@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from rotcal_ros.adjust.bordered import within
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.arrays import Ints
@@ -150,12 +150,10 @@ def problem(
 
 def _earlier(plan: Plan, observations: Sequence[Observation]) -> Ints:
     """Return how often the same was measured before each observation (k,), in any run."""
-    before, seen = times_before(plan), Counter[int]()
-    found = np.zeros(len(observations), dtype=np.int64)
-    for k in sorted(range(len(observations)), key=lambda k: (observations[k].run, k)):
-        step = observations[k].step
-        found[k] = before[step] + (before.max() + 1) * seen[step]
-        seen[step] += 1
+    before, found = times_before(plan), np.zeros(len(observations), dtype=np.int64)
+    in_time = np.argsort([o.run for o in observations], kind="stable")
+    step = np.array([o.step for o in observations], dtype=np.int64)[in_time]
+    found[in_time] = before[step] + (before.max(initial=0) + 1) * within(step)
     return found
 
 

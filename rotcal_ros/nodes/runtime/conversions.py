@@ -268,7 +268,7 @@ def result_values(result: Result) -> dict[str, str]:
 
     Each deviation has its range and its largest expanded uncertainty (k = 2).
     """
-    values = {"verdict": result.verdict_line}
+    values: dict[str, str] = {"verdict": result.verdict_line}
     for name, curve in result.deviations.items():
         factor, unit = unit_of(name)
         expanded = COVERAGE_FACTOR * np.max(result.std[name])

@@ -12,7 +12,7 @@ const texts = catalogues[language] ?? {};
 const point = (1.5).toLocaleString(language)[1];
 
 // A text of the catalogue with its places {0}, {1} filled; say: words from the server, [text, parts] is a phrase.
-export const t = (words, ...parts) => (texts[words] ?? words).replace(/\{(\d)\}/g, (whole, place) => parts[place] ?? whole);
+export const t = (words, ...parts) => (texts[words] ?? words).replace(/\{(\d+)[^{}]*\}/g, (whole, place) => parts[place] ?? whole);
 export const say = (words) => (Array.isArray(words) ? t(words[0], ...words.slice(1).map(say)) : words);
 
 // Translates what stands in the page itself.

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.escapes import printable
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from rotcal_ros.foundation.sheets.reading import Reading
+    from rotcal_ros.foundation.table_reading import Reading
 
 
 def say(text: str) -> None:

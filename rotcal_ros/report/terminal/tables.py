@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
 from rotcal_ros.evaluation.marks import beside_the_curves, marks, withheld
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
@@ -25,6 +24,7 @@ from rotcal_ros.report.terminal.columns import (
 if TYPE_CHECKING:  # a result is printed without what compares and combines
     from rotcal_ros.evaluation.compare import Comparison
     from rotcal_ros.evaluation.component_groups import ComponentGroup
+    from rotcal_ros.evaluation.iso230 import Iso230
     from rotcal_ros.evaluation.monte_carlo import Propagated
     from rotcal_ros.evaluation.quick_check import QuickCheck
     from rotcal_ros.evaluation.truth_scores import LeaderboardRow
@@ -152,6 +152,8 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
     print_table([_angles(figures.targets), *columns], title)
     _say_figures(figures)
     if not figures.measurement_stated:
+        from rotcal_ros.evaluation.iso230 import ONLY_SCATTER
+
         print_words(f"note: {ONLY_SCATTER}")
     print_words(*(f"warning: {warning}" for warning in figures.warnings))
 

@@ -194,7 +194,7 @@ def test_covariances_are_those_of_the_pseudo_inverse_about_the_same_zero(n, shif
 
 
 def test_settings_beside_each_other_in_a_table_are_solved_to_their_truth(tmp_path):
-    """A matrix of readings as people keep it, with the values that were drawn for it."""
+    """Readings in arcsec as people keep them, with the values that were drawn for them."""
     folder = Path(__file__).parent / "settings_of_a_polygon"
     out = tmp_path / "result.json"
     words = ["solve", str(folder / "readings.csv"), "--setup", str(folder / "setup.yaml")]

@@ -485,13 +485,12 @@ def test_the_simulated_cell_is_solved_to_its_truth(changes):
     assert calibration.method.tables(result)[0].rows[0][0] == "XOC"
 
 
-def test_a_table_of_centres_with_angles_and_runs_is_read(tmp_path):
+def test_a_table_of_centres_in_millimetres_is_read(tmp_path):
     world = World.drawn(planned("ONE"), np.random.default_rng(2))
     read = world.readings(SIGMA, np.random.default_rng(1))
-    angles = np.degrees(world.angles)[read.position]
-    rows = zip(angles, read.target, *(1e3 * read.points.T), strict=True)
+    rows = zip(read.position, read.target, *(1e3 * read.points.T), strict=True)
     path = tmp_path / "centres.csv"
-    lines = ["table angle [deg],ball,x [mm],y [mm],z [mm]"]
+    lines = ["position,ball,x [mm],y [mm],z [mm]"]
     path.write_text(
         "\n".join([*lines, *(",".join(f"{cell:.13g}" for cell in row) for row in rows)]) + "\n"
     )

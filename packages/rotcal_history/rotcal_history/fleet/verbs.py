@@ -156,7 +156,7 @@ def _followed(running: Iterable[BagOutcome], total: int) -> list[_Bag]:
         for done in running:
             bag = _Bag(done.source, done.key, done.session, done.start_ns, error=done.error)
             if (result := done.deviations()) is not None:
-                bag.verdict, bag.verdict_line = result.verdict, str(result.verdict_line)
+                bag.verdict, bag.verdict_line = result.verdict, result.verdict_line.text
                 bag.warnings = tuple(dict.fromkeys((*done.warnings, *result.warnings)))
                 bag.observations = result.n_observations
             bags.append(bag)

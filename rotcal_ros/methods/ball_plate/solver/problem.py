@@ -15,6 +15,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, PlanError
+from rotcal_ros.foundation.language import Phrase, phrase
 
 COLUMNS: Final = {
     **dict.fromkeys(("position", "ball_step", "row"), np.int64),
@@ -165,12 +166,12 @@ class BallPlateProblem:
         """Measured minus nominal centres m - p_k, metres, (n, 3)."""
         return self.centres - self.radius * on_circle(self.angles[self.cmm_index])
 
-    def row_name(self, r: int | np.integer) -> str:
+    def row_name(self, r: int | np.integer) -> Phrase:
         """Return what a row is, for messages."""
-        return (
-            f"row {self.rows[r]} (ball step {self.ball_step[r]}, table position "
-            f"{self.position[r]})"
-        )
+        return phrase(
+            "row {0} (ball step {1}, table position {2})", self.rows[r], self.ball_step[r],
+            self.position[r]
+        )  # fmt: skip
 
     def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""

@@ -22,6 +22,7 @@ from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import TOLERABLE, Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Result
@@ -244,12 +245,12 @@ def _without_dirty_position(
     count = balls_at_positions(fitted)
     for position in np.flatnonzero((count > 0) & (count < FEW_BALLS)).tolist():
         away = fitted.position == position
-        why = (
+        why = phrase(
             "without what is far off, too few balls are left at this table position, which leaves "
             "its six errors open: the angle is left out"
         )
         rejected = [
-            Rejection(int(fitted.rows[r]), f"{fitted.row_name(r)}: {why}")
+            Rejection(int(fitted.rows[r]), phrase("{0}: {1}", fitted.row_name(r), why))
             for r in np.flatnonzero(away).tolist()
         ]
         less = fitted.take(~away)
@@ -347,10 +348,10 @@ def _prepared(
         require_balls(whole, everywhere=True)
     away = np.isin(whole.position, poor)
     for r in np.flatnonzero(away).tolist():
-        why = (
-            f"{whole.row_name(r)}: only {count[whole.position[r]]} balls are left at this table "
-            "position, which leaves its six errors open: the angle is left out"
-        )
+        why = phrase(
+            "{0}: only {1} balls are left at this table position, which leaves its six errors "
+            "open: the angle is left out", whole.row_name(r), count[whole.position[r]]
+        )  # fmt: skip
         rejected.append(Rejection(int(whole.rows[r]), why))
     fitted = whole.take(~away)
     layout = PlateLayout(fitted, groups)
@@ -442,13 +443,13 @@ def _free_directions(solution: PlateSolution) -> tuple[FreeDirection, ...]:
     return tuple(FreeDirection(name, columns) for columns in every)
 
 
-def _groups_in_words(solution: PlateSolution) -> str:
+def _groups_in_words(solution: PlateSolution) -> Phrase:
     count = solution.layout.groups
-    names = f"{count} groups of" if count > 2 else "odd and even"
-    return f"the {names} table positions"
+    names = phrase("{0} groups of", count) if count > 2 else phrase("odd and even")
+    return phrase("the {0} table positions", names)
 
 
-def _doubts(solution: PlateSolution) -> Iterator[str]:
+def _doubts(solution: PlateSolution) -> Iterator[Phrase]:
     found = solution.found
     for effect in found.found_effects:
         if effect.effect.effect == "growth":
@@ -462,44 +463,48 @@ def _doubts(solution: PlateSolution) -> Iterator[str]:
     odd = solution.alike is not None and solution.alike < AXIS_SIGNIFICANCE
     if odd or least > np.log(UNEQUAL):
         shown = ", ".join(f"{size / MICROMETRE:.3g}" for size in noise.tolist())
-        yield (
-            f"the centres scatter unequally, by {shown} um along x, y and z: each axis counts by "
-            "its own noise; state solver.sigma_axes_m, or find out why"
-        )
+        yield phrase(
+            "the centres scatter unequally, by {0} um along x, y and z: each axis counts by its "
+            "own noise; state solver.sigma_axes_m, or find out why", shown
+        )  # fmt: skip
 
 
-def _of_growth(found: FoundEffect, material: str) -> str:
+def _of_growth(found: FoundEffect, material: str) -> Phrase:
     amount = float(found.sizes[0])
-    warmed, warms = kelvin(amount, material), "warms" if amount > 0.0 else "cools"
+    warmed, warms = kelvin(amount, material), phrase("warms") if amount > 0.0 else phrase("cools")
     if warmed is None:
-        cause = "plan.plate.material would give it in kelvin"
+        cause = phrase("plan.plate.material would give it in kelvin")
     elif abs(warmed) > PLAUSIBLE_K:
-        cause = f"{material} does not with {PLAUSIBLE_K:g} K: the machine's scales changed"
+        cause = phrase(
+            "{0} does not with {1:g} K: the machine's scales changed", material, PLAUSIBLE_K
+        )
     else:
-        cause = f"as {material} does that {warms} by {abs(warmed):.2g} K"
-    return (
-        f"the plate {'grew' if amount > 0.0 else 'shrank'} by {abs(amount) / MICROMETRE:.3g} um/m "
-        f"over the run, {cause}: let plate and machine settle, or measure in less time"
-    )
+        cause = phrase("as {0} does that {1} by {2:.2g} K", material, warms, abs(warmed))
+    return phrase(
+        "the plate {0} by {1:.3g} um/m over the run, {2}: let plate and machine settle, or "
+        "measure in less time", phrase("grew") if amount > 0.0 else phrase("shrank"),
+        abs(amount) / MICROMETRE, cause
+    )  # fmt: skip
 
 
-def _warnings(solution: PlateSolution) -> Iterator[str]:
+def _warnings(solution: PlateSolution) -> Iterator[Phrase]:
     problem = solution.fitted
     left_out = np.setdiff1d(np.arange(problem.n_positions), solution.table_positions)
     if len(left_out):
-        yield (
-            f"{len(left_out)} of {problem.n_positions} table positions have fewer than "
-            f"{MIN_BALLS} balls and are left out of the result: {', '.join(map(str, left_out))}"
-        )
+        yield phrase(
+            "{0} of {1} table positions have fewer than {2} balls and are left out of the "
+            "result: {3}", len(left_out), problem.n_positions, MIN_BALLS,
+            ", ".join(map(str, left_out))
+        )  # fmt: skip
     if solution.layout.groups > 1:
-        yield (
-            f"The offset between {_groups_in_words(solution)} is not measured: each group has its "
-            "own zero"
+        yield phrase(
+            "The offset between {0} is not measured: each group has its own zero",
+            _groups_in_words(solution),
         )
     elif problem.complete:
         yield from separability(problem.grid, problem.balls).sentences()
     if solution.problem.closed_form and not solution.closes:
-        yield (
+        yield phrase(
             "not all centres are left with equal weights, which the closed form needs: the least "
             "squares took its place (they are the same where both exist)"
         )
@@ -507,10 +512,10 @@ def _warnings(solution: PlateSolution) -> Iterator[str]:
         drift = _drift(solution)
         size, band = drift["amount"][0] / MICROMETRE, 2.0 * drift["std"][0] / MICROMETRE
         shown = ", ".join(f"{a:.3f} +- {u:.3f}" for a, u in zip(size, band, strict=True))
-        yield (
-            f"the origin of the CMM drifts by ({shown}) um over the run in x, y, z; it is "
-            "estimated and taken off"
-        )
+        yield phrase(
+            "the origin of the CMM drifts by ({0}) um over the run in x, y, z; it is estimated "
+            "and taken off", shown
+        )  # fmt: skip
 
 
 def _drift(solution: PlateSolution) -> dict[str, Floats]:
@@ -563,26 +568,32 @@ ALWAYS: Final = (
     Protection(
         "axis noise",
         "estimated",
-        "in the plane and along the axis each, where nothing is stated or the statement fails",
+        phrase(
+            "in the plane and along the axis each, where nothing is stated or the statement fails"
+        ),
     ),
-    Protection("error motion", "estimated", "all six deviations are results"),
-    Protection("refraction", "harmless", "no light is used"),
+    Protection("error motion", "estimated", phrase("all six deviations are results")),
+    Protection("refraction", "harmless", phrase("no light is used")),
     Protection(
-        "tilt", "estimated", "the pose of the axis and the place of each ball are unknowns"
+        "tilt", "estimated", phrase("the pose of the axis and the place of each ball are unknowns")
     ),
     Protection(
         "numbering",
         "not protected",
-        "which table angle belongs to position 0 is taken from the table: positions that are all "
-        "numbered off by one fit as well, on a plate whose ball steps are off by as many the "
-        "other way",
+        phrase(
+            "which table angle belongs to position 0 is taken from the table: positions that "
+            "are all numbered off by one fit as well, on a plate whose ball steps are off by "
+            "as many the other way"
+        ),
     ),
     Protection(
         "sign of z",
         "not protected",
-        "that z points away from the table is taken from the frame: a z column of the other sign "
-        "fits every centre as well and turns the signs of EZC, EAC and EBC; touch points on the "
-        "upper half of the balls would show which",
+        phrase(
+            "that z points away from the table is taken from the frame: a z column of the "
+            "other sign fits every centre as well and turns the signs of EZC, EAC and EBC; "
+            "touch points on the upper half of the balls would show which"
+        ),
     ),
 )
 """What is said of every measurement."""
@@ -593,37 +604,47 @@ def _protections(solution: PlateSolution) -> Iterator[Protection]:
     yield from ALWAYS
     drift = problem.drift_allowance / MICROMETRE
     if problem.drift:
-        shape = ("linear", "quadratic")[problem.drift - 1]
-        yield Protection("drift", "estimated", f"a {shape} drift of each axis is an unknown")
+        shape = phrase(("linear", "quadratic")[problem.drift - 1])
+        yield Protection(
+            "drift", "estimated", phrase("a {0} drift of each axis is an unknown", shape)
+        )
     elif drift and any(
         p.effect == "drift" and (p.error is None or p.error > TOLERABLE)
         for p in found.protections()
     ):
-        yield Protection("drift", "bounded", f"the budget holds {drift:g} um over the run")
+        yield Protection(
+            "drift", "bounded", phrase("the budget holds {0:g} um over the run", drift)
+        )
     turned = np.concatenate([np.arange(part.start, part.stop) for name, part in
                              solution.parts.items() if name in ROTATIONS])  # fmt: skip
     share = np.abs(found.value[turned]) / np.maximum(found.std[turned], 1e-300)
     yield Protection(
         "scale",
         "tested",
-        "a wrong radius of the ball circle shows in all centres; it scales the rotations",
+        phrase("a wrong radius of the ball circle shows in all centres; it scales the rotations"),
         RADIUS_TOLERANCE * float(share.max()),
     )
     if count > 1 and problem.group_allowance:
         size = problem.group_allowance / MICROMETRE
-        yield Protection("gauge", "bounded", f"the budget holds {size:g} um between the groups")
+        yield Protection(
+            "gauge", "bounded", phrase("the budget holds {0:g} um between the groups", size)
+        )
     elif count > 1:
-        why = f"{count} groups of table positions have each a zero of their own"
+        why = phrase("{0} groups of table positions have each a zero of their own", count)
         yield Protection("gauge", "not protected", why)
     else:
         yield Protection(
             "gauge",
             "harmless",
-            "mean values, and what a shifted or tilted plate causes, are no part of the curves",
+            phrase(
+                "mean values, and what a shifted or tilted plate causes, are no part of the curves"
+            ),
         )
     if len(solution.fitted.rows) < 1.4 * (int(solution.fitted.stop.max()) + 1):
-        why = "every centre has a stop of its own, so it is part of the residuals"
+        why = phrase("every centre has a stop of its own, so it is part of the residuals")
         yield Protection("repeatability", "estimated", why)
     else:
-        why = "not included: the table came to each position once, or too seldom to estimate it"
+        why = phrase(
+            "not included: the table came to each position once, or too seldom to estimate it"
+        )
         yield Protection("repeatability", "not protected", why)

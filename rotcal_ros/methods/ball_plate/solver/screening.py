@@ -13,6 +13,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.geometry.rotations import wrap_angle
@@ -47,7 +48,9 @@ def screen(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]
     """
     finite: Bools = np.all(np.isfinite(problem.centres), axis=1)
     rejected = [
-        Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: the centre is not finite")
+        Rejection(
+            int(problem.rows[r]), phrase("{0}: the centre is not finite", problem.row_name(r))
+        )
         for r in np.flatnonzero(~finite)
     ]
     if not finite.any():
@@ -58,7 +61,7 @@ def screen(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]
     for step in (_displaced, _off_height, _doubled):
         bad, reasons = step(there)
         rejected += [
-            Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: {why}")
+            Rejection(int(problem.rows[r]), phrase("{0}: {1}", problem.row_name(r), why))
             for r, why in zip(bad, reasons, strict=True)
         ]
         if len(bad):
@@ -130,7 +133,7 @@ def _check_circle(problem: BallPlateProblem) -> None:
         )
 
 
-def _displaced(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
+def _displaced(problem: BallPlateProblem) -> tuple[Ints, list[Phrase]]:
     """Return rows whose centre is not where ball and table position put it."""
     angle = np.arctan2(problem.centres[:, 1], problem.centres[:, 0])
     step = 2.0 * np.pi / problem.grid
@@ -141,9 +144,12 @@ def _displaced(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
         raise DataError(_mistake(problem, angle))
     _check_whole_balls(problem, bad, on_plate / step)
     found = np.round(on_plate[bad] / step).astype(int) % problem.grid
+    away, there = (
+        noted("the centre lies {0:.2f} degrees from its place"),
+        noted("the centre lies {0:.2f} degrees from its place, where ball step {1} stands"),
+    )
     reasons = [
-        f"the centre lies {abs(off[r]) * step / DEGREE:.2f} degrees from its place"
-        + (f", where ball step {place} stands" if place in problem.balls else "")
+        phrase(there if place in problem.balls else away, abs(off[r]) * step / DEGREE, place)
         for r, place in zip(bad, found, strict=True)
     ]
     return bad, reasons
@@ -250,17 +256,19 @@ def _between_steps(problem: BallPlateProblem, found: Floats) -> str:
     return f"balls lie away from their steps (ball step {named}): wrong plate file"
 
 
-def _off_height(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
+def _off_height(problem: BallPlateProblem) -> tuple[Ints, list[Phrase]]:
     """Return rows whose centre is far above or below the others, or off the circle."""
     height = problem.centres[:, 2] - np.median(problem.centres[:, 2])
     distance = np.hypot(problem.centres[:, 0], problem.centres[:, 1]) - problem.radius
     worst = np.where(np.abs(height) > np.abs(distance), height, distance)
     bad = np.flatnonzero(np.abs(worst) > HEIGHT_TOLERANCE * problem.radius)
-    reasons = [f"the centre lies {worst[r] / MILLIMETRE:.3f} mm off the circle" for r in bad]
+    reasons = [
+        phrase("the centre lies {0:.3f} mm off the circle", worst[r] / MILLIMETRE) for r in bad
+    ]
     return bad, reasons
 
 
-def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
+def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[Phrase]]:
     """Return rows of a ball measured twice at a table position where another is missing."""
     _, cell, count = np.unique(problem.cell, return_inverse=True, return_counts=True)
     times = count[cell]
@@ -272,8 +280,12 @@ def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
         if len(missing):
             bad.append(r)
             reasons.append(
-                f"measured {times[r]} times while ball "
-                f"{', '.join(map(str, missing))} is missing there; which is which is not known"
+                phrase(
+                    "measured {0} times while ball {1} is missing there; which is which "
+                    "is not known",
+                    times[r],
+                    ", ".join(map(str, missing)),
+                )
             )
     return np.array(bad, dtype=np.int64), reasons
 

@@ -33,6 +33,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
@@ -71,22 +72,29 @@ class Separability:
         """Whether all parameters are determined."""
         return self.deficit == 0
 
-    def sentences(self) -> tuple[str, ...]:
+    def sentences(self) -> tuple[Phrase, ...]:
         """Return the findings in words, nothing when all is well."""
         found = []
         if self.common_divisor > 1:
             found.append(
-                f"all distances between balls share the factor {self.common_divisor} with the "
-                f"grid, which splits the positions into {self.common_divisor} groups without a "
-                "connection (Eq. 22)"
+                phrase(
+                    "all distances between balls share the factor {0} with the grid, "
+                    "which splits the positions into {1} groups without a connection (Eq. "
+                    "22)",
+                    self.common_divisor,
+                    self.common_divisor,
+                )
             )
         if self.lost:
             found.append(
-                f"cannot be separated from plate and CMM: {_spell(self.lost)}; choose ball steps "
-                "without a common factor, or more balls"
+                phrase(
+                    "cannot be separated from plate and CMM: {0}; choose ball steps "
+                    "without a common factor, or more balls",
+                    _spell(self.lost),
+                )
             )
         if self.weak:
-            found.append(f"only weakly separated: {_spell(self.weak)}")
+            found.append(phrase("only weakly separated: {0}", _spell(self.weak)))
         return tuple(found)
 
 
@@ -233,10 +241,10 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
     return found, null.shape[1]
 
 
-def _spell(parts: dict[str, tuple[int, ...]]) -> str:
-    return "; ".join(
-        f"harmonics {_ranges(q)} of {name}" if len(q) > 1 else f"harmonic {_ranges(q)} of {name}"
-        for name, q in parts.items()
+def _spell(parts: dict[str, tuple[int, ...]]) -> Phrase:
+    single, several = noted("harmonic {0} of {1}"), noted("harmonics {0} of {1}")
+    return listed(
+        [phrase(several if len(q) > 1 else single, _ranges(q), n) for n, q in parts.items()]
     )
 
 

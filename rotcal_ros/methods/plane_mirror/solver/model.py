@@ -53,6 +53,7 @@ from rotcal_ros.adjust.model import (
     drifts,
 )
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
@@ -599,6 +600,7 @@ class TrackerModel:
             first = np.unique(label, return_index=True)[1][label]
             outputs = np.eye(len(first), count) - np.eye(len(first), count)[first]
         kinds = np.where(element < self.pairs, 0, 1)
+        names = [problem.row_name(row) for row in layout.rows.tolist()]
         model = Model(
             blocks=blocks,
             observed=np.zeros(3 * m),
@@ -610,9 +612,7 @@ class TrackerModel:
             components=("the points",),
             groupings=tuple(self._groupings(kinds)),
             effects=tuple(self._effects()),
-            row_names=np.repeat(
-                [problem.row_name(row) for row in layout.rows.tolist()], 3
-            ).tolist(),
+            row_names=[name for name in names for _ in range(3)],
             element=np.repeat(element, 3),
             judged=np.repeat(np.append(kinds[: self.pairs] == 0, self.judged), 3),
         )
@@ -674,10 +674,12 @@ class TrackerModel:
         several = 2 if layout.pairs is not None else 1  # a reflector on the table leans no way
         turns = dense[:, : several * n].reshape(-1, several, n).sum(axis=2)
         once = np.repeat(np.where(np.arange(len(layout.rows)) < self.pairs, 0, -1), 3)
-        what = "the mirror" if layout.pairs is not None else "the reflector"
+        what = phrase("the mirror") if layout.pairs is not None else phrase("the reflector")
         slowly, moves = drifts(once, moment) * turns, Steps(once, moment, turns)
-        yield Disturbing("drift", f"{what} turns slowly on the table", slowly, LARGEST)
-        yield Disturbing("knock", f"{what} turned on the table", moves, LARGEST, family=True)
+        yield Disturbing("drift", phrase("{0} turns slowly on the table", what), slowly, LARGEST)
+        yield Disturbing(
+            "knock", phrase("{0} turned on the table", what), moves, LARGEST, family=True
+        )
 
 
 def ties(layout: PointLayout) -> tuple[Ints, Ints]:

@@ -20,6 +20,7 @@ import numpy as np
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.methods.plane_mirror.settings import (
@@ -141,21 +142,23 @@ class PlaneMirrorProblem:
         """Return the name of a tracker station as the data give it."""
         return self.station_names[index] if self.station_names else str(index)
 
-    def position_name(self, index: int) -> str:
+    def position_name(self, index: int) -> Phrase:
         """Return a table position with its commanded angle, for messages."""
-        return f"position {index} ({self.angles[index] / DEGREE:g} deg)"
+        return phrase("position {0} ({1:g} deg)", index, self.angles[index] / DEGREE)
 
-    def row_name(self, row: int) -> str:
+    def row_name(self, row: int) -> Phrase:
         """Return what a row is and where it stands, for messages."""
         kind = PointKind(int(self.kind[row])).name.lower()
-        where = f"tracker station {self.station_name(self.station[row])}, nest {self.nest[row]}"
+        where = phrase(
+            "tracker station {0}, nest {1}", self.station_name(self.station[row]), self.nest[row]
+        )
         if kind != "nest":
-            where = f"{self.position_name(self.position[row])}, {where}"
-        return f"{self.place(row)} ({kind}, {where})"
+            where = phrase("{0}, {1}", self.position_name(self.position[row]), where)
+        return phrase("{0} ({1}, {2})", self.place(row), phrase(kind), where)
 
-    def place(self, row: int) -> str:
+    def place(self, row: int) -> Phrase:
         """Return the line of the file a row came from, else its number."""
-        return f"line {self.lines[row]}" if self.lines else f"row {row}"
+        return phrase("line {0}", self.lines[row]) if self.lines else phrase("row {0}", row)
 
 
 def problem_from_observations(

@@ -17,6 +17,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError, GeometryError
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
@@ -53,7 +54,7 @@ MIN_CIRCLE: Final = 1e-3
 
 def laid_out(
     problem: PlaneMirrorProblem,
-) -> tuple[PointLayout, tuple[Rejection, ...], tuple[str, ...]]:
+) -> tuple[PointLayout, tuple[Rejection, ...], tuple[Phrase, ...]]:
     """Return what belongs together, what is not used and why, and what the user must know.
 
     Raises DataError or GeometryError where there is no solution.
@@ -82,8 +83,8 @@ def laid_out(
     layout = PointLayout(problem, used, problem.angles[used], pairs, reflectors, nests, tied)
     require_angles(layout, problem.way)
     absent = np.setdiff1d(np.arange(len(problem.angles)), used).tolist()
-    names = ", ".join(problem.position_name(i) for i in absent)
-    missing = (f"no usable points at {names}: left out of the result",) * bool(absent)
+    names = listed([problem.position_name(i) for i in absent], ", ")
+    missing = (phrase("no usable points at {0}: left out of the result", names),) * bool(absent)
     return layout, tuple(rejected), missing
 
 
@@ -118,7 +119,7 @@ def check_pairs(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
             )
 
 
-def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> str | None:
+def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> Phrase | None:
     """Say why a point cannot be the image of the reflector at ``direct``; None: it may be.
 
     The plane half way between M and M' separates the tracker from the image, so the direct point
@@ -126,16 +127,16 @@ def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> str | No
     """
     apart = dist(direct, mirrored)
     if apart < MIN_SEPARATION:
-        return (
-            f"the mirrored point is {apart / MILLIMETRE:.3f} mm from the direct one: the same "
-            "point was measured twice; measure the image through the mirror"
-        )
+        return phrase(
+            "the mirrored point is {0:.3f} mm from the direct one: the same point was measured "
+            "twice; measure the image through the mirror", apart / MILLIMETRE
+        )  # fmt: skip
     near, far = hypot(*direct), hypot(*mirrored)
     if near >= far:
-        return (
-            f"the mirrored point is {far:.4f} m away, the direct one {near:.4f} m, but an image "
-            "is always the farther one: direct and mirrored exchanged"
-        )
+        return phrase(
+            "the mirrored point is {0:.4f} m away, the direct one {1:.4f} m, but an image is "
+            "always the farther one: direct and mirrored exchanged", far, near
+        )  # fmt: skip
     return None
 
 
@@ -156,8 +157,11 @@ def drop_steep(
     rejected = [
         Rejection(
             int(row),
-            f"angle of incidence {angle[pair] / DEGREE:.1f} deg is beyond the limit of {limit:g} "
-            "deg",
+            phrase(
+                "angle of incidence {0:.1f} deg is beyond the limit of {1:g} deg",
+                angle[pair] / DEGREE,
+                limit,
+            ),
         )
         for pair in np.flatnonzero(steep)
         for row in (pairs.direct[pair], pairs.mirrored[pair])

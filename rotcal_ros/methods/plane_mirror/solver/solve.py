@@ -21,6 +21,7 @@ from rotcal_ros.adjust.mapped import MappedFit, mapped
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
@@ -49,7 +50,7 @@ from rotcal_ros.methods.plane_mirror.solver.set_up import (
 )
 
 METHOD: Final = "plane_mirror"
-UNTIED: Final = "table positions that share no reflector"
+UNTIED: Final = phrase("table positions that share no reflector")
 MAX_DEVIATION: Final = 1.0 * DEGREE
 """No rotary table is this wrong; a commanded angle or a nest is."""
 LARGE: Final = 1.0
@@ -86,7 +87,7 @@ def curves(problem: PlaneMirrorProblem) -> tuple[CurveModel, Ints]:
 
 def check_nests(
     problem: PlaneMirrorProblem, *, newest: bool = False, drift_limit: float = np.inf
-) -> list[str]:
+) -> list[Phrase]:
     """Return what moved among the nests measured so far, in words; empty when all is well.
 
     For use while measuring: ``problem`` needs NEST rows only, and the others where nests were
@@ -114,9 +115,13 @@ def check_nests(
     texts = [text for text, begins in every if begins in asked]
     if turned > drift_limit and drift.probability(last) < problem.significance:
         texts.append(
-            f"the tracker turned by {turned / ARCSEC:.1f} arcsec between two rounds of nests at "
-            f"station {problem.station_name(last)}, allowed {drift_limit / ARCSEC:g}: let it "
-            "settle"
+            phrase(
+                "the tracker turned by {0:.1f} arcsec between two rounds of nests at "
+                "station {1}, allowed {2:g}: let it settle",
+                turned / ARCSEC,
+                problem.station_name(last),
+                drift_limit / ARCSEC,
+            )
         )
     return texts
 
@@ -131,7 +136,7 @@ class MirrorSolution:
     found: Adjusted
     way: str
     rejected: tuple[Rejection, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[Phrase, ...]
 
     @classmethod
     def of(cls, problem: PlaneMirrorProblem) -> MirrorSolution:
@@ -339,15 +344,17 @@ class MirrorSolution:
         ]
 
     @cached_property
-    def moved_nests(self) -> list[tuple[str, Bools]]:
+    def moved_nests(self) -> list[tuple[Phrase, Bools]]:
         """In words, which nests moved for good, each with the readings (Q,) that show it."""
         taken = [e for e in self.joint.diagnosis.nuisance if e.effect is not None]
         part = slice(3 * self.tracker.pairs, 3 * len(self.layout.rows))
-        found = list[tuple[str, Bools]]()
+        found = list[tuple[Phrase, Bools]]()
         for effect, seen in zip(taken, self.joint.found_effects, strict=True):
             if seen.effect.what == NEST_MOVED:
                 touched = effect.columns[part].reshape(len(self.layout.nests.row), -1) != 0.0
-                found.append((f"it looks as if {seen.describe()}", np.any(touched, axis=1)))
+                found.append(
+                    (phrase("it looks as if {0}", seen.describe()), np.any(touched, axis=1))
+                )
         return found
 
     @property
@@ -362,21 +369,23 @@ class MirrorSolution:
         return nests
 
     @cached_property
-    def badly_seated(self) -> list[tuple[str, int]]:
+    def badly_seated(self) -> list[tuple[Phrase, int]]:
         """In words, which readings of nests were left out, each with its round."""
         nests, problem = self.layout.nests, self.layout.problem
-        found = list[tuple[str, int]]()
+        found = list[tuple[Phrase, int]]()
         for element in self.lost[self.lost >= self.tracker.pairs].tolist():
             k = element - self.tracker.pairs
             station = problem.station_name(int(nests.station[k]))
             size = float(np.linalg.norm(self._off(np.array([k])))) / MILLIMETRE
             if size * MILLIMETRE < SEATED * float(self.tracker.std[element].max()):
                 continue  # no more than one reading of many that chance takes far off
-            text = f"nest {nests.name[nests.point[k]]} stood elsewhere at station {station}"
+            text = phrase(
+                "nest {0} stood elsewhere at station {1}", nests.name[nests.point[k]], station
+            )
             mine = nests.point == nests.point[k]
             if (nests.station[mine] == nests.station[k]).sum() > 1:
-                text = f"{text} in one of its rounds"
-            what = f"{text} (by {size:.3f} mm); it is left out there"
+                text = phrase("{0} in one of its rounds", text)
+            what = phrase("{0} (by {1:.3f} mm); it is left out there", text, size)
             # of two readings either may be wrong: the later one shows it
             rounds = nests.round[mine]
             found.append((what, int(rounds.max() if mine.sum() == 2 else nests.round[k])))
@@ -391,7 +400,7 @@ class MirrorSolution:
         return self.tracker.poses(fit.x).turned(own, nests.station[which])
 
     @cached_property
-    def left_out(self) -> list[str]:
+    def left_out(self) -> list[Phrase]:
         """In words, what a printed way leaves out that matters."""
         fit, std = self.found.fit, self.std
         if not isinstance(fit, MappedFit):
@@ -400,9 +409,13 @@ class MirrorSolution:
         if off.max(initial=0.0) <= 0.5:
             return []
         return [
-            f"the way {self.way}, as printed, takes no drift of the tracker into "
-            f"account, which moves deviations by up to {np.abs(fit.left_out).max() / ARCSEC:.2f} "
-            "arcsec: the uncertainty holds it; choose joint"
+            phrase(
+                "the way {0}, as printed, takes no drift of the tracker into account, "
+                "which moves deviations by up to {1:.2f} arcsec: the uncertainty holds "
+                "it; choose joint",
+                self.way,
+                np.abs(fit.left_out).max() / ARCSEC,
+            )
         ]
 
     @cached_property
@@ -419,19 +432,23 @@ class MirrorSolution:
         yield Protection(
             "repeatability",
             "not protected",
-            "the table arrives once at each position: its scatter from arrival to arrival is in "
-            "the curve and not in the uncertainty",
+            phrase(
+                "the table arrives once at each position: its scatter from arrival to "
+                "arrival is in the curve and not in the uncertainty"
+            ),
         )
         yield Protection(
             "refraction",
             "not protected",
-            "a gradient of 1 K/m across the beam bends it by about 0.1 arcsec for each metre, and "
-            "no residual need show it",
+            phrase(
+                "a gradient of 1 K/m across the beam bends it by about 0.1 arcsec for each "
+                "metre, and no residual need show it"
+            ),
         )
-        zero = "no method knows the zero: deviations count from the first position"
+        zero = phrase("no method knows the zero: deviations count from the first position")
         yield Protection("gauge", "harmless", zero)
-        what = "circles" if direct else "lengths"
-        scale = f"a scale of the range changes all {what} alike and no angle"
+        what = phrase("circles") if direct else phrase("lengths")
+        scale = phrase("a scale of the range changes all {0} alike and no angle", what)
         yield Protection("scale", "harmless", scale)
         if not open_:  # else everything is said of the drift
             yield self._uneven_drift()
@@ -439,16 +456,23 @@ class MirrorSolution:
             yield Protection(
                 "error motion",
                 "not protected",
-                "a reflector on the table takes radial error motion for an angle, 0.7 arcsec per "
-                "micrometre at 300 mm; the residuals show only what is along the radius",
+                phrase(
+                    "a reflector on the table takes radial error motion for an angle, 0.7 "
+                    "arcsec per micrometre at 300 mm; the residuals show only what is along "
+                    "the radius"
+                ),
             )
-            lean = "a tilt of the table moves reflectors above its centre like radial error motion"
+            lean = phrase(
+                "a tilt of the table moves reflectors above its centre like radial error motion"
+            )
             yield Protection("tilt", "not protected", lean)
             return
-        motion = "a mirror that is moved without turning keeps its normal"
+        motion = phrase("a mirror that is moved without turning keeps its normal")
         yield Protection("error motion", "harmless", motion)
         limit = problem.tilt_std / ARCSEC
-        stated = f"by the stated tilts of the table of {limit:g} arcsec (tilt_std_arcsec)"
+        stated = phrase(
+            "by the stated tilts of the table of {0:g} arcsec (tilt_std_arcsec)", limit
+        )
         yield Protection("tilt", "bounded", stated)
 
     def _uneven_drift(self) -> Protection:
@@ -457,41 +481,57 @@ class MirrorSolution:
             return Protection(
                 "uneven drift",
                 "bounded",
-                f"by the stated swing of the tracker's azimuth of {stated / ARCSEC:g} arcsec "
-                "(uneven_drift_std_arcsec) about the straight line between rounds of nests",
+                phrase(
+                    "by the stated swing of the tracker's azimuth of {0:g} arcsec "
+                    "(uneven_drift_std_arcsec) about the straight line between rounds of "
+                    "nests",
+                    stated / ARCSEC,
+                ),
             )
         error = float(ARCSEC / self.std[1:].min())
         return Protection(
             "uneven drift",
             "not protected",
-            "what the tracker turns by between two rounds of nests and back again leaves no "
-            f"trace; 1 arcsec of it moves a deviation by up to {error:.2g} standard "
-            "uncertainties: let it settle, and measure the nests more often (plan.nests_every)",
+            phrase(
+                "what the tracker turns by between two rounds of nests and back again "
+                "leaves no trace; 1 arcsec of it moves a deviation by up to {0:.2g} "
+                "standard uncertainties: let it settle, and measure the nests more often "
+                "(plan.nests_every)",
+                error,
+            ),
         )
 
     def _knock(self, open_: Sequence[int]) -> Protection:
-        carried = "a reflector" if self.layout.pairs is None else "a mirror"
+        carried = phrase("a reflector") if self.layout.pairs is None else phrase("a mirror")
         closes = self.whole_turn.get("closure_std_rad")
         if closes is None:
             return Protection(
                 "knock",
                 "not protected",
-                f"no position was measured again after a whole turn: {carried} that moved on the "
-                "table turns all positions after it without a trace",
+                phrase(
+                    "no position was measured again after a whole turn: {0} that moved on "
+                    "the table turns all positions after it without a trace",
+                    carried,
+                ),
             )
         if open_:
             return Protection(
                 "knock",
                 "not protected",
-                f"the closure shows {carried} that moved, but only nests that are measured again "
-                "show a tracker knocked at its station",
+                phrase(
+                    "the closure shows {0} that moved, but only nests that are measured "
+                    "again show a tracker knocked at its station",
+                    carried,
+                ),
             )
         found = normal_isf(self.layout.problem.significance / 2.0) + normal_isf(1.0 - POWER)
         on_table = found * closes / float(self.std[1:].min())
         return Protection(
             "knock",
             "tested",
-            f"the closure shows {carried} that moved, nests measured again show the tracker",
+            phrase(
+                "the closure shows {0} that moved, nests measured again show the tracker", carried
+            ),
             max(on_table, self.drift.unseen_knock),
         )
 
@@ -502,15 +542,20 @@ def _drift(problem: PlaneMirrorProblem, open_: Sequence[int]) -> Protection:
         return Protection(
             "drift",
             "not protected",
-            f"the nests were not measured again before the tracker left station {names}, so what "
-            "it turned by while it stood there is in the deviations",
+            phrase(
+                "the nests were not measured again before the tracker left station {0}, "
+                "so what it turned by while it stood there is in the deviations",
+                names,
+            ),
         )
     return Protection(
         "drift",
         "estimated",
-        "nests measured again show turns, shifts and range of the tracker at each station, linear "
-        "in time between rounds of nests; a part that moves a deviation by more than one standard "
-        "uncertainty makes the result suspect",
+        phrase(
+            "nests measured again show turns, shifts and range of the tracker at each "
+            "station, linear in time between rounds of nests; a part that moves a deviation "
+            "by more than one standard uncertainty makes the result suspect"
+        ),
     )
 
 
@@ -565,9 +610,9 @@ class Drift:
         return np.maximum(LARGE, normal_isf(problem.significance / 2.0) * self.noise)
 
     @property
-    def doubts(self) -> list[str]:
+    def doubts(self) -> list[Phrase]:
         """In words at which stations it is larger than may be taken as linear."""
-        found = list[str]()
+        found = list[Phrase]()
         station, limits = self.stations, self.limits
         for number in np.unique(station).tolist():
             own = station == number
@@ -576,12 +621,19 @@ class Drift:
             total = self.change[own].sum(axis=0)
             x, y, azimuth = total[:3] / ARCSEC
             found.append(
-                f"tracker station {self.solution.layout.problem.station_name(number)} moved "
-                f"between rounds of nests (azimuth {azimuth:.1f}, tilts {x:.1f} and {y:.1f} "
-                f"arcsec, range {total[6] / MICROMETRE:.1f} um), which moves deviations by up to "
-                f"{self.share[:, own].max():.1f} standard uncertainties; it is taken away as "
-                "linear in time, but a knock or a bend would stay: let the tracker settle, or "
-                "measure the nests more often (plan.nests_every)"
+                phrase(
+                    "tracker station {0} moved between rounds of nests (azimuth {1:.1f}, "
+                    "tilts {2:.1f} and {3:.1f} arcsec, range {4:.1f} um), which moves "
+                    "deviations by up to {5:.1f} standard uncertainties; it is taken away "
+                    "as linear in time, but a knock or a bend would stay: let the tracker "
+                    "settle, or measure the nests more often (plan.nests_every)",
+                    self.solution.layout.problem.station_name(number),
+                    azimuth,
+                    x,
+                    y,
+                    total[6] / MICROMETRE,
+                    self.share[:, own].max(),
+                )
             )
         return found
 
@@ -641,12 +693,18 @@ def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) 
         )
 
 
-def differing(repeats: Sequence[Closure], angles: Floats, significance: float) -> list[str]:
+def differing(repeats: Sequence[Closure], angles: Floats, significance: float) -> list[Phrase]:
     """Return a sentence about positions that differ, commanded to the same of ``angles`` (N,)."""
     return [
-        f"positions commanded to {angles[c.first] / DEGREE:g} and {angles[c.last] / DEGREE:g} deg "
-        f"differ by {c.error / ARCSEC:.2f} arcsec, expected within {2 * c.std / ARCSEC:.2f}: the "
-        "table does not repeat, or mirror or tracker moved"
+        phrase(
+            "positions commanded to {0:g} and {1:g} deg differ by {2:.2f} arcsec, "
+            "expected within {3:.2f}: the table does not repeat, or mirror or tracker "
+            "moved",
+            angles[c.first] / DEGREE,
+            angles[c.last] / DEGREE,
+            c.error / ARCSEC,
+            2 * c.std / ARCSEC,
+        )
         for c in repeats
         if c.open(significance)
     ]

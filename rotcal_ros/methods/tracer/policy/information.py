@@ -102,7 +102,7 @@ class Scene:
         Of exact lengths it is all.
         """
         motion = table_motion(self.stations, self.table_angles)
-        bearing = bearing_slopes(self.stations, motion).dense()
+        bearing = bearing_slopes(self.stations, motion)[:]
         turning = (bearing - bearing.mean(axis=0)).reshape(len(bearing), -1, 3)
         felt = (self.error_motion_std or 0.0) * turning @ motion.plane.basis().T
         felt = felt.reshape(len(felt), -1)

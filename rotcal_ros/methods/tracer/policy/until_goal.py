@@ -34,6 +34,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
@@ -206,7 +207,7 @@ class UntilGoal:
 
     @property
     def _learnt(self) -> str:
-        return f"noise {self.noise_factor:.3g} times the planned"
+        return phrase("noise {0:.3g} times the planned", self.noise_factor)
 
     def _uncertainty(self) -> float:
         """Return the planned uncertainty (rad) of what is measured, with the noise as stated."""
@@ -236,7 +237,10 @@ class UntilGoal:
             if self._close(result) or self._measure_again(result):
                 return None
             if (now := result.uncertainty) <= goal:
-                return f"goal reached: {_arcsec(now)} <= {_arcsec(goal)}, {self._noise_and_doubt}"
+                return phrase(
+                    "goal reached: {0} <= {1}, {2}", _arcsec(now), _arcsec(goal),
+                    self._noise_and_doubt
+                )  # fmt: skip
             self._allow_for(result)
         if (stop := self._beyond_reach()) is not None:
             return stop
@@ -245,7 +249,7 @@ class UntilGoal:
         if not more:
             lacking = of.describe_lacking(self._measured)
             worse = lacking or f"{_arcsec(self._standing().uncertainty)} > {_arcsec(goal)}"
-            return f"no further step helps: {worse}, {self._noise_and_doubt}"
+            return phrase("no further step helps: {0}, {1}", worse, self._noise_and_doubt)
         self._doubted = self._doubted or len(more) >= MOST_AT_ONCE
         if (stop := self._beyond_reach()) is not None:
             return stop
@@ -258,7 +262,9 @@ class UntilGoal:
         """The noise, and why the result is not ok where something is said against it."""
         if self._result is None or not self._result.doubt:
             return self._learnt
-        return f"{self._learnt}; but the verdict would not be ok: {self._result.doubt}"
+        return phrase(
+            "{0}; but the verdict would not be ok: {1}", self._learnt, self._result.doubt
+        )
 
     def _allow_for(self, result: Stated) -> None:
         """Plan from now on for what the solver states, which is more than what was planned."""
@@ -284,12 +290,14 @@ class UntilGoal:
             best = self._allowance.stated(self._best)
         if not goal <= best < math.inf:
             return None
-        missed = f"all steps that are left would give {_arcsec(best)} > {_arcsec(goal)}"
+        missed = phrase(
+            "all steps that are left would give {0} > {1}", _arcsec(best), _arcsec(goal)
+        )
         if self._allowance.floor >= goal:
-            missed = (
-                f"the table's error motion alone, as its circle shows it, gives {_arcsec(best)}"
+            missed = phrase(
+                "the table's error motion alone, as its circle shows it, gives {0}", _arcsec(best)
             )
-        return f"the goal is out of reach: {missed}, {self._noise_and_doubt}"
+        return phrase("the goal is out of reach: {0}, {1}", missed, self._noise_and_doubt)
 
     def _measure_again(self, result: Stated) -> bool:
         """Queue what suspect lengths require: the same again, or other targets."""
@@ -338,7 +346,9 @@ class UntilGoal:
 
 
 def _arcsec(uncertainty: float) -> str:
-    return f"U {uncertainty / ARCSEC:.3f} arcsec rms"  # the largest U of a curve is another figure
+    return phrase(
+        "U {0:.3f} arcsec rms", uncertainty / ARCSEC
+    )  # the largest U of a curve is another figure
 
 
 class Closing:

@@ -9,12 +9,13 @@ commanded, radians, counter-clockwise about the side of the plane normal that po
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
 
+from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.units import DEGREE
@@ -89,43 +90,16 @@ def table_motion(stations: Floats, table_angles: Floats) -> TableMotion:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """The matrix (k, k s) of rows that feel their own block, and what is common to all.
-
-    ``own`` (k, s): of each row by its own block. ``common`` (k, c) times ``along`` (c, k s): what
-    all feel.
-    """
-
-    own: Floats
-    common: Floats
-    along: Floats
-
-    def dense(self) -> Floats:
-        """Return the whole matrix (k, k s)."""
-        k, s = self.own.shape
-        whole = (self.common @ self.along).reshape(k, k, s)
-        whole[np.arange(k), np.arange(k)] += self.own
-        return whole.reshape(k, k * s)
-
-    def times(self, right: Floats) -> Floats:
-        """Return the matrix times ``right`` (k s, c)."""
-        k, s = self.own.shape
-        own = (self.own[:, None] @ right.reshape(k, s, -1))[:, 0]
-        return np.asarray(own + self.common @ (self.along @ right))
-
-    @cached_property
-    def from_first(self) -> Slopes:
-        """What all rows differ from the first by; that one is exactly zero."""
-        k, s = self.own.shape
-        own, first = self.own.copy(), np.zeros((1, k * s))
-        own[0], first[0, :s] = 0.0, -self.own[0]
-        others = (np.arange(k) > 0).astype(np.float64)
-        common = np.column_stack([self.common - self.common[0], others])
-        return Slopes(own, common, np.vstack([self.along, first]))
+def from_first(bearings: Outputs) -> Outputs:
+    """Return what all ``bearings`` differ from the first by; that one is exactly zero."""
+    few, first = bearings.few.copy(), -bearings.few[:1].toarray()
+    few.data[: few.indptr[1]] = 0.0
+    others = (np.arange(len(bearings)) > 0).astype(np.float64)
+    share = np.column_stack([bearings.share - bearings.share[0], others])
+    return Outputs(few, np.vstack([bearings.common, first]), share)
 
 
-def bearing_slopes(stations: Floats, motion: TableMotion) -> Slopes:
+def bearing_slopes(stations: Floats, motion: TableMotion) -> Outputs:
     """Return d bearing / d stations, (m, 3 m), up to one common turn of all bearings.
 
     Differences of rows are exact: those are all that deviations need. The chain runs through
@@ -148,7 +122,9 @@ def bearing_slopes(stations: Floats, motion: TableMotion) -> Slopes:
     arm = motion.in_plane
     tangent = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / (arm**2).sum(axis=1)[:, None]
     common = np.hstack([-height[:, None] * tangent, -tangent])
-    return Slopes(tangent @ basis, common, np.vstack([d_normal, d_centre]))
+    each = np.arange(3 * m + 1)
+    few = csr_array(((tangent @ basis).ravel(), each[:-1], each[::3]), shape=(m, 3 * m))
+    return Outputs(few, np.vstack([d_normal, d_centre]), common)
 
 
 def axis_tilt(normal: Floats) -> float:

@@ -20,6 +20,7 @@ import numpy as np
 from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError, RotcalError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
@@ -227,54 +228,71 @@ class Numbering:
         return cls(where, float(np.median(steps)) if len(steps) else 0.0, radius, bearing, near)
 
     def judged(
-        self, verdict: Verdict, warnings: tuple[str, ...]
-    ) -> tuple[Verdict, tuple[str, ...]]:
+        self, verdict: Verdict, warnings: tuple[Phrase, ...]
+    ) -> tuple[Verdict, tuple[Phrase, ...]]:
         """Return ``verdict`` and ``warnings``; whole positions off make an ok suspect."""
         off = 2.0 * self.radius * abs(np.sin(0.5 * (self.bearing or 0.0)))
         if self.bearing is None or self.step == 0.0 or off <= self.near:
             return verdict, warnings
-        found = (
-            f"the tracer stands {self.bearing / DEGREE:.1f} degrees round the table, "
-            f"{off / MILLIMETRE:.0f} mm, from where {self.where} has it"
-        )
+        found = phrase(
+            "the tracer stands {0:.1f} degrees round the table, {1:.0f} mm, from where {2} has it",
+            self.bearing / DEGREE, off / MILLIMETRE, self.where
+        )  # fmt: skip
         count = round(self.bearing / self.step)
         if not count or self.radius * abs(self.bearing - count * self.step) > self.near:
             return verdict, (
                 *warnings,
-                f"{found}: if that is right, the table's zero is another one than was commanded, "
-                "and every deviation stands at an angle that is off by as much",
+                phrase(
+                    "{0}: if that is right, the table's zero is another one than was "
+                    "commanded, and every deviation stands at an angle that is off by as "
+                    "much",
+                    found,
+                ),
             )
-        positions = f"{abs(count)} table positions" if abs(count) > 1 else "1 table position"
-        warning = (
-            f"{found}, which is {positions}: the positions are numbered off by {abs(count)}, or "
-            f"the table's zero or {self.where} is wrong; every deviation may stand at the angle "
-            "of another"
-        )
+        several = phrase("{0} table positions", abs(count))
+        positions = several if abs(count) > 1 else phrase("1 table position")
+        warning = phrase(
+            "{0}, which is {1}: the positions are numbered off by {2}, or the table's zero or "
+            "{3} is wrong; every deviation may stand at the angle of another", found, positions,
+            abs(count), self.where
+        )  # fmt: skip
         return "suspect" if verdict == "ok" else verdict, (*warnings, warning)
 
     def protection(self) -> Protection:
         """Return whether positions numbered off by one would be found."""
         apart = 2.0 * self.radius * abs(np.sin(0.5 * self.step))
-        unseen = (
+        unseen = phrase(
             "positions that are all numbered off by one, or a table's zero elsewhere, fit every "
             "length as well, and each deviation stands at another angle"
         )
         if self.bearing is None:
             return Protection(
-                "numbering", "not protected", f"{unseen}: state {self.where}, which would show it"
+                "numbering",
+                "not protected",
+                phrase("{0}: state {1}, which would show it", unseen, self.where),
             )
         if apart <= self.near:
             return Protection(
                 "numbering",
                 "not protected",
-                f"{unseen}: the tracer moves {apart / MILLIMETRE:.2g} mm from one position to the "
-                f"next, and {self.where} is believed to {self.near / MILLIMETRE:.2g} mm only",
+                phrase(
+                    "{0}: the tracer moves {1:.2g} mm from one position to the next, and "
+                    "{2} is believed to {3:.2g} mm only",
+                    unseen,
+                    apart / MILLIMETRE,
+                    self.where,
+                    self.near / MILLIMETRE,
+                ),
             )
         return Protection(
             "numbering",
             "tested",
-            f"positions that are numbered off by one or more put the tracer "
-            f"{apart / MILLIMETRE:.2g} mm or farther from where {self.where} has it",
+            phrase(
+                "positions that are numbered off by one or more put the tracer {0:.2g} mm "
+                "or farther from where {1} has it",
+                apart / MILLIMETRE,
+                self.where,
+            ),
         )
 
 

@@ -40,6 +40,7 @@ from rotcal_ros.adjust.model import (
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KNOWN,
@@ -216,7 +217,7 @@ class Posed:
             components=["the lengths"],
             groupings=_groupings(lengths, self.grid),
             effects=effects_of(lengths, unbroken=self.problem.segment is not None),
-            row_names=[f"station {j}, target {i}" for j, i in pairs],
+            row_names=[phrase("station {0}, target {1}", j, i) for j, i in pairs],
         )
         for known in stated:
             model = known.beside(model)
@@ -231,8 +232,10 @@ class Posed:
         for first, last in coming_again(angles):
             rows = np.zeros((1, len(angles)))
             rows[0, [first, last]] = -1.0, 1.0
-            same = "stand at the same table angle but differ"
-            what = f"stations {number[first]} and {number[last]} {same}"
+            what = phrase(
+                "stations {0} and {1} stand at the same table angle but differ",
+                number[first], number[last],
+            )  # fmt: skip
             found.append(KnownRelation(what, rows, unit=SECONDS))
         return found
 
@@ -427,7 +430,7 @@ def of_targets(lengths: CarriedLengths, std: Floats, free: bool) -> list[KnownBe
         return [KnownBeforehand("the datum", rows, np.full(rows.shape[0], DATUM))]
     return [
         KnownBeforehand(
-            f"the targets' {axis}",
+            phrase("the targets' {0}", axis),
             lengths.rows_of("target", slice(a, None, 3)),
             np.maximum(std[:, a], KNOWN),
         )
@@ -466,7 +469,7 @@ def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
                    "the machine's frame drifts or turns in each turn of the table alike",
                    returning, LARGEST_MOVE, UM),
         Disturbing("knock", "the tracer moved on the table", _knocks(lengths), LARGEST_MOVE, UM,
-                   family=True, of_each=3, stays=True),
+                   family=True),
         *slips,
         Disturbing("refraction", "air lies in layers", lengths.layered[:, None], LARGEST_RATIO,
                    PPM),
@@ -475,17 +478,16 @@ def effects_of(lengths: CarriedLengths, *, unbroken: bool) -> list[Disturbing]:
     ]  # fmt: skip
 
 
-def _knocks(lengths: CarriedLengths) -> Floats:
-    """Return moves of the place by a metre out, along and up, from some moments on, (k, 3 t)."""
+def _knocks(lengths: CarriedLengths) -> Steps:
+    """Return moves of the place by a metre out, along and up, from some moments on."""
     out = lengths.place_ways[:, 0]
     ways = np.stack([out, np.cross([0.0, 0.0, 1.0], out), [0.0, 0.0, 1.0]])
     carried = rotation_about_z(lengths.angles)[lengths.position]
     moved = np.einsum("wj,kij->kwi", ways, carried) @ lengths.axes.T
     felt = -np.einsum("kwi,ki->kw", moved, lengths.toward)
-    steps = Steps(lengths.place, lengths.order.astype(np.float64))
+    steps = Steps(lengths.place, lengths.order.astype(np.float64), felt)
     most = max(1, min(MOMENTS, PLACES // (3 * len(felt))))
-    some = steps.whole(slice(None, None, max(1, -(-steps.shape[1] // most))))
-    return np.asarray((some[:, :, None] * felt[:, None]).reshape(len(felt), -1))
+    return replace(steps, stride=max(1, -(-(steps.shape[1] // 3) // most)))
 
 
 def _groupings(lengths: CarriedLengths, grid: Grid) -> list[Grouping]:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.methods.tracer.settings import (
     Datum,
     TracerLimits,
@@ -179,9 +180,9 @@ class LengthProblem:
         """How many lengths a station needs, see :func:`station_minimum`."""
         return station_minimum(self.segment is None, self.circle is not None)
 
-    def station_name(self, station: int | np.integer) -> str:
+    def station_name(self, station: int | np.integer) -> Phrase:
         """Return what a station is, for messages."""
-        return f"station {station}"
+        return phrase("station {0}", station)
 
     def missing(self, positions: Ints) -> tuple[int, ...]:
         """Return the table positions that are not among those with a result."""
@@ -462,9 +463,9 @@ class Absent:
     lengths to place them; nothing speaks against these.
     """
 
-    repeated: dict[int, str]
-    unfit: dict[int, str]
-    spare: dict[int, str]
+    repeated: dict[int, Phrase]
+    unfit: dict[int, Phrase]
+    spare: dict[int, Phrase]
 
 
 class _Strips(NamedTuple):
@@ -526,7 +527,7 @@ def arrange(problem: LengthProblem, without: Collection[int] = ()) -> tuple[Grid
     return grid, absent
 
 
-def _place_rows(problem: LengthProblem, strips: _Strips, why: dict[int, str]) -> Ints:
+def _place_rows(problem: LengthProblem, strips: _Strips, why: dict[int, Phrase]) -> Ints:
     """Return the row (p, n) that fills each place; the first of identical repetitions stays."""
     shape = (len(strips.station), len(problem.targets))
     place = strips.of_row * shape[1] + problem.target
@@ -535,14 +536,15 @@ def _place_rows(problem: LengthProblem, strips: _Strips, why: dict[int, str]) ->
     first[1:] = np.diff(place[order]) != 0
     keeper = order[np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))]
     for again, kept in zip(order[~first], keeper[~first], strict=True):
-        name = f"{problem.station_name(problem.station[kept])}, target {problem.target[kept]}"
+        station = problem.station_name(problem.station[kept])
+        name = phrase("{0}, target {1}", station, problem.target[kept])
         a, b = problem.length[kept], problem.length[again]
         if a != b or problem.length_std[kept] != problem.length_std[again]:
             raise DataError(
                 f"rows {kept} and {again} both give a length for {name}, but differ: {a} m and "
                 f"{b} m; keep the accepted one, or average them before solving"
             )
-        why[int(again)] = f"repeats row {kept} ({name})"
+        why[int(again)] = phrase("repeats row {0} ({1})", kept, name)
     row = np.full(shape[0] * shape[1], -1, dtype=np.int64)
     row[place[order[first]]] = order[first]
     return row.reshape(shape)
@@ -558,7 +560,7 @@ def _check_unit_of_targets(problem: LengthProblem) -> None:
 
 
 def _drop_impossible(
-    problem: LengthProblem, row: Ints, station: Ints, why: dict[int, str]
+    problem: LengthProblem, row: Ints, station: Ints, why: dict[int, Phrase]
 ) -> None:
     """Drop lengths that no position of the tracer can explain.
 
@@ -578,10 +580,10 @@ def _drop_impossible(
     if several.any():
         _check_unit_of_lengths(excess[several][used[several]], span)
     for j, i in np.argwhere(excess > span):
-        why[int(row[j, i])] = (
-            f"{problem.station_name(station[j])}, target {i}: differs by {excess[j, i]:.4g} m "
-            f"from the station's median, but the targets lie at most {span:.4g} m apart"
-        )
+        why[int(row[j, i])] = phrase(
+            "{0}, target {1}: differs by {2:.4g} m from the station's median, but the targets "
+            "lie at most {3:.4g} m apart", problem.station_name(station[j]), i, excess[j, i], span
+        )  # fmt: skip
     row[excess > span] = -1
 
 
@@ -619,11 +621,14 @@ def _drop_undetermined(problem: LengthProblem, row: Ints, strips: _Strips, absen
             count = present if name == "target" else _determining(row >= 0, strips)
             for index in np.flatnonzero((present > 0) & (count < minimum)).tolist():
                 lines = group == index
-                what = problem.station_name(index) if name == "station" else f"target {index}"
+                what = phrase("target {0}", index)
+                if name == "station":
+                    what = problem.station_name(index)
                 for dropped in table[lines][table[lines] >= 0]:
-                    why[int(dropped)] = (
-                        f"{what} has {int(count[index])} usable lengths, {minimum} are needed"
-                    )
+                    why[int(dropped)] = phrase(
+                        "{0} has {1} usable lengths, {2} are needed", what, int(count[index]),
+                        minimum
+                    )  # fmt: skip
                 table[lines] = -1
 
 

@@ -28,6 +28,7 @@ from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 
@@ -68,29 +69,31 @@ class Reported:
     spoils: float = 0.0
 
     @property
-    def warning(self) -> str | None:
+    def warning(self) -> Phrase | None:
         """What to say where the reports are not believed, or should not be; None: all is well."""
         if self.weight == 1.0 and not self.estimated:
             return self._doubt() if self.spoils else None
-        text = (
-            f"reported places: what the machine reports of the probe scatters by "
-            f"{self.along / MICROMETRE:.2g} um along the beams, and the lengths "
-        )
+        text = phrase(
+            "reported places: what the machine reports of the probe scatters by {0:.2g} um along "
+            "the beams, and the lengths ", self.along / MICROMETRE
+        )  # fmt: skip
         if not self.estimated:
-            return f"{text}do not follow it: it is noise of the reports, and was not used"
-        return (
-            f"{text}follow {100 * self.weight:.0f} % of it (standard deviation "
-            f"{100 * self.std:.0f} %): the rest is noise of the reports; the lengths were reduced "
-            f"by that share, and {self.left / MICROMETRE:.2g} um joined their standard deviation"
-        )
+            return phrase(
+                "{0}do not follow it: it is noise of the reports, and was not used", text
+            )
+        return phrase(
+            "{0}follow {1:.0f} % of it (standard deviation {2:.0f} %): the rest is noise of the "
+            "reports; the lengths were reduced by that share, and {3:.2g} um joined their "
+            "standard deviation", text, 100 * self.weight, 100 * self.std, self.left / MICROMETRE
+        )  # fmt: skip
 
-    def _doubt(self) -> str:
-        return (
-            f"reported places: the lengths were reduced by what the machine reports of the probe, "
-            f"{self.along / MICROMETRE:.2g} um along the beams; if {self.spoils / MICROMETRE:.2g} "
-            "um of that is noise of the reports, it is what makes the lengths scatter: compare "
-            "with what the machine reports while it stands still"
-        )
+    def _doubt(self) -> Phrase:
+        return phrase(
+            "reported places: the lengths were reduced by what the machine reports of the probe, "
+            "{0:.2g} um along the beams; if {1:.2g} um of that is noise of the reports, it is "
+            "what makes the lengths scatter: compare with what the machine reports while it "
+            "stands still", self.along / MICROMETRE, self.spoils / MICROMETRE
+        )  # fmt: skip
 
 
 def along_beams(lengths: CarriedLengths, moved: Floats | None) -> Floats | None:

@@ -10,6 +10,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.language import Phrase, listed, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Rejection, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -18,7 +19,7 @@ from rotcal_ros.methods.tracer.solver.problem import Grid, LengthProblem
 
 
 def of_all_rows(
-    result: Result, problem: LengthProblem, lengths: CarriedLengths, absent: dict[int, str]
+    result: Result, problem: LengthProblem, lengths: CarriedLengths, absent: dict[int, Phrase]
 ) -> Result:
     """Return the ``result`` of ``lengths`` as one of all rows of their ``problem``.
 
@@ -124,18 +125,19 @@ def tangential_protection(
     what else is said. ``within`` (m): how near the tracer came back, 95 %, as ``shown``; None:
     that is ``untested``.
     """
-    why = (
-        f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
-        f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{of}"
-    )
-    bound = (
-        "no angle was measured again, which would bound what of it does not come back with "
-        f"{untested}"
+    why = phrase(
+        "a tracer that mount or cable shift along its circle between the angles{0} leaves no "
+        "trace in any length: 1 um of it is {1:.2f} arcsec{2}", alike,
+        MICROMETRE / radius / ARCSEC, of
+    )  # fmt: skip
+    bound = phrase(
+        "no angle was measured again, which would bound what of it does not come back with {0}",
+        untested,
     )
     if within is not None:
-        bound = (
-            f"what of it does not come back with the angle is less than {within / MICROMETRE:.2g} "
-            f"um, {within / radius / ARCSEC:.2g} arcsec (95 %, {shown})"
-        )
-    why = "; ".join(filter(None, (why, beside, bound)))
-    return Protection("tangential motion", "not protected", why)
+        bound = phrase(
+            "what of it does not come back with the angle is less than {0:.2g} um, {1:.2g} "
+            "arcsec (95 %, {2})", within / MICROMETRE, within / radius / ARCSEC, shown
+        )  # fmt: skip
+    every = listed([text for text in (why, beside, bound) if text])
+    return Protection("tangential motion", "not protected", every)

@@ -11,9 +11,10 @@ from math import sqrt
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array, hstack, kron
 from scipy.special import ndtr
 
+from rotcal_ros.adjust.bordered import FewEach
 from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
@@ -25,6 +26,7 @@ from rotcal_ros.adjust.observable import family_observable_by
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -34,6 +36,7 @@ from rotcal_ros.methods.tracer.solver.circle import (
     TableMotion,
     bearing_slopes,
     check_sense,
+    from_first,
     table_motion,
 )
 from rotcal_ros.methods.tracer.solver.observability import (
@@ -84,15 +87,15 @@ class UnseenSlips(NamedTuple):
 
     def protection(self) -> Protection:
         """Return the statement about slips."""
-        what = f"a counter that slips a fringe of {self.size:.3g} m"
-        why = (
-            f"{what} is found in {100 * self.found:.0f} % of the cases, by these lengths in this "
-            "order; the uncertainty holds what the others do"
-        )
+        what = phrase("a counter that slips a fringe of {0:.3g} m", self.size)
+        why = phrase(
+            "{0} is found in {1:.0f} % of the cases, by these lengths in this order; the "
+            "uncertainty holds what the others do", what, 100 * self.found
+        )  # fmt: skip
         if self.worst > TOLERABLE:
-            return Protection("slip", "not protected", f"{why} on average", self.worst)
+            return Protection("slip", "not protected", phrase("{0} on average", why), self.worst)
         if self.found >= POWER:
-            why = f"{what} makes the lengths disagree, and is found"
+            why = phrase("{0} makes the lengths disagree, and is found", what)
             return Protection("slip", "tested", why, self.worst)
         return Protection("slip", "bounded", why, self.worst)
 
@@ -228,8 +231,9 @@ class TracerSolution:
         fit, m = self.found.fit, len(self.stations)
         if self.printed is not None:
             white = _gains(self.posed, fit, self.printed) * np.where(fit.used, fit.std, 0.0)
-            each = white.reshape(m, 3, -1)
-            return np.asarray(self.found.scale**2 * (each @ each.swapaxes(1, 2)))
+            each = [csr_array(white)[a::3] for a in range(3)]
+            every = [[np.asarray((a * b).sum(axis=1)) for b in each] for a in each]
+            return np.asarray(self.found.scale**2 * np.moveaxis(np.array(every), 2, 0))
         # the variances of x, y, z and of the sums of two say what two have in common
         both = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]])
         unknown, felt = self._moved_by
@@ -418,12 +422,11 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
         worst = grid.position_ids[np.flatnonzero(~settled)[0]]
         raise ObservabilityError(f"station {worst} does not settle by its own lengths alone")
     here = replace(solution, printed=state)
-    felt = bearing_slopes(state[:, :3], here.motion).from_first.times(_gains(posed, fit, state))
+    felt = from_first(bearing_slopes(state[:, :3], here.motion)).after(_gains(posed, fit, state))
     if taken:
         own = slice(found.model.size[1], len(fit.x))
-        sizes = fit.gain(own) / fit.std
-        felt = felt - (felt @ np.hstack(taken)) @ sizes
-    white = felt * np.where(fit.used, fit.std, 0.0)
+        felt = felt.fixed(np.hstack(taken), fit.gain(own) / fit.std)
+    white = felt.weighted(np.where(fit.used, fit.std, 0.0))
     other = replaced(found, here.motion.cumulative, white, np.zeros(len(white)))
     judged = Look(found.diagnosis, other.fit).diagnosis
     return replace(here, found=Adjusted(judged, other.fit))
@@ -432,9 +435,9 @@ def as_printed(solution: TracerSolution) -> TracerSolution:
 def ecc_of_stations(posed: Posed, fit: Fit, state: Floats) -> Floats:
     """Return the covariance (m, m) of ECC by the paper's equations, at stations (m, 4), rad^2."""
     stations = state[:, :3]
-    slopes = bearing_slopes(stations, table_motion(stations, posed.lengths.angles)).from_first
-    white = slopes.times(_gains(posed, fit, state)) * np.where(fit.used, fit.std, 0.0)
-    return np.asarray(white @ white.T)
+    slopes = from_first(bearing_slopes(stations, table_motion(stations, posed.lengths.angles)))
+    white = slopes.after(_gains(posed, fit, state)).weighted(np.where(fit.used, fit.std, 0.0))
+    return white.products()
 
 
 def _variance(posed: Posed, fit: Fit, state: Floats) -> Floats:
@@ -446,14 +449,14 @@ def _variance(posed: Posed, fit: Fit, state: Floats) -> Floats:
     return np.asarray(fit.std[:k] ** 2 + target)
 
 
-def _gains(posed: Posed, fit: Fit, state: Floats) -> Floats:
+def _gains(posed: Posed, fit: Fit, state: Floats) -> csr_array:
     """Return by how much stations (m, 4) are off for errors of all observations, (3 m, n).
 
     Of what is stated beside the lengths: a target's coordinate that is off makes its lengths so;
     an error motion carries the station away.
     """
     lengths, m = posed.lengths, len(state)
-    k, n = len(lengths.row), len(fit.std)
+    k = len(lengths.row)
     _, unit = ranges(state[:, :3], posed.grid.targets)
     beam = unit[lengths.position, lengths.target]
     rows = np.column_stack([beam, -np.ones(k)])
@@ -461,17 +464,20 @@ def _gains(posed: Posed, fit: Fit, state: Floats) -> Floats:
     normal = np.zeros((m, 4, 4))
     np.add.at(normal, lengths.position, rows[:, :, None] * (rows * weight[:, None])[:, None])
     own = np.einsum("kab,kb->ka", np.linalg.inv(normal)[lengths.position], rows * weight[:, None])
-    gains = np.zeros((m, 3, n))
-    gains[lengths.position, :, np.arange(k)] = own[:, :3]
-    known = fit.model.linearised(fit.x[: fit.model.size[1]])[1].rows(np.arange(k, n))
-    begin = lengths.first["target"]
-    of_targets = np.zeros((m, len(posed.grid.targets), 3, 3))
-    np.add.at(of_targets, (lengths.position, lengths.target), own[:, :3, None] * beam[:, None])
-    of_targets = of_targets.transpose(0, 2, 1, 3).reshape(m, 3, -1)
-    gains[:, :, k:] = of_targets @ known[:, begin : begin + posed.grid.targets.size].T
-    shift = known[:, : 3 * m].reshape(n - k, m, 3)
-    gains[:, :, k:] += np.einsum("bma,ca->mcb", shift, lengths.axes)
-    return gains.reshape(3 * m, n)
+    design, begin = fit.model.linearised(fit.x[: fit.model.size[1]])[1], lengths.first["target"]
+    few = (
+        design.few[k:] if isinstance(design, FewEach) else design.rows(np.arange(k, len(fit.std)))
+    )
+    known, axis = csr_array(few), np.arange(3)
+    coordinate = 3 * lengths.position[:, None] + axis
+    row = coordinate.ravel(), np.repeat(coordinate, 3, axis=1).ravel()
+    column = np.repeat(np.arange(k), 3), np.tile(3 * lengths.target[:, None] + axis, 3).ravel()
+    by_length = csr_array((own[:, :3].ravel(), (row[0], column[0])), shape=(3 * m, k))
+    each = (own[:, :3, None] * beam[:, None]).ravel(), (row[1], column[1])
+    by_target = csr_array(each, shape=(3 * m, posed.grid.targets.size))
+    moves = kron(eye_array(m), lengths.axes, format="csr")
+    of_known = by_target @ known[:, begin : begin + posed.grid.targets.size].T
+    return csr_array(hstack([by_length, of_known + moves @ known[:, : 3 * m].T], format="csr"))
 
 
 def curve_model(problem: TracerProblem, solution: TracerSolution | None = None) -> CurveModel:

@@ -12,6 +12,7 @@ from rotcal_ros.adjust.closures import Closure, closures, difference_variance
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import (
@@ -157,58 +158,58 @@ def _budget(solution: TracerSolution) -> dict[str, Floats]:
     return {name: np.sqrt(np.maximum(each, 0.0)) for name, each in budget.items()}
 
 
-def _doubts(solution: TracerSolution) -> Iterator[str]:
+def _doubts(solution: TracerSolution) -> Iterator[Phrase]:
     """Yield what the method doubts beside the engine."""
     for effect in solution.found.found_effects:
         if effect.effect.effect == "slip":
             yield _cause(float(effect.sizes[0]), float(effect.std[0]), solution.problem.slip)
     motion = solution.error_motion
     if solution.contradicted is not None:
-        what = "the table's radial error motion is larger than the stated"
         rms = float(np.sqrt(np.mean(solution.motion.radial**2)))
-        yield (
-            f"the stations leave their circle by {rms:.3g} m (rms): {what} {motion.stated:.2g} m; "
-            f"{motion.used:.2g} m, from {motion.dof} residuals of the circle, is used in its place"
-        )
+        yield phrase(
+            "the stations leave their circle by {0:.3g} m (rms): the table's radial error motion "
+            "is larger than the stated {1:.2g} m; {2:.2g} m, from {3} residuals of the circle, is "
+            "used in its place", rms, motion.stated, motion.used, motion.dof
+        )  # fmt: skip
     missing = solution.problem.missing(solution.positions)
     if missing:
         names = ", ".join(str(j) for j in missing)
-        yield f"no deviation for station(s) {names}: too few usable lengths"
+        yield phrase("no deviation for station(s) {0}: too few usable lengths", names)
 
 
-def _cause(size: float, std: float, fringe: float) -> str:
+def _cause(size: float, std: float, fringe: float) -> Phrase:
     """Return what may have made a zero jump by ``size`` +- ``std``, m."""
     number = round(size / fringe) if fringe else 0
     if 0 < abs(number) <= MOST_FRINGES and abs(size - number * fringe) <= AGREES * std:
-        cause = f"as much as {number:+d} fringe(s), a counter that slipped"
+        cause = phrase("as much as {0:+d} fringe(s), a counter that slipped", number)
     else:
-        cause = "a beam that was broken, or a tracer that was knocked"
-    return (
-        f"the zero of the lengths jumps by {size:+.3g} m (standard deviation {std:.2g} m), "
-        f"although no break was reported: {cause}; it was split there"
-    )
+        cause = phrase("a beam that was broken, or a tracer that was knocked")
+    return phrase(
+        "the zero of the lengths jumps by {0:+.3g} m (standard deviation {1:.2g} m), "
+        "although no break was reported: {2}; it was split there", size, std, cause
+    )  # fmt: skip
 
 
-def _remarks(solution: TracerSolution) -> Iterator[str]:
+def _remarks(solution: TracerSolution) -> Iterator[Phrase]:
     """Yield what is to be known, and no reason to doubt."""
     spare = sorted({int(solution.problem.target[row]) for row in solution.posed.absent.spare})
     if spare:
         names = ", ".join(str(i) for i in spare)
-        yield (
-            f"target(s) {names} of the free network were left out: fewer than "
-            f"{FREE_TARGET_MINIMUM} lengths reach them"
-        )
+        yield phrase(
+            "target(s) {0} of the free network were left out: fewer than {1} lengths reach them",
+            names, FREE_TARGET_MINIMUM
+        )  # fmt: skip
     if solution.posed.ambiguous:
-        yield (
+        yield phrase(
             "all targets lie in one plane, so the tracer could stand on either side of it: the "
             "lower side was taken; give start_stations to choose the other"
         )
     for run, offset, std, steps, apart, sigma0, _ in map(dict.values, _joins(solution)):
-        yield (
-            f"run {run} was joined by {steps} steps measured again: its lengths were "
-            f"{offset:+.3g} m off (standard deviation {std:.2g} m); the steps agree within "
-            f"{apart:.2g} m, {sigma0:.2f} times what is expected"
-        )
+        yield phrase(
+            "run {0} was joined by {1} steps measured again: its lengths were {2:+.3g} m off "
+            "(standard deviation {3:.2g} m); the steps agree within {4:.2g} m, {5:.2f} times "
+            "what is expected", run, steps, offset, std, apart, sigma0
+        )  # fmt: skip
     if solution.reported is not None and solution.reported.warning:
         yield solution.reported.warning
 
@@ -342,29 +343,34 @@ def _protections(solution: TracerSolution) -> Iterator[Protection]:
     hidden = None if motion.estimated else _hidden_motion(solution)
     yield Protection(
         "tilt", "estimated" if motion.estimated else "tested",
-        "the table's tilts shift the tracer by its height, as part of the error motion", hidden,
+        phrase("the table's tilts shift the tracer by its height, as part of the error motion"),
+        hidden,
     )  # fmt: skip
     yield Protection(
         "gauge",
         "harmless",
-        "no gauge is carried: the angle is counted on the circle of the stations, in its own "
-        "plane, whatever its radius and lean",
+        phrase(
+            "no gauge is carried: the angle is counted on the circle of the stations, in its own "
+            "plane, whatever its radius and lean"
+        ),
     )
     yield _repeatability(solution, arrivals)
     if solution.slips is not None:
         yield solution.slips.protection()
     nearest = max(_returned(solution), key=lambda each: each["within"], default=None)
-    drift = ", or a machine whose origin drifts in step with each turn of the table,"
+    drift = phrase(", or a machine whose origin drifts in step with each turn of the table,")
     yield tangential_protection(
         solution.motion.radius,
         alike=drift if arrivals > 1 else "",
-        beside=f"the uncertainty holds {motion.used / MICROMETRE:.2g} um (k = 1), which is "
-        "believed and not measured",
+        beside=phrase(
+            "the uncertainty holds {0:.2g} um (k = 1), which is believed and not measured",
+            motion.used / MICROMETRE,
+        ),
         within=None if nearest is None else nearest["within"],
         shown=""
         if nearest is None
-        else f"positions {nearest['first']} and {nearest['last']}, at the same angle",
-        untested="the angle",
+        else phrase("positions {0} and {1}, at the same angle", nearest["first"], nearest["last"]),
+        untested=phrase("the angle"),
     )
 
 
@@ -374,14 +380,21 @@ def _error_motion(solution: TracerSolution) -> Protection:
         return Protection(
             "error motion",
             "estimated",
-            f"{motion.used:.2g} m from {motion.dof} residuals of the circle, which show its "
-            "radial part; the tangential part is taken to be as large",
+            phrase(
+                "{0:.2g} m from {1} residuals of the circle, which show its radial part; "
+                "the tangential part is taken to be as large",
+                motion.used,
+                motion.dof,
+            ),
         )
     return Protection(
         "error motion",
         "tested",
-        f"stated as {motion.stated:.2g} m; the circle of the stations shows the radial part of "
-        "more; left unset, it would be estimated",
+        phrase(
+            "stated as {0:.2g} m; the circle of the stations shows the radial part of "
+            "more; left unset, it would be estimated",
+            motion.stated,
+        ),
         _hidden_motion(solution),
     )
 
@@ -406,21 +419,26 @@ def _hidden_motion(solution: TracerSolution) -> float:
 
 def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
     if solution.problem.repeated_runs:
-        why = "every position is reached in several runs"
+        why = phrase("every position is reached in several runs")
         return Protection("repeatability", "estimated", why)
     if arrivals < 2:
         return Protection(
             "repeatability",
             "not protected",
-            "the table arrives once at a position: what it does not repeat is in the curve and "
-            "not in the uncertainty",
+            phrase(
+                "the table arrives once at a position: what it does not repeat is in the "
+                "curve and not in the uncertainty"
+            ),
         )
     noise = next(p.error for p in solution.found.protections() if p.effect == "axis noise")
     return Protection(
         "repeatability",
         "tested",
-        f"the table arrives {arrivals} times or more at each position: what it does not repeat "
-        "joins the scatter of the lengths",
+        phrase(
+            "the table arrives {0} times or more at each position: what it does not "
+            "repeat joins the scatter of the lengths",
+            arrivals,
+        ),
         noise,
     )
 

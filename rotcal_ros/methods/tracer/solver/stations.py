@@ -20,6 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import Protection, ordered
 from rotcal_ros.foundation.results import ErrorMotion, Placement, Result, Zeros
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -162,33 +163,37 @@ def _error_motion(motion: TableMotion, solved: Adjusted, stated: float | None) -
     return ErrorMotion(stated, likely, max(likely, used), dof, used)
 
 
-def _doubt(motion: TableMotion, found: ErrorMotion) -> str:
+def _doubt(motion: TableMotion, found: ErrorMotion) -> Phrase:
     """Return what speaks against the stated error motion."""
     radial = np.sqrt((motion.radial**2).sum() / found.dof) / MICROMETRE
-    return (
-        f"the stations leave their circle by {radial:.2g} um radially ({found.dof} residuals), "
-        f"more than the stated {(found.stated or 0.0) / MICROMETRE:.2g} um explain: "
-        f"{found.used / MICROMETRE:.2g} um are used in its place"
-    )
+    return phrase(
+        "the stations leave their circle by {0:.2g} um radially ({1} residuals), more than the "
+        "stated {2:.2g} um explain: {3:.2g} um are used in its place", radial, found.dof,
+        (found.stated or 0.0) / MICROMETRE, found.used / MICROMETRE
+    )  # fmt: skip
 
 
-def _doubt_closure(closure: Closure) -> str:
+def _doubt_closure(closure: Closure) -> Phrase:
     """Return the sentence about a closure that is larger than its uncertainty allows."""
-    return (
-        f"stations {closure.first} and {closure.last} stand at the same table angle but differ by "
-        f"{closure.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
-        f"{closure.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
-    )
+    return phrase(
+        "stations {0} and {1} stand at the same table angle but differ by {2:.3g} arcsec, "
+        "expected 0 with a standard deviation of {3:.3g} arcsec: something moved or drifted "
+        "during the run", closure.first, closure.last, closure.error / ARCSEC, closure.std / ARCSEC
+    )  # fmt: skip
 
 
 def _protections(
     motion: TableMotion, found: ErrorMotion, *, closed: bool
 ) -> tuple[Protection, ...]:
     """Return what protects a curve that rests on coordinates of stations alone."""
-    stated = Protection("error motion", "bounded", "the stated error motion is inside U")
-    shown = "noise of the stations and error motion together, as the circle's residuals show them"
+    stated = Protection("error motion", "bounded", phrase("the stated error motion is inside U"))
+    shown = phrase(
+        "noise of the stations and error motion together, as the circle's residuals show them"
+    )
     rests = Protection("error motion", "estimated", shown) if found.estimated else stated
-    unknown = "coordinates of stations alone do not show it: solve the lengths, in their order"
+    unknown = phrase(
+        "coordinates of stations alone do not show it: solve the lengths, in their order"
+    )
     return ordered(
         (
             Protection("drift", "not protected", unknown),
@@ -197,25 +202,27 @@ def _protections(
             Protection(
                 "repeatability",
                 "not protected",
-                "an angle that comes again has to agree, the others are reached once"
+                phrase("an angle that comes again has to agree, the others are reached once")
                 if closed
-                else "no angle was reached twice",
+                else phrase("no angle was reached twice"),
             ),
             Protection("refraction", "not protected", unknown),
-            Protection("scale", "harmless", "an angle does not depend on the scale"),
-            Protection("tilt", "harmless", "the angle is taken in the plane of the stations"),
+            Protection("scale", "harmless", phrase("an angle does not depend on the scale")),
+            Protection(
+                "tilt", "harmless", phrase("the angle is taken in the plane of the stations")
+            ),
             Protection(
                 "gauge",
                 "harmless",
-                "no gauge is carried: the angle is counted on the circle of the stations",
+                phrase("no gauge is carried: the angle is counted on the circle of the stations"),
             ),
             rests,
             tangential_protection(
                 motion.radius,
-                alike=", or noise of the stations along it that is larger than across,",
+                alike=phrase(", or noise of the stations along it that is larger than across,"),
                 within=None,
                 shown="",
-                untested="the angle",
+                untested=phrase("the angle"),
             ),
         )
     )

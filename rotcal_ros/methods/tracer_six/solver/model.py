@@ -35,6 +35,7 @@ from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KNOWN,
@@ -165,7 +166,7 @@ def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
             Grouping("target", grid.target_ids[lengths.target], when),
         ],
         effects=effects,
-        row_names=[f"{names[s]}, target {t}" for s, t in pairs],
+        row_names=[phrase("{0}, target {1}", names[s], t) for s, t in pairs],
         shared=("place", "zero", "target", "lean"),
         expected=[Expected(each, problem.slip, SLIPPED) for each in slips],
         closures=_closures(problem, layout),
@@ -173,7 +174,9 @@ def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
     for axis in range(0 if grid.free else 3):
         rows = lengths.rows_of("target", slice(axis, None, 3))
         std = np.maximum(grid.target_std[:, axis], KNOWN)
-        model = model.with_prior(f"the targets along {'xyz'[axis]}", rows, np.zeros(len(std)), std)
+        model = model.with_prior(
+            phrase("the targets along {0}", "xyz"[axis]), rows, np.zeros(len(std)), std
+        )
     if problem.tilt_std is not None:
         lean = gauge_design(layout.angles)[0] @ lean_ways(lengths.places)
         tilts = [lengths.rows_of("turn", slice(axis, None, 3)) for axis in range(2)]
@@ -289,6 +292,9 @@ def _closures(problem: SixProblem, layout: StationLayout) -> list[KnownRelation]
         for c, name in enumerate(COMPONENTS):
             rows = np.zeros((1, 6 * m))
             rows[0, c * m + last], rows[0, c * m + first] = 1.0, -1.0
-            what = f"{name} at positions {ids[first]} and {ids[last]}, whole turns apart, differs"
+            what = phrase(
+                "{0} at positions {1} and {2}, whole turns apart, differs",
+                name, ids[first], ids[last],
+            )  # fmt: skip
             found.append(KnownRelation(what, rows))
     return found

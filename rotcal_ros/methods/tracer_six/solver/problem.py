@@ -13,6 +13,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.methods.tracer.solver.problem import (
     Grid,
     LengthProblem,
@@ -120,10 +121,10 @@ class SixProblem(LengthProblem):
         """How many lengths a station needs: as many as one that stands alone has unknowns."""
         return station_minimum(own_zero=True, on_circle=False)
 
-    def station_name(self, station: int | np.integer) -> str:
+    def station_name(self, station: int | np.integer) -> Phrase:
         """Return what a station is, for messages."""
         place, position, _ = self.stations[station]
-        return f"place {place}, position {position}"
+        return phrase("place {0}, position {1}", place, position)
 
     @property
     def measuring_order(self) -> Ints:
@@ -155,14 +156,14 @@ class StationLayout:
     place_ids: Ints
 
 
-def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
+def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, Phrase]]:
     """Return the layout of ``problem``, and why rows have no place in it.
 
     Raises ObservabilityError when places are too few or in a line, DataError for contradictory
     lengths and wrong units.
     """
     _check_places(problem, np.unique(problem.place))
-    why, poor = dict[int, str](), dict[int, str]()
+    why, poor = dict[int, Phrase](), dict[int, Phrase]()
     while True:
         grid, absent = arrange(problem, poor)
         why |= absent.repeated | absent.unfit | absent.spare
@@ -185,7 +186,7 @@ def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
     return layout, why | poor
 
 
-def _poor(problem: SixProblem, grid: Grid) -> dict[int, str]:
+def _poor(problem: SixProblem, grid: Grid) -> dict[int, Phrase]:
     """Return why rows of ``grid`` are of no use: too few places at their position."""
     why = {}
     place, positions, _ = problem.stations[grid.position_ids][grid.station].T
@@ -197,9 +198,12 @@ def _poor(problem: SixProblem, grid: Grid) -> dict[int, str]:
         if problem.tilt_std is not None and len(seen) > 1:
             continue
         names = ", ".join(map(str, seen.tolist()))
-        text = f"position {position} has usable lengths from place(s) {names} only"
+        text = phrase(
+            "position {0} has usable lengths from place(s) {1} only: three that are not in a line "
+            "are needed", position, names
+        )  # fmt: skip
         for row in grid.row[here][grid.row[here] >= 0].tolist():
-            why[row] = f"{text}: three that are not in a line are needed"
+            why[row] = text
     if len(why) == np.count_nonzero(grid.row >= 0):
         raise ObservabilityError(
             "no table position was measured from three places that are not in a line: repeat the "

@@ -7,7 +7,6 @@ into the table, positions without a result.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -23,6 +22,7 @@ from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Placement, Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -67,7 +67,7 @@ class SixSolution:
     layout: StationLayout
     lengths: CarriedLengths
     found: Adjusted
-    absent: dict[int, str]
+    absent: dict[int, Phrase]
     reported: Reported | None = None
 
     def part(self, block: str) -> Floats:
@@ -193,9 +193,13 @@ def result_of(solution: SixSolution) -> Result:
     if reported is not None and reported.warning:
         warnings = (*warnings, reported.warning)
 
-    def named(text: str) -> str:
+    def named(text: Phrase) -> Phrase:
         """Return a text of the engine with the stations called by their names."""
-        return re.sub(r"\bstation (\d+)", lambda at: problem.station_name(int(at[1])), text)
+        match text.template, text.parts:
+            case "{0} {1}", ("station", int(number)):
+                return problem.station_name(number)
+        parts = (named(part) if isinstance(part, Phrase) else part for part in text.parts)
+        return phrase(text.template, *parts)
 
     every = of_all_rows(plain, problem, lengths, solution.absent)
     return replace(
@@ -214,7 +218,7 @@ def _numbering(solution: SixSolution) -> Numbering:
     found = solution.places[:, :2] @ (1.0, 1j)
     stated = solution.problem.places[solution.layout.place_ids, :2] @ (1.0, 1j)
     return Numbering.of(
-        "the plan (places, azimuth_deg)",
+        phrase("the plan (places, azimuth_deg)"),
         solution.layout.angles,
         float(np.abs(found).mean()),
         float(np.angle(np.vdot(stated, found))),
@@ -222,57 +226,63 @@ def _numbering(solution: SixSolution) -> Numbering:
     )
 
 
-def _doubts(solution: SixSolution) -> list[str]:
+def _doubts(solution: SixSolution) -> list[Phrase]:
     missing = solution.problem.missing(solution.positions)
     names = ", ".join(map(str, missing))
-    few = f"no deviations for position(s) {names}: fewer than three places have enough lengths"
+    few = phrase(
+        "no deviations for position(s) {0}: fewer than three places have enough lengths", names
+    )
     return [few] if missing else []
 
 
 def _protections(solution: SixSolution) -> Iterator[Protection]:
     """Yield what is said of effects that no length shows, or that are measured."""
     problem = solution.problem
-    yield Protection("error motion", "estimated", "EXC, EYC and EZC are measured")
+    yield Protection("error motion", "estimated", phrase("EXC, EYC and EZC are measured"))
     std = problem.tilt_std
     if std is None:
-        yield Protection("tilt", "estimated", "EAC and EBC are measured")
+        yield Protection("tilt", "estimated", phrase("EAC and EBC are measured"))
     else:
-        held = (
-            f"EAC and EBC are held to a stated {std / ARCSEC:.2g} arcsec, which the budget holds"
+        held = phrase(
+            "EAC and EBC are held to a stated {0:.2g} arcsec, which the budget holds", std / ARCSEC
         )
         yield Protection("tilt", "bounded", held)
     yield Protection(
         "gauge",
         "harmless",
-        "the curves are referred to the axis itself: what a lean or shift of the machine or of "
-        "the table's own frame does is taken off",
+        phrase(
+            "the curves are referred to the axis itself: what a lean or shift of the machine "
+            "or of the table's own frame does is taken off"
+        ),
     )
     stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
     for sizes in solution.found.fit.sizes.values():
         if not sizes.contrasts:
-            why = "no distance between places shows it: it is stated"
+            why = phrase("no distance between places shows it: it is stated")
             yield Protection("repeatability", "not protected", why)
         elif None in stated:
             yield Protection(
                 "repeatability",
                 "estimated",
-                f"between runs, from {sizes.contrasts} contrasts between the places",
+                phrase("between runs, from {0} contrasts between the places", sizes.contrasts),
             )
         else:
             yield Protection(
                 "repeatability",
                 "tested",
-                f"stated; {sizes.contrasts} contrasts between the places show more of it",
+                phrase(
+                    "stated; {0} contrasts between the places show more of it", sizes.contrasts
+                ),
             )
     radius = float(np.hypot(*solution.places[:, :2].T).mean())
     yield tangential_protection(
         radius,
-        alike=", by the same at every place,",
-        of=" of ECC",
-        beside="what differs from place to place is scatter",
+        alike=phrase(", by the same at every place,"),
+        of=phrase(" of ECC"),
+        beside=phrase("what differs from place to place is scatter"),
         within=_returned(solution, radius),
-        shown="angles that were measured again",
-        untested="it",
+        shown=phrase("angles that were measured again"),
+        untested=phrase("it"),
     )
 
 
@@ -355,21 +365,21 @@ class Upward:
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))
 
     def judged(
-        self, verdict: Verdict, warnings: tuple[str, ...]
-    ) -> tuple[Verdict, tuple[str, ...]]:
+        self, verdict: Verdict, warnings: tuple[Phrase, ...]
+    ) -> tuple[Verdict, tuple[Phrase, ...]]:
         """Return ``verdict`` and ``warnings``; a frame that stands on its head is not ok."""
         if self.lowest > -STEEP or self.highest > STEEP:
             return verdict, warnings
-        warning = (
-            f"beams go down by {-self.lowest / DEGREE:.0f} degrees, through the table, and none "
-            "goes up as steeply: the z axis of targets and places seems to point into the table, "
-            "and then EZC, EAC and EBC have the wrong sign"
-        )
+        warning = phrase(
+            "beams go down by {0:.0f} degrees, through the table, and none goes up as steeply: "
+            "the z axis of targets and places seems to point into the table, and then EZC, EAC "
+            "and EBC have the wrong sign", -self.lowest / DEGREE
+        )  # fmt: skip
         return "suspect" if verdict == "ok" else verdict, (*warnings, warning)
 
     def protection(self) -> Protection:
         """Return whether targets and places that are both mirrored in z would be found."""
-        unseen = (
+        unseen = phrase(
             "targets and places whose z axis points into the table fit every length as well and "
             "turn the signs of EZC, EAC and EBC"
         )
@@ -377,14 +387,22 @@ class Upward:
             return Protection(
                 "sign of z",
                 "tested",
-                f"{unseen}, but beams that go up by {self.highest / DEGREE:.0f} degrees would go "
-                "down as steeply, through the table",
+                phrase(
+                    "{0}, but beams that go up by {1:.0f} degrees would go down as "
+                    "steeply, through the table",
+                    unseen,
+                    self.highest / DEGREE,
+                ),
             )
         return Protection(
             "sign of z",
             "not protected",
-            f"{unseen}; no beam goes up by {STEEP / DEGREE:.0f} degrees or more alone, which "
-            "would show it, for none goes down so steeply, through the table",
+            phrase(
+                "{0}; no beam goes up by {1:.0f} degrees or more alone, which would show "
+                "it, for none goes down so steeply, through the table",
+                unseen,
+                STEEP / DEGREE,
+            ),
         )
 
 

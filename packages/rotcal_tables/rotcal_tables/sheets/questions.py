@@ -9,32 +9,28 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, Question
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.sheets.files import Cell, Sheet
-from rotcal_ros.foundation.sheets.layout import (
-    BESIDE,
-    CORNER,
-    Layout,
-    Use,
-    side_by_side,
-    strange_unit,
-)
-from rotcal_ros.foundation.sheets.numerals import parse
-from rotcal_ros.foundation.sheets.words import (
-    ACTUAL,
+from rotcal_ros.foundation.table_columns import (
     ANGLE,
-    REVERSED,
-    TABLE_ANGLE,
     UNITS,
-    Heading,
     TableColumn,
-    answer,
     folded,
-    known_columns,
     meaning,
     option,
     quantity_of,
 )
+from rotcal_ros.foundation.table_reading import Use
 from rotcal_ros.foundation.tables import Header
+from rotcal_tables.sheets.files import Cell, Sheet
+from rotcal_tables.sheets.layout import BESIDE, CORNER, Layout, side_by_side, strange_unit
+from rotcal_tables.sheets.numerals import parse
+from rotcal_tables.sheets.words import (
+    ACTUAL,
+    REVERSED,
+    TABLE_ANGLE,
+    Heading,
+    answer,
+    known_columns,
+)
 
 _LOOKED_AT: Final = 100
 """Rows among which the head of a table that cannot be understood is guessed."""

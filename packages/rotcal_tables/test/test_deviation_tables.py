@@ -8,7 +8,7 @@ import pytest
 
 from rotcal_ros.evaluation.reference import read_deviations
 from rotcal_ros.foundation.errors import DataError, UndecidedError
-from rotcal_ros.foundation.sheets.forms import SheetSettings
+from rotcal_ros.foundation.table_columns import SheetSettings
 from rotcal_ros.foundation.units import ARCSEC
 
 ROWS = [(0, 0.5), (90, -1.5), (180, 2.25), (270, 1.0)]

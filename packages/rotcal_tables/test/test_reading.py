@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.sheets.forms import SheetSettings
-from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
-from rotcal_ros.foundation.sheets.words import ANGLE, TIME, Heading, answer, columns_of, units_of
+from rotcal_ros.foundation.table_columns import ANGLE, TIME, SheetSettings
+from rotcal_ros.foundation.table_reading import Known, Reading, read_any
+from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
+from rotcal_tables.sheets.words import Heading, answer, columns_of, units_of
 
 HEADERS = (("position", "target", "length_m"),)
 BALLS = (("position", "ball_step", "x_m", "y_m", "z_m"),)
@@ -32,6 +32,20 @@ def read(path: Path, text: str, headers=HEADERS, known=KNOWN, **settings: object
 
 def rows(reading: Reading) -> list[tuple[str, ...]]:
     return [cells for _, cells in reading.table.lines]
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("", "no row names the columns: expected 'position,target,length_m'"),
+        ("0,0,0.25\n", "no row names the columns"),
+        ("position,target,speed\n0,0,1\n", "no column length_m: .* not known: 'speed'"),
+        ("position;length_m\n0;1\n", "no column target"),
+    ],
+)
+def test_a_head_that_says_too_little(tmp_path, text, error):
+    with pytest.raises(BagError, match=error):
+        read(tmp_path, text)
 
 
 @pytest.mark.parametrize(

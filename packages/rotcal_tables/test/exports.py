@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 
 import openpyxl
 
-DATA = Path(__file__).parents[1] / "examples" / "data"
+DATA = Path(__file__).parents[3] / "examples" / "data"
 Rows = list[tuple[int, int, str]]
 
 

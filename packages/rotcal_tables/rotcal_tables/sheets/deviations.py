@@ -15,16 +15,9 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import UndecidedError
 from rotcal_ros.foundation.language import phrase
-from rotcal_ros.foundation.sheets.words import (
-    ACTUAL,
-    ANGLE,
-    REVERSED,
-    TABLE_ANGLE,
-    UNITS,
-    meaning,
-    undecided,
-)
+from rotcal_ros.foundation.table_columns import ANGLE, UNITS, meaning, undecided
 from rotcal_ros.foundation.units import DEGREE
+from rotcal_tables.sheets.words import ACTUAL, REVERSED, TABLE_ANGLE
 
 NEAR: Final = 0.25
 """Share of the smallest step of commanded angles within which an actual one belongs to it."""

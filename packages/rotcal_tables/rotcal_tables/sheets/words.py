@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import re
-import shlex
-import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import yaml
 
-from rotcal_ros.foundation.errors import Question, UndecidedError
+from rotcal_ros.foundation.table_columns import (
+    ANGLE,
+    BEHIND,
+    IN_BRACKETS,
+    LENGTH,
+    SMALL_ANGLES,
+    TIME,
+    UNITS,
+    folded,
+    meaning,
+    option,
+    plain,
+    quantity_of,
+    without_accents,
+    words_of,
+)
 
-LENGTH: Final = "length"
-ANGLE: Final = "angle"
-TIME: Final = "time"
 TABLE_ANGLE: Final = "angle"
 """A column of table angles, which stand for numbers of positions."""
 DIRECTION: Final = "direction"
@@ -30,83 +39,15 @@ REVERSED: Final = "reversed"
 """A column of commanded - actual, or of either sign."""
 REFERENCE: Final = "reference"
 """A column of angles that may be the commanded or the measured ones."""
-SMALL_ANGLES: Final = ("deviation", "u", "expanded", "uncertainty", "reading", REVERSED)
-"""Columns of angles whose unit is another than that of the table angles."""
-_PI: Final = Decimal("3.14159265358979323846264338327950288")
-UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
-    LENGTH: {
-        "m": Decimal(1), "cm": Decimal("1e-2"), "mm": Decimal("1e-3"), "um": Decimal("1e-6"),
-        "nm": Decimal("1e-9"), "in": Decimal("25.4e-3"), "ft": Decimal("0.3048"),
-    },
-    ANGLE: {
-        "rad": Decimal(1), "mrad": Decimal("1e-3"), "urad": Decimal("1e-6"), "deg": _PI / 180,
-        "mdeg": _PI / 180_000, "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200,
-        "mgon": _PI / 200_000, "dms": _PI / 180, "m:s": _PI / 10_800,
-    },
-    TIME: {
-        "s": Decimal(1), "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1e-9"),
-        "min": Decimal(60), "h": Decimal(3600),
-    },
-}  # fmt: skip
-"""Quantity -> unit -> size in metres, radians, seconds."""
 _QUANTITIES: Final = {
     **dict.fromkeys(("length", "d", "x", "y", "z", "sx", "sy", "sz"), LENGTH),
     **dict.fromkeys((TABLE_ANGLE, ACTUAL, REFERENCE, *SMALL_ANGLES), ANGLE),
     "time": TIME,
 }
 """TableColumn -> what it measures; all others are numbers from 0, or words."""
-_SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 _LABEL: Final = re.compile(r"(?:(\D*[^\W\d_])[\W_]*|#\s*)?([0-9]{1,9})(?:\.0*)?")
 _AXES: Final = frozenset("abc")
 """Letters of rotary axes, where a word for what was commanded or measured stands beside them."""
-_APART: Final = re.compile(r"[\W_]+")
-IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
-"""A name with a unit, or something else, behind it."""
-_BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOTALL)
-
-
-@dataclass(frozen=True, slots=True)
-class TableColumn:
-    """A column of ours: ``name`` without unit, what it measures; empty: a number or a text."""
-
-    header: str
-    name: str
-    quantity: str
-
-    @classmethod
-    def of(cls, header: str) -> TableColumn:
-        """Return the column with the name ``header``, as length_m."""
-        suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
-        return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
-
-
-class Caption(str):
-    """The text at the head of a column, of one cell or of two, one above the other.
-
-    ``cells`` are their texts, ``address`` is by what a person names the column: its text, or its
-    number where no cell, or more than one, has that text.
-    """
-
-    __slots__ = ("address", "cells")
-    address: str
-    cells: tuple[str, ...]
-
-    @classmethod
-    def of(cls, cells: Sequence[str], place: int, *, alone: bool) -> Caption:
-        """Return the caption of a column with its ``place``, from 0."""
-        caption = cls(" over ".join(cells))
-        caption.cells = tuple(cells)
-        caption.address = caption if alone and len(cells) == 1 else f"#{place + 1}"
-        return caption
-
-    def __repr__(self) -> str:
-        """Return the texts of the cells, each in quotes."""
-        return " over ".join(map(repr, self.cells))
-
-
-def meaning(column: str, text: str) -> str:
-    """Return the entry of sheet.columns that says that a heading means a column."""
-    return f"{column}={text.address if isinstance(text, Caption) else text}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +67,7 @@ class Heading:
         >>> Heading.of("length_m").units, Heading.of("angle_deg").units
         (('m',), ('deg',))
         """
-        for pattern in (IN_BRACKETS, _BEHIND):
+        for pattern in (IN_BRACKETS, BEHIND):
             found = pattern.fullmatch(plain(text))
             if found and (units := units_of(found[2])):
                 return cls(text, found[1].removesuffix(" in").strip(), units)
@@ -192,7 +133,7 @@ def _role(parts: Sequence[str]) -> str:
 
 def _apart(text: str) -> list[str]:
     """Return the words of a heading; Sollwinkel and TargetAngle are two."""
-    return [word for part in _parts(text) for word in _compound(part)]
+    return [word for part in words_of(text) for word in _compound(part)]
 
 
 def _compound(part: str) -> Sequence[str]:
@@ -214,33 +155,6 @@ def answer(column: str, text: str) -> str:
     --set 'sheet.columns=["length=Weg [mm]"]'
     """
     return option("sheet.columns", meaning(column, text))
-
-
-def option(setting: str, value: str, *more: str) -> str:
-    """Return the option that gives a setting a value; sheet.columns is a list, with ``more``.
-
-    >>> print(option("sheet.decimal", ","))
-    --set sheet.decimal=,
-    """
-    if setting == "sheet.columns":
-        value = yaml.safe_dump(
-            [value, *more], default_flow_style=True, default_style='"', allow_unicode=True,
-            width=float("inf"),
-        ).strip()  # fmt: skip
-    return f"--set {shlex.quote(f'{setting}={value}')}"
-
-
-def undecided(
-    found: str, setting: str, answers: Sequence[tuple[str, str]], proposal: Sequence[str] = ()
-) -> UndecidedError:
-    """Return the error that asks a person: ``found``, and each answer with its option.
-
-    ``answers`` are values of ``setting`` with what they would mean, ``proposal`` lines below it.
-    """
-    options = [option(setting, value) for value, _ in answers]
-    meant = [f"{way}: {words}" for way, (_, words) in zip(options, answers, strict=True)]
-    advice, log = f"say which: {' or '.join(options)}", "\n".join([*proposal, *meant])
-    return UndecidedError(found, advice, log, Question(setting, tuple(answers)))
 
 
 def known_columns() -> tuple[str, ...]:
@@ -265,11 +179,6 @@ def label_of(text: str) -> tuple[str, int] | None:
     """
     found = _LABEL.fullmatch(plain(text))
     return (found[1] or "", int(found[2])) if found else None
-
-
-def quantity_of(unit: str) -> str:
-    """Return what a unit measures; ``min`` is a time, ``arcmin`` an angle."""
-    return next(name for name, units in UNITS.items() if unit in units)
 
 
 def of_quantity(units: Sequence[str], quantity: str) -> tuple[str, ...]:
@@ -310,24 +219,6 @@ def _way(text: str) -> str:
     return folded(text) if any(map(str.isalpha, text)) else _unit(text)
 
 
-def folded(text: str) -> str:
-    """Return a name without capitals, accents and signs.
-
-    >>> folded("Länge, gemessen"), folded("Zielpunkt-Nr.")
-    ('langegemessen', 'zielpunktnr')
-    """
-    return "".join(_parts(text)) or text.strip()
-
-
-def plain(text: str) -> str:
-    """Return a text in the plain form of each character: one kind of minus, space, digit."""
-    return unicodedata.normalize("NFKC", text).replace("\u2212", "-").strip()
-
-
-def _parts(text: str) -> list[str]:
-    return [part for part in _APART.split(_without_accents(plain(text)).casefold()) if part]
-
-
 def _without_fillers(name: str) -> str:
     """Return a name in a script without spaces less the words that say nothing at its ends."""
     for filler in sorted(_fillers(), key=len, reverse=True):
@@ -337,21 +228,7 @@ def _without_fillers(name: str) -> str:
 
 
 def _unit(text: str) -> str:
-    return _without_accents(plain(text)).strip(" .:").casefold().replace("\u03bc", "u")
-
-
-def _without_accents(text: str) -> str:
-    """Return a text without the accents of Latin letters; other scripts keep their marks."""
-    if text.isascii():
-        return text
-    apart, kept, latin = unicodedata.normalize("NFD", text), list[str](), False
-    for character in apart:
-        if not unicodedata.combining(character):
-            latin = character.isascii()
-        elif latin:
-            continue
-        kept.append(character)
-    return unicodedata.normalize("NFC", "".join(kept))
+    return without_accents(plain(text)).strip(" .:").casefold().replace("\u03bc", "u")
 
 
 @cache

@@ -18,8 +18,8 @@ from typing import Any, Final, TypeAlias
 
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.language import noted, phrase
-from rotcal_ros.foundation.sheets import workbook
 from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, reading
+from rotcal_tables.sheets import workbook
 
 Cell: TypeAlias = "str | float"
 """A text as it stands there, or what a workbook holds as a number."""

@@ -17,13 +17,13 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import BagError, UndecidedError
-from rotcal_ros.foundation.sheets.files import sheets
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.configuration import changed, parse_configuration
 from rotcal_ros.methods.measurements import read_measurements
+from rotcal_tables.sheets.files import sheets
 
-CASES = Path(__file__).parents[1] / "foundation" / "sheets" / "data"
-EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
+CASES = Path(__file__).with_name("data")
+EXAMPLES = Path(__file__).parents[3] / "examples" / "data"
 pytestmark = pytest.mark.usefixtures("without_figures")
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from decimal import Decimal
 from itertools import pairwise
 from math import pi, remainder
@@ -23,20 +23,42 @@ from rotcal_ros.foundation.errors import (
     UndecidedError,
 )
 from rotcal_ros.foundation.language import phrase
-from rotcal_ros.foundation.sheets.deviations import NEAR, Angles, StatedDeviations
-from rotcal_ros.foundation.sheets.files import Cell, Sheet, TimeCell, sheets
-from rotcal_ros.foundation.sheets.forms import AS_IT_STANDS, FILE, SheetSettings, remembered
-from rotcal_ros.foundation.sheets.layout import (
+from rotcal_ros.foundation.table_columns import (
+    ANGLE,
+    LENGTH,
+    SMALL_ANGLES,
+    TIME,
+    UNITS,
+    SheetSettings,
+    TableColumn,
+    folded,
+    meaning,
+    option,
+    undecided,
+    unit_setting,
+)
+from rotcal_ros.foundation.table_reading import (
+    Known,
+    Pass,
+    Reading,
+    Use,
+    as_planned,
+)
+from rotcal_ros.foundation.tables import Header, Table
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_tables.sheets.deviations import NEAR, Angles, StatedDeviations
+from rotcal_tables.sheets.files import Cell, Sheet, TimeCell, sheets
+from rotcal_tables.sheets.layout import (
     TEXTS,
     Layout,
-    Use,
     best_layout,
     number_of,
     side_by_side,
+    texts_of,
 )
-from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, directed, is_repeated, passes
-from rotcal_ros.foundation.sheets.questions import (
+from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
+from rotcal_tables.sheets.passes import Halt, closed, directed, is_repeated, passes
+from rotcal_tables.sheets.questions import (
     is_number,
     likely_head,
     not_understood,
@@ -44,39 +66,28 @@ from rotcal_ros.foundation.sheets.questions import (
     require_named,
     text_of,
 )
-from rotcal_ros.foundation.sheets.words import (
+from rotcal_tables.sheets.words import (
     ACTUAL,
-    ANGLE,
     DIRECTION,
-    LENGTH,
     REVERSED,
     RUN,
-    SMALL_ANGLES,
     TABLE_ANGLE,
-    TIME,
-    UNITS,
     Heading,
-    TableColumn,
     columns_of,
-    folded,
     is_down,
     is_nothing,
     is_summary,
     kind_of,
     label_of,
-    meaning,
-    option,
-    undecided,
 )
-from rotcal_ros.foundation.tables import Header, Table, own_table
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 _OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
 """Columns as messages call them."""
 _SMALL: Final = ("arcsec", "urad", "deg")
 _USUAL: Final = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
 """Likely units of deviations and readings, and of other columns."""
-_UNIT_SETTINGS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
+_LOOKED_AT: Final = 100
+"""Rows among which a head is searched for."""
 _SHOWN: Final = 6
 """Columns that are shown side by side."""
 _Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
@@ -91,134 +102,42 @@ _SAME_ANGLE: Final = 1e-9
 """Radians by which two readings of the same angle may differ."""
 
 
-@dataclass(frozen=True)
-class Known:
-    """What a number in a table may be: ``numbers`` of the plan, ascending, perhaps with gaps.
+class AnyForm:
+    """Reads tables of numbers in any form, see :class:`~rotcal_ros.foundation.table_reading`."""
 
-    ``labels`` maps other names to them; ``angles`` (rad) are those of the positions, ``downward``
-    those of them that are reached from above, ``order`` all in the order of the plan. ``listed``:
-    no plan knows them, the table lists them all, as one of targets does. ``source`` is the table
-    that the labels are from.
-    """
+    def read(
+        self,
+        source: Path | Table,
+        headers: Sequence[Header],
+        settings: SheetSettings,
+        known: Callable[[], Mapping[str, Known]],
+    ) -> Reading:
+        """Return the table with one of our ``headers``."""
+        if isinstance(source, Table):
+            path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
+        else:
+            path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
+        if not found:
+            names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
+            raise ConfigurationError(
+                f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
+                f"{', '.join(names)}"
+            )
+        named = settings.named()
+        layout = best_layout(found, headers, named, str(path), settings.table)
+        require_named(path, headers, named, layout.head if layout else likely_head(found))
+        if layout is None or layout.missing:
+            raise not_understood(path, headers, layout, found, named)
+        require_as_wide_as_its_head(path, layout)
+        return _Rows(path, layout, settings, known()).read()
 
-    numbers: tuple[int, ...] = ()
-    labels: Mapping[str, int] = field(default_factory=dict)
-    angles: tuple[float, ...] = ()
-    downward: frozenset[int] = frozenset()
-    order: tuple[int, ...] = ()
-    listed: bool = False
-    source: Reading | None = None
-
-
-@dataclass(frozen=True)
-class Reading:
-    """A table as it was read, and how that was understood, in words.
-
-    ``columns`` maps our columns to theirs; ``left_out`` are the numbers of rows with why;
-    ``remarks`` say what was counted or turned. ``labels`` maps the labels of the first column to
-    their numbers. ``angles_deg`` are the table's own, ascending, where no plan had any, with how
-    many ``runs`` go through them, in ``both_directions`` or in one. ``form`` is empty for a table
-    of our own form, which is read as it stands. ``beside``: other tables that were read for it.
-    ``uses`` maps our columns without their units, or TABLE_ANGLE, to where they are, unless that
-    is a matrix; ``head`` are the texts at the head of the table. ``passes`` are those of the rows
-    where the table came to its angles more than once. ``sources`` say where targets and table
-    angles are from, ``stated`` what a person said of the table; ``form_head`` is its head as it
-    stands, by which tables of the same form are known.
-    """
-
-    table: Table
-    form: str = ""
-    columns: Mapping[str, str] = field(default_factory=dict)
-    aside: tuple[str, ...] = ()
-    left_out: tuple[tuple[int, str], ...] = ()
-    remarks: tuple[str, ...] = ()
-    labels: Mapping[str, int] = field(default_factory=dict)
-    angles_deg: tuple[float, ...] = ()
-    runs: int = 1
-    both_directions: bool = False
-    beside: tuple[Reading, ...] = ()
-    uses: Mapping[str, Use] = field(default_factory=dict)
-    head: tuple[str, ...] = ()
-    passes: tuple[Pass, ...] = ()
-    sources: tuple[str, ...] = ()
-    stated: SheetSettings = AS_IT_STANDS
-    form_head: tuple[str, ...] = ()
-
-    def line(self) -> str:
-        """Return it in one line; empty for a table of our own form that states everything."""
-        if not self.form:
-            sources = "; ".join(self.sources)
-            return f"{self.table.path} (our own form): {sources}" if sources else ""
-        columns = ", ".join(f"{ours} = {theirs}" for ours, theirs in self.columns.items())
-        parts = [f"{self.table.path} ({self.form}): {columns}", *self.remarks, *self.sources]
-        if self.aside:
-            parts.append(f"not needed: {', '.join(self.aside)}")
-        if self.left_out:
-            rows = "row" if len(self.left_out) == 1 else "rows"
-            parts.append(f"{len(self.left_out)} {rows} left out (--explain)")
-        return "; ".join(parts)
-
-    def lines(self) -> list[str]:
-        """Return it in full, for ``--explain``."""
-        if not self.form:
-            header = ", ".join(self.table.header)
-            return [
-                f"{self.table.path}: a table of our own form, read as it stands: {header}",
-                *(f"  {source}" for source in self.sources),
-            ]
-        return [
-            f"{self.table.path}: {self.form}, {len(self.table.lines)} rows",
-            *(f"  {ours:<16} {theirs}" for ours, theirs in self.columns.items()),
-            *(f"  {remark}" for remark in (*self.remarks, *self.sources)),
-            *([f"  not needed: {', '.join(self.aside)}"] if self.aside else []),
-            *(f"  row {row} left out: {why}" for row, why in self.left_out),
-            *(line for other in self.beside for line in other.lines()),
-        ]
+    def heads(self, path: Path) -> Iterator[tuple[str, ...]]:
+        """Yield the first rows of all sheets, or of all ways to part the columns of a text."""
+        for grid in sheets(path):
+            yield from (texts_of(cells) for _, cells in grid.rows[:_LOOKED_AT])
 
 
-def read_any(
-    source: Path | Table,
-    headers: Sequence[Header],
-    settings: SheetSettings,
-    known: Callable[[], Mapping[str, Known]] = dict,
-) -> Reading:
-    """Return a table, or that in a file, with one of our ``headers``, and how it was understood.
-
-    ``known`` gives the numbers that a column may have, by the name of the column; it is asked only
-    for a table that is not of our own form. Raises BagError for a file that is no table,
-    DataError, with what to do, where something can be read in two ways or not at all.
-    """
-    own = own_table(source, headers)
-    if own is not None:
-        return Reading(own)
-    sources: tuple[str, ...] = ()
-    if isinstance(source, Table):
-        path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
-    else:
-        given, settings = settings, remembered(source, settings)
-        sources = () if settings == given else (phrase("answers of {0}", FILE),)
-        path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
-    if not found:
-        names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
-        raise ConfigurationError(
-            f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
-            f"{', '.join(names)}"
-        )
-    named = settings.named()
-    layout = best_layout(found, headers, named, str(path), settings.table)
-    require_named(path, headers, named, layout.head if layout else likely_head(found))
-    if layout is None or layout.missing:
-        raise not_understood(path, headers, layout, found, named)
-    require_as_wide_as_its_head(path, layout)
-    reading = _Rows(path, layout, settings, known()).read()
-    in_memory = isinstance(source, Table) and source.in_memory
-    table = replace(reading.table, in_memory=in_memory)
-    return replace(reading, table=table, stated=settings, form_head=layout.form, sources=sources)
-
-
-def unit_setting(name: str, quantity: str) -> str:
-    """Return the setting of the unit of a column that states none."""
-    return "sheet." + ("reading_unit" if name in SMALL_ANGLES else _UNIT_SETTINGS[quantity])
+READER: Final = AnyForm()
 
 
 class _Rows:
@@ -270,6 +189,7 @@ class _Rows:
             layout.uses,
             layout.head,
             self._found,
+            form_head=layout.form,
         )
 
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
@@ -712,30 +632,14 @@ class _Rows:
         return found[1]
 
     def _as_planned(self, name: str, numbers: Sequence[int]) -> list[int]:
-        """Return numbers as the plan has them: as they stand, or as its first, second and so on.
-
-        Raises DataError where both may be.
-        """
+        """Return numbers as the plan has them; DataError where they can be read in two ways."""
         planned = self._known.get(name, Known()).numbers
-        if not planned or not numbers:
-            return list(numbers)
-        ways = {"0": {n: n for n in planned}, "1": dict(enumerate(planned, start=1))}
-        use = self._layout.uses.get(name)
+        use, firsts = self._layout.uses.get(name), self._settings.counted_from or "01"
         if use and columns_of(Heading.of(use.text)) == ("ball_step",):
-            del ways["1"]  # a step is no number of a ball
-        able = {first: way for first, way in ways.items() if way.keys() >= set(numbers)}
-        chosen = self._settings.counted_from or next(iter(able), "0")
-        if len(able) > 1 and not self._settings.counted_from:
-            readings = (f"counted from 0, {planned[0]} was not measured",
-                        "counted from 1, the last was not")  # fmt: skip
-            raise undecided(
-                f"{self._path}: {name} {min(numbers)} to {max(numbers)}: {'; '.join(readings)}",
-                "sheet.counted_from",
-                tuple(zip("01", readings, strict=True)),
-            )
-        if chosen == "1" and "1" in able:
-            self._remarks.append(phrase("{0} counts from 1", name))
-        return [able.get(chosen, {}).get(n, n) for n in numbers]
+            firsts = firsts.replace("1", "")  # a step is no number of a ball
+        found, from_one = as_planned(str(self._path), name, numbers, planned, firsts)
+        self._remarks += [phrase("{0} counts from 1", name)] if from_one else []
+        return found
 
     def _theirs(self, column: TableColumn) -> str:
         """Return in words what of theirs a column of ours is."""

@@ -11,14 +11,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import copysign, isclose, remainder
-from typing import TypeAlias
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.sheets.words import folded, is_direction, undecided
+from rotcal_ros.foundation.table_columns import folded, undecided
+from rotcal_ros.foundation.table_reading import Pass
 from rotcal_ros.foundation.units import DEGREE, TURN
-
-Pass: TypeAlias = "tuple[int, bool]"
-"""Number of the run, from 0, and whether it goes down."""
+from rotcal_tables.sheets.words import is_direction
 
 
 @dataclass(frozen=True, slots=True)

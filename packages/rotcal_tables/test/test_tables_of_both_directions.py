@@ -13,7 +13,7 @@ from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.measurements import read_measurements
 
-DATA = Path(__file__).parents[2] / "examples" / "data"
+DATA = Path(__file__).parents[3] / "examples" / "data"
 PLAY = 6.0 * ARCSEC
 BOTH = "plan.bidirectional=true"
 ORDER = "plan.order=targets_per_station"

@@ -11,36 +11,37 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError, UndecidedError
 from rotcal_ros.foundation.language import phrase
-from rotcal_ros.foundation.sheets.files import Cell, Sheet
-from rotcal_ros.foundation.sheets.forms import texts_of
-from rotcal_ros.foundation.sheets.numerals import parse
-from rotcal_ros.foundation.sheets.words import (
-    ACTUAL,
+from rotcal_ros.foundation.table_columns import (
     ANGLE,
-    DIRECTION,
     IN_BRACKETS,
     LENGTH,
+    TIME,
+    TableColumn,
+    folded,
+    meaning,
+    plain,
+    quantity_of,
+    undecided,
+)
+from rotcal_ros.foundation.table_reading import Use
+from rotcal_ros.foundation.tables import Header
+from rotcal_tables.sheets.files import Cell, Sheet
+from rotcal_tables.sheets.numerals import parse
+from rotcal_tables.sheets.words import (
+    ACTUAL,
+    DIRECTION,
     REFERENCE,
     REVERSED,
     RUN,
     TABLE_ANGLE,
-    TIME,
-    Caption,
     Heading,
-    TableColumn,
     columns_of,
-    folded,
     is_commanded,
     is_direction,
     label_of,
-    meaning,
     of_quantity,
-    plain,
-    quantity_of,
-    undecided,
     units_of,
 )
-from rotcal_ros.foundation.tables import Header
 
 TEXTS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
@@ -77,13 +78,28 @@ _ALL_IN: Final = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Use:
-    """Where a column is: ``place`` of its cell in a row, from 0, and the units of its heading."""
+class Caption(str):
+    """The text at the head of a column, of one cell or of two, one above the other.
 
-    place: int
-    text: str
-    units: tuple[str, ...] = ()
+    ``cells`` are their texts, ``address`` is by what a person names the column: its text, or its
+    number where no cell, or more than one, has that text.
+    """
+
+    __slots__ = ("address", "cells")
+    address: str
+    cells: tuple[str, ...]
+
+    @classmethod
+    def of(cls, cells: Sequence[str], place: int, *, alone: bool) -> Caption:
+        """Return the caption of a column with its ``place``, from 0."""
+        caption = cls(" over ".join(cells))
+        caption.cells = tuple(cells)
+        caption.address = caption if alone and len(cells) == 1 else f"#{place + 1}"
+        return caption
+
+    def __repr__(self) -> str:
+        """Return the texts of the cells, each in quotes."""
+        return " over ".join(map(repr, self.cells))
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,6 +228,11 @@ def side_by_side(layout: Layout, uses: Iterable[Use]) -> list[str]:
                 f"largest {_text(largest)}"
             )
     return lines
+
+
+def texts_of(cells: Iterable[Cell]) -> tuple[str, ...]:
+    """Return the cells of a row that are not empty, as texts."""
+    return tuple(str(cell) for cell in cells if cell != "")
 
 
 def _first_words(layout: Layout) -> str:

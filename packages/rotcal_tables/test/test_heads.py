@@ -21,8 +21,8 @@ from rotcal_ros.foundation.errors import (
     RotcalError,
     UndecidedError,
 )
-from rotcal_ros.foundation.sheets.forms import SheetSettings, remember
-from rotcal_ros.foundation.sheets.reading import Reading, read_any
+from rotcal_ros.foundation.table_columns import SheetSettings
+from rotcal_ros.foundation.table_reading import Reading, read_any, remember
 from rotcal_ros.foundation.units import ARCSEC
 
 ANGLES = np.arange(0.0, 360.0, 45.0)

@@ -12,16 +12,9 @@ from datetime import datetime, timezone
 from decimal import Decimal
 from typing import Final
 
-from rotcal_ros.foundation.sheets.files import Cell
-from rotcal_ros.foundation.sheets.words import (
-    ANGLE,
-    TIME,
-    UNITS,
-    of_quantity,
-    plain,
-    quantity_of,
-    units_of,
-)
+from rotcal_ros.foundation.table_columns import ANGLE, TIME, UNITS, plain, quantity_of
+from rotcal_tables.sheets.files import Cell
+from rotcal_tables.sheets.words import of_quantity, units_of
 
 _SPACES: Final = " '’"
 _WHOLE: Final = rf"\d{{1,3}}(?:[{_SPACES}]\d{{3}})+|\d+"

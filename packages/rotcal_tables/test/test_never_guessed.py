@@ -14,7 +14,7 @@ import pytest
 from rotcal_ros.evaluation.iso230 import read_any_runs
 from rotcal_ros.evaluation.reference import read_deviations
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError, UndecidedError
-from rotcal_ros.foundation.sheets.forms import SheetSettings
+from rotcal_ros.foundation.table_columns import SheetSettings
 from rotcal_ros.foundation.units import ARCSEC
 
 ANGLES = np.arange(0.0, 360.0, 30.0)
