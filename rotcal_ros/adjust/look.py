@@ -109,7 +109,9 @@ class Look:
             return False
         oddest, single = self._oddest[0], self.singles[0]
         return any(
-            e.support > single.support and e.blamed is not None and oddest in e.blamed.group.members
+            e.support > single.support
+            and e.blamed is not None
+            and oddest in e.blamed.group.members
             for e in self.groups
         )
 
