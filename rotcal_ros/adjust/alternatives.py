@@ -22,8 +22,10 @@ from rotcal_ros.adjust.kernels import OPEN
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import Effect, Protection
+
+MEANT_OTHERWISE: Final = noted("it looks as if {0} ({1:.1g} : 1): put it right, and solve again")
 
 EXCLUDED: Final = np.log(20.0)
 """ln of how many times as probable readings are as they were taken, where they exclude others."""
@@ -160,9 +162,7 @@ def doubts(every: Sequence[WeighedAlternative]) -> Iterator[Phrase]:
     if best is None or best.gain < SURELY:
         return
     alike = _any_of(other for other in every if best.gain - other.gain < EXCLUDED)
-    yield phrase(
-        "it looks as if {0} ({1:.1g} : 1): put it right, and solve again", alike, _odds(best.gain)
-    )
+    yield phrase(MEANT_OTHERWISE, alike, _odds(best.gain))
 
 
 def _any_of(others: Iterable[WeighedAlternative]) -> Phrase:

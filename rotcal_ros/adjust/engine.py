@@ -53,6 +53,32 @@ from rotcal_ros.foundation.protection import POWER, TOLERABLE, Effect, Protectio
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
+NO_OTHER_CHECKS: Final = noted(
+    "{0} of {1} {2} are checked by no other: an error in them stays unseen"
+)
+NOT_ASKED: Final = noted(
+    "of groups of more than {0} {1} it is not asked which of them are off together, only whether "
+    "all of them fit"
+)
+MANY_LOST: Final = noted("{0} of {1} {2} were left out, more than {3:g} % is suspicious")
+UNCONTRADICTED: Final = noted("no {0} are left to check the others: nothing could contradict")
+RIVALLED: Final = noted(
+    "that {0} explains what was read, but others do so nearly as well (in brackets their "
+    "likelihood): {1}; the uncertainty covers them all"
+)
+TAKEN_OFF: Final = noted(
+    "it looks as if {0}: that was taken off, and the uncertainty holds it; find out why, and "
+    "measure again"
+)
+ENLARGED: Final = noted(
+    "the residuals are {0:.2g} times what their standard deviations allow (chi-squared test): "
+    "the uncertainty is enlarged by that factor"
+)
+SCATTERS: Final = noted(
+    "the scatter of {0} is {1:.2g} times as stated: the estimate is used; state it, or look for "
+    "drift"
+)
+
 COVARIANCE_LIMIT: Final = 720
 """Most deviations of a component whose covariance is put into the result (4 MB)."""
 SOLVED: Final = 32
@@ -515,51 +541,32 @@ def adjust(model: Model, limits: Limits = LIMITS) -> Adjusted:
 def _doubts(found: Adjusted) -> Iterator[Phrase]:
     model, limits = found.model, found.diagnosis.limits
     for k in np.flatnonzero(_larger(found)).tolist():
-        yield phrase(
-            "the scatter of {0} is {1:.2g} times as stated: the estimate is used; state it, or "
-            "look for drift", phrase(model.components[k]), found.diagnosis.noise.factors[k]
-        )  # fmt: skip
+        yield phrase(SCATTERS, phrase(model.components[k]), found.diagnosis.noise.factors[k])
     for each, sizes in found.fit.sizes.items():
         if each.stated is not None and sizes.probability < each.significance:
-            yield phrase(
-                "the scatter of {0} is {1:.2g} times as stated: the estimate is used; state it, "
-                "or look for drift", phrase(each.what), sizes.weighing / each.stated
-            )  # fmt: skip
+            yield phrase(SCATTERS, phrase(each.what), sizes.weighing / each.stated)
     if found.scale > 1.0:
-        yield phrase(
-            "the residuals are {0:.2g} times what their standard deviations allow (chi-squared "
-            "test): the uncertainty is enlarged by that factor", found.scale
-        )  # fmt: skip
+        yield phrase(ENLARGED, found.scale)
     for e in found.found_effects:
-        yield phrase(
-            "it looks as if {0}: that was taken off, and the uncertainty holds it; find out why, "
-            "and measure again", e.describe()
-        )  # fmt: skip
+        yield phrase(TAKEN_OFF, e.describe())
     for best, rivals in found.diagnosis.open_contests:
         odds = [np.exp(max(best.support - e.support, 0.0)) for e in rivals]
         others = [
             phrase("that {0} (1 : {1:.2g})", e.what, o) for e, o in zip(rivals, odds, strict=True)
         ]
-        yield phrase(
-            "that {0} explains what was read, but others do so nearly as well (in brackets their "
-            "likelihood): {1}; the uncertainty covers them all", best.what, listed(others)
-        )  # fmt: skip
+        yield phrase(RIVALLED, best.what, listed(others))
     yield from gathering.doubts(
         found.diagnosis.gathering, limits.gathered_share, limits.significance, model.words,
         model.unit,
     )  # fmt: skip
     yield from _open(found)
     if not found.fit.dof:
-        yield phrase(
-            "no {0} are left to check the others: nothing could contradict",
-            phrase(model.words.elements),
-        )
+        yield phrase(UNCONTRADICTED, phrase(model.words.elements))
     lost, all_of_them = found.diagnosis.lost, model.rejectable_elements
     if lost > limits.rejected_share * all_of_them:
         yield phrase(
-            "{0} of {1} {2} were left out, more than {3:g} % is suspicious", lost, all_of_them,
-            phrase(model.words.elements), 100 * limits.rejected_share
-        )  # fmt: skip
+            MANY_LOST, lost, all_of_them, phrase(model.words.elements), 100 * limits.rejected_share
+        )
 
 
 def _open(found: Adjusted) -> Iterator[Phrase]:
@@ -695,10 +702,7 @@ def _against_single(found: Adjusted) -> Iterator[Protection]:
         "{0} hardly check each other: an error in one of them stays unseen", phrase(words.elements)
     )
     if weak := _unchecked(fit):
-        why = phrase(
-            "{0} of {1} {2} are checked by no other: an error in them stays unseen", weak,
-            len(each), phrase(words.elements)
-        )  # fmt: skip
+        why = phrase(NO_OTHER_CHECKS, weak, len(each), phrase(words.elements))
     yield Protection("single readings", "not protected", why, error)
 
 
@@ -712,10 +716,7 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     judgement, fit = found.diagnosis.gathering.judgement, found.fit
     if open_ := _unchecked(fit):
         every = fit.used[found.model.elements[:, 0]].sum()
-        why = phrase(
-            "{0} of {1} {2} are checked by no other: an error in them stays unseen", open_, every,
-            phrase(found.model.words.elements)
-        )  # fmt: skip
+        why = phrase(NO_OTHER_CHECKS, open_, every, phrase(found.model.words.elements))
         yield Protection("one place", "not protected", why)
         return
     if judgement is None:
@@ -725,10 +726,7 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     counts = (row for row in found.diagnosis.gathering.counts if row.kind in gathers)
     most = LARGEST_GROUP // found.model.elements.shape[1]
     if any(row.whole > most and row.name not in asked for row in counts):
-        why = phrase(
-            "of groups of more than {0} {1} it is not asked which of them are off together, only "
-            "whether all of them fit", most, phrase(found.model.words.elements)
-        )  # fmt: skip
+        why = phrase(NOT_ASKED, most, phrase(found.model.words.elements))
         yield Protection("one place", "not protected", why)
         return
     words, unit = found.model.words, found.model.unit

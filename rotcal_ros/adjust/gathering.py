@@ -17,10 +17,17 @@ from rotcal_ros.adjust.distributions import binomial_quantile, sidak
 from rotcal_ros.adjust.groups import Group, GroupTest, JudgedWhole, group_test
 from rotcal_ros.adjust.judgement import Blame, Judgement, judge
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import Unit
+AS_WELL: Final = noted(
+    "that {0} others are off in their place explains the residuals nearly as well (likelihood 1 "
+    ": {1:.2g}), and the uncertainty covers both"
+)
+OFF_TOGETHER: Final = noted(
+    "{0} of the {1} {2} of {3} are off together, by about {4}, and were left out: look for {5} {6}"
+)
 
 RARE: Final = 0.05
 """Probability that single outliers by chance are as many as are called off together."""
@@ -131,16 +138,18 @@ def _blamed(case: Blame, words: Words, unit: Unit) -> Phrase:
     count = int(case.subset.sum())
     size = " ".join(f"{x / unit.si:+.2g}" for x in case.size.tolist()) + f" {unit.name}"
     text = phrase(
-        "{0} of the {1} {2} of {3} are off together, by about {4}, and were left out: look for "
-        "{5} {6}", count, case.group.size + case.group.lost, phrase(words.elements),
-        case.group.name, size, phrase(words.cause), phrase(words.where)
-    )  # fmt: skip
+        OFF_TOGETHER,
+        count,
+        case.group.size + case.group.lost,
+        phrase(words.elements),
+        case.group.name,
+        size,
+        phrase(words.cause),
+        phrase(words.where),
+    )
     if case.ambiguous:
         other = int(case.rivals[0].sum())
-        rival = phrase(
-            "that {0} others are off in their place explains the residuals nearly as well "
-            "(likelihood 1 : {1:.2g}), and the uncertainty covers both", other, case.ratios[0]
-        )  # fmt: skip
+        rival = phrase(AS_WELL, other, case.ratios[0])
         return listed([text, rival])
     return text
 

@@ -35,7 +35,10 @@ from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, me
 from rotcal_ros.adjust.observable import columns_of, observable_by, seen_of
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+
+IN_A_GROUP: Final = noted("one of {0} of {1} that are off together by {2}")
+BEYOND: Final = noted("its test value {0:+.1f} is beyond {1:.2f} (residual {2})")
 
 RARER: Final = 3.0
 """How much rarer an effect or a gathering is held to be than a single wrong observation."""
@@ -194,10 +197,7 @@ class Look:
         sign = float(np.sign(residual[0])) if len(rows) == 1 else 1.0
         columns = np.zeros((len(fit.white), len(rows)))
         columns[rows, np.arange(len(rows))] = 1.0
-        reason = phrase(
-            "its test value {0:+.1f} is beyond {1:.2f} (residual {2})", sign * value, limit,
-            model.unit.shown(sign * left)
-        )  # fmt: skip
+        reason = phrase(BEYOND, sign * value, limit, model.unit.shown(sign * left))
         support, price = self._support(squares, int(rank), model.rejectable_elements)
         return Explanation(
             phrase("{0} is off by {1}", model.names[rows[0]], model.unit.shown(sign * off)),
@@ -241,7 +241,7 @@ class Look:
         name, size = case.group.name, model.unit.shown(float(np.linalg.norm(case.size)))
         return Explanation(
             phrase("{0} {1} of {2} are off by {3}", k, phrase(model.words.elements), name, size),
-            phrase("one of {0} of {1} that are off together by {2}", k, name, size), column, rows,
+            phrase(IN_A_GROUP, k, name, size), column, rows,
             support, price + len(rows) - test.rank, case.change, blamed=case,
         )  # fmt: skip
 

@@ -16,8 +16,10 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropouts import Dropout, DropoutReader
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.untrusted import reading, require_plain
+
+FELL_SILENT: Final = noted("{0} fell silent ({1} times)")
 
 _SHOWN: Final = 20
 State = Literal["complete", "index wrong", "truncated", "damaged"]
@@ -105,7 +107,7 @@ class FileVerdict:
         if self.state == "index wrong":
             return phrase(
                 "data sound, index wrong at byte {0}: {1}; nothing is lost",
-                first.offset, phrase(first.what),
+                first.offset, phrase(first.what)
             )  # fmt: skip
         lost = phrase("no message known to be lost")
         if self.lost:
@@ -168,7 +170,7 @@ def unread_losses(verdicts: Iterable[FileVerdict]) -> tuple[Phrase, ...]:
 def losses_in_words(losses: Mapping[str, int]) -> tuple[Phrase, ...]:
     """Return one sentence per counter."""
     return tuple(
-        phrase("{0} fell silent ({1} times)", name.partition(" ")[2], count)
+        phrase(FELL_SILENT, name.partition(" ")[2], count)
         if name.startswith(names.SILENT)
         else phrase("{0} lost live ({1})", count, name)
         for name, count in losses.items()

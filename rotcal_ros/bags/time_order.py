@@ -35,6 +35,12 @@ from rotcal_ros.bags.storage_scan import Scan, StorageContents
 from rotcal_ros.foundation.arrays import Bools, Ints
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 
+READ_BY: Final = noted("the bag is not in the order of time ({0}): its messages were read by {1}")
+GOES_BACK: Final = noted(
+    "log times go back {0} times, by up to {1:.1f} s: the recorder's clock was set, or somebody "
+    "exchanged parts of the file; the messages were read in the order of the file"
+)
+
 LEAST_NS: Final = 1_000_000_000
 """Smaller disorder between topics is normal."""
 STANDSTILL_NS: Final = 20_000_000_000
@@ -77,8 +83,8 @@ class TimeOrder:
                 reason = phrase("some stand {0:.1f} s behind later ones", self.apart_ns / 1e9)
             return (
                 phrase(
-                    "the bag is not in the order of time ({0}): its messages were read by {1}",
-                    reason, phrase(IN_WORDS[self.sort_by]),
+                    READ_BY,
+                    reason, phrase(IN_WORDS[self.sort_by])
                 ),
             )  # fmt: skip
         if self.doubtful:
@@ -89,13 +95,7 @@ class TimeOrder:
                 ),
             )
         if self.back:
-            return (
-                phrase(
-                    "log times go back {0} times, by up to {1:.1f} s: the recorder's clock was "
-                    "set, or somebody exchanged parts of the file; the messages were read in the "
-                    "order of the file", self.back, self.back_ns / 1e9
-                ),
-            )  # fmt: skip
+            return (phrase(GOES_BACK, self.back, self.back_ns / 1e9),)
         return ()
 
 

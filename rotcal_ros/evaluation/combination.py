@@ -33,7 +33,7 @@ from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.protection import (
     ALL_EFFECTS,
     PARTICULAR,
@@ -44,6 +44,8 @@ from rotcal_ros.foundation.protection import (
 )
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Result, Verdict, Zeros
+
+ALONE: Final = noted("{0} alone, whose error nothing checks")
 
 METHOD: Final = "combination"
 REFERENCE: Final = "reference"
@@ -272,7 +274,7 @@ def _linked(
             phrase("the offset between {0} comes from {1}", phrase(what), other)
             for what, other in bare.items()
         ]
-        why = phrase("{0} alone, whose error nothing checks", listed(links, ", "))
+        why = phrase(ALONE, listed(links, ", "))
         joined = Protection("gauge", "not protected", why)
     return (*(p for p in protections if p.effect != "gauge"), joined)
 

@@ -20,8 +20,15 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, covers_circle
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.units import DEGREE, TURN
+
+FROM_ALONE: Final = noted("{0} alone: nothing checks that, its stated uncertainty rules")
+FARTHEST: Final = noted("{0} is farthest off")
+CONTRADICT: Final = noted(
+    "{0}: the inputs contradict each other (chi-square {1:.4g} with {2} degrees of freedom, "
+    "{3}): {4}"
+)
 
 Curves = Mapping[str, MeasuredCurve]
 """Curves of one input by component."""
@@ -60,9 +67,7 @@ class Link:
         unit, label = unit_of(self.component)
         others = phrase("{0}", ", ".join(self.others))
         if not self.checked:
-            others = phrase(
-                "{0} alone: nothing checks that, its stated uncertainty rules", *self.others
-            )
+            others = phrase(FROM_ALONE, *self.others)
         return phrase(
             "{0} of {1}: the offset between {2}, {3:+.3g} {4}, comes from {5}; it adds up to "
             "{6:.2g} {4} to U",
@@ -140,18 +145,16 @@ class ComponentGroup:
             "birge": phrase("uncertainties enlarged by the factor {0:.3g} (Birge)", self.factor),
             "mandel-paule": phrase(
                 "{0:.3g} {1} added to the standard uncertainty of every value (Mandel-Paule)",
-                self.common_std / unit, label,
+                self.common_std / unit, label
             ),
             "none": phrase("uncertainties not enlarged"),
         }  # fmt: skip
         found = [phrase("p = {0:.2g}", self.p_value)]
-        found += [phrase("{0} is farthest off", self.farthest)] if self.farthest else []
+        found += [phrase(FARTHEST, self.farthest)] if self.farthest else []
         found += [phrase(self.differs)] if self.differs else []
         return phrase(
-            "{0}: the inputs contradict each other (chi-square {1:.4g} with {2} degrees of "
-            "freedom, {3}): {4}", self.name, self.chi2, self.dof, listed(found),
-            done[self.enlargement],
-        )  # fmt: skip
+            CONTRADICT, self.name, self.chi2, self.dof, listed(found), done[self.enlargement]
+        )
 
 
 def surest_evaluations(inputs: Mapping[str, Curves]) -> list[str]:

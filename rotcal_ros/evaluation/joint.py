@@ -70,8 +70,12 @@ from rotcal_ros.evaluation.component_groups import (
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Rejection, Result
+
+ORDER_DIFFERS: Final = noted(
+    "order {0} of {1} (cosine, sine) is another for {2} than for the others"
+)
 
 Members: TypeAlias = "tuple[str, ...]"
 """Names of inputs that share observations."""
@@ -494,12 +498,7 @@ class _Views:
             factor, label = unit_of(c)
             yield Disturbing(
                 "gauge",
-                phrase(
-                    "order {0} of {1} (cosine, sine) is another for {2} than for the others",
-                    order,
-                    c,
-                    name,
-                ),
+                phrase(ORDER_DIFFERS, order, c, name),
                 self.own_curve(design, name, curves),
                 LARGEST * factor,
                 Unit(label.replace("µ", "u"), factor),

@@ -19,8 +19,10 @@ from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.rejections import MostFrequentReason
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation
+
+IN_VAIN: Final = noted("{0} of {1} steps were tried in vain, {2}")
 
 _SENTENCES: Final = 20
 """Largest number of sentences; more of them would say nothing new."""
@@ -228,17 +230,14 @@ def _failed_steps(observations: Sequence[Observation]) -> Phrase | None:
     steps = len({o.step for o in failed})
     if most_frequent is None or steps <= _FEW * (len(done) + steps):
         return None
-    return phrase(
-        "{0} of {1} steps were tried in vain, {2}", steps, len(done) + steps,
-        most_frequent.describe()
-    )  # fmt: skip
+    return phrase(IN_VAIN, steps, len(done) + steps, most_frequent.describe())
 
 
 def unanswered(commands: Mapping[str, int]) -> Phrase:
     """Return a sentence: the machine did not echo its orders."""
     return phrase(
         "{0} of {1} orders have no answer: a point on {2} must echo step and attempt of its order",
-        commands["unanswered"], commands["received"], names.PROBE_POINT,
+        commands["unanswered"], commands["received"], names.PROBE_POINT
     )  # fmt: skip
 
 

@@ -42,7 +42,7 @@ from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejecte
 from rotcal_ros.foundation.clock_jumps import read_note
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
 from rotcal_ros.foundation.in_force import contradiction, of_axis
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.geometry.frames import StaticFrame
@@ -63,6 +63,13 @@ from rotcal_ros.recordings.topics import RoleMessages, Topics, of_one_cell
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
+
+CAPTURED_OTHERWISE: Final = phrase(
+    "the observations captured again differ from those captured live"
+)
+STRANGERS_PLANS: Final = noted(
+    "{0} plans on {1} belong to no run that the planner named: a stranger's, they were ignored"
+)
 
 Source = Literal["streams", "observations"]
 
@@ -213,14 +220,9 @@ class Recording:
         texts += _undecoded(self.broken)
         texts += _left_alone(self.verdicts)
         if self.foreign_plans:
-            texts.append(
-                phrase(
-                    "{0} plans on {1} belong to no run that the planner named: a stranger's, they "
-                    "were ignored", self.foreign_plans, names.PLAN
-                )
-            )  # fmt: skip
+            texts.append(phrase(STRANGERS_PLANS, self.foreign_plans, names.PLAN))
         if self.recorded and not self.same_as_recorded:
-            texts.append("the observations captured again differ from those captured live")
+            texts.append(CAPTURED_OTHERWISE)
         if clash := contradiction(self.calibration.in_force(self.announced)):
             texts.append(clash)
         if self.other_axes:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from campaigns import TAU, about_mean, campaign, combined, plate, result_of, three, truth
 from chances import LONG, most, scatter
+from coded import coded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -15,6 +16,7 @@ from scipy.linalg import block_diag
 from rotcal_ros import read_result
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.compare import compare
+from rotcal_ros.evaluation.component_groups import CONTRADICT
 from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.raw_data import Influence, RawData
@@ -102,7 +104,7 @@ def test_enlarged_uncertainties_hold_what_the_stated_ones_do_not(way, factor, ex
             store.append(np.abs(found.deviations["ECC"] - aim) <= 1.96 * found.std["ECC"])
         assert plain.verdict == wide.verdict
         if wide.verdict == "suspect":
-            assert "ECC: the inputs contradict each other" in wide.warnings[0]
+            assert coded(wide.warnings[0])[CONTRADICT][0][0] == "ECC"
             assert way in wide.warnings[0].lower()
             assert wide.details["enlargement"]["ECC"]["kind"] == way
     assert np.mean(stated) < 0.75

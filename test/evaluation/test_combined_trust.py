@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from campaigns import TAU, about_mean, campaign, combined, result_of, three, truth
 from click.testing import CliRunner
+from coded import coded
 from scipy import stats
 
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.table import check_verdict, table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
-from rotcal_ros.evaluation.combination import CombinationInput
+from rotcal_ros.evaluation.combination import UNCHECKED, CombinationInput
+from rotcal_ros.evaluation.component_groups import FARTHEST
 from rotcal_ros.evaluation.joint import combine
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
@@ -222,8 +224,8 @@ def test_the_input_that_is_off_is_named():
     grid = np.arange(12) * TAU / 12
     good = [campaign(grid, 0.2 * ARCSEC, rng)[2] for _ in range(2)]
     odd = campaign(grid, 0.2 * ARCSEC, rng, extra=3.0 * ARCSEC)[2]
-    assert "r1 is farthest off" in combined(good[0], odd, good[1]).warnings[0]
-    assert "farthest" not in combined(good[0], odd).warnings[0]
+    assert coded(combined(good[0], odd, good[1]).warnings[0])[FARTHEST] == [("r1",)]
+    assert FARTHEST not in coded(combined(good[0], odd).warnings[0])
 
 
 def test_an_effect_is_protected_only_where_every_input_is():
@@ -307,7 +309,7 @@ def test_of_values_that_nobody_measured_again_it_is_said_that_nothing_checked_th
     alone = combined(once)
     assert alone.verdict == "ok"
     assert set(alone.unprotected) == {*EFFECTS, "single readings"}
-    assert "nothing checked its values" in " ".join(alone.warnings)
+    assert UNCHECKED in coded(*alone.warnings)
     twice = combined(once, again)
     assert "single readings" not in twice.unprotected
-    assert "nothing checked" not in " ".join(twice.warnings)
+    assert UNCHECKED not in coded(*twice.warnings)

@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG, share
+from coded import coded
 from plate_data import RADIUS
 from plate_disturbed import DEMO_PLATE, NOISE, ORDERS, by_pseudo_inverse, drifted, measured
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
+from rotcal_ros.methods.ball_plate.solver.result import ORIGIN_DRIFTS
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -27,7 +29,7 @@ def test_an_estimated_drift_is_taken_off_with_its_uncertainty(degree):
         value = result.deviations[name] * scale  # beside products of small quantities
         np.testing.assert_allclose(value, dense[number], atol=1e-9)
         np.testing.assert_allclose(result.std[name] * scale, NOISE * unit[number], rtol=1e-6)
-    (text,) = [text for text in result.warnings if "drifts by" in text]
+    (text,) = [text for text in result.warnings if ORIGIN_DRIFTS in coded(text)]
     found = np.array(re.search(r"by \((\S+) \+- \S+, (\S+) \+- \S+, (\S+)", text).groups(), float)
     np.testing.assert_allclose(found, [1.0, -2.0, 3.0], atol=0.06)
 

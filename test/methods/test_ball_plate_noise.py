@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from chances import LONG
 from chances import share as by_chance
+from coded import coded
 from exact_plate import ExactPlate
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
+from rotcal_ros.methods.ball_plate.solver.result import SCATTER_UNEQUALLY
 
 SIGMA = 5e-8
 SIX = [0, 3, 4, 9, 14, 20]
@@ -33,7 +35,7 @@ def exact(plate):
 
 def axis_noise(result):
     """What a result says that centres scatter along x, y and z, m."""
-    (text,) = [text for text in result.warnings if "scatter unequally" in text]
+    (text,) = [text for text in result.warnings if SCATTER_UNEQUALLY in coded(text)]
     found = re.search(r"by (\S+), (\S+), (\S+) um along", text).groups()
     return 1e-6 * np.array(found, dtype=float)
 

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded
 from exact_plate import ExactPlate
 from plate_data import PAPER_PLATE, RADIUS, grid_rows
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods.ball_plate.solver import solve
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.screening import screen
+from rotcal_ros.methods.ball_plate.solver.screening import AT_STEP, screen
 
 GRID = 72
 STEP = 2 * np.pi / GRID
@@ -85,7 +86,7 @@ def test_a_centre_may_lie_a_quarter_step_from_its_place(sign):
     assert refused(perfect(turned=one(sign * 0.249 * STEP))) == []
     (rejection,) = screen(perfect(turned=one(sign * 0.251 * STEP)))[1]
     assert rejection.index == 100
-    assert "the centre lies 1.25 degrees from its place" in rejection.why
+    assert coded(rejection.why)[AT_STEP][0][0] == pytest.approx(1.255, abs=1e-6)
 
 
 def test_a_centre_at_another_ball_is_named():

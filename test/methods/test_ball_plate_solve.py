@@ -5,14 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG, most, share
+from coded import coded
 from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
 
+from rotcal_ros.adjust.engine import SCATTERS
 from rotcal_ros.adjust.kernels import Defined
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, select, solve
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
+from rotcal_ros.methods.ball_plate.solver.screening import TWICE
 
 
 def at(place_of, grid=72, balls=PAPER_PLATE, noise=1e-7):
@@ -94,7 +97,7 @@ def test_stated_noise_is_tested_and_the_larger_one_used():
     result = solve(problem)
     assert result.verdict == "suspect"
     assert result.sigma0 == pytest.approx(2.0, rel=0.1)
-    assert any("times as stated" in text for text in result.warnings)
+    assert SCATTERS in coded(*result.warnings)
     good = solve(replace(problem, sigma=2e-7))
     assert good.verdict == "ok"
     assert 0.8 < good.std["ECC"][0] / result.std["ECC"][0] < 1.2
@@ -181,7 +184,7 @@ def test_doubled_ball_with_another_missing_sets_both_aside():
     ball[wrong], centres[wrong] = 8, centres[index_of(problem, 10, 8)]
     result = solve(replace(problem, centres=centres, ball_step=ball))
     assert len(result.rejected) == 2
-    assert "2 times while ball 12 is missing there" in result.rejected[0].why
+    assert coded(result.rejected[0].why)[TWICE] == [(2, "12")]
 
 
 @pytest.mark.parametrize(("jump", "moment"), [(3e-7, 431), (3e-6, 300)])

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from coded import coded
 
 from rotcal_ros.foundation.arrays import rms_about_mean
 from rotcal_ros.foundation.errors import PlanError
@@ -15,6 +16,7 @@ from rotcal_ros.methods.goal import goal_standing
 from rotcal_ros.methods.tracer.goal_policy import compare, papers_plan
 from rotcal_ros.methods.tracer.method import problem
 from rotcal_ros.methods.tracer.solver.prediction import predicted
+from rotcal_ros.methods.tracer.solver.solve import IN_ONE_PLANE
 from rotcal_ros.planning.choices import Choice, Standing
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -136,10 +138,10 @@ def test_the_solver_begins_where_the_tracer_stands():
         for more in ([], ["plan.tracer_m=[]"])
     )
     warnings = [
-        " ".join(c.solve(c.measured({}, seed=1).observations).warnings) for c in (placed, silent)
+        coded(*c.solve(c.measured({}, seed=1).observations).warnings) for c in (placed, silent)
     ]
-    assert "in one plane" not in warnings[0]
-    assert "in one plane" in warnings[1]
+    assert IN_ONE_PLANE not in warnings[0]
+    assert IN_ONE_PLANE in warnings[1]
 
 
 def test_the_standing_counts_and_tells_why_it_stopped(demo):

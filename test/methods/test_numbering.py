@@ -5,10 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.tracer import solver as tracer
+from rotcal_ros.methods.tracer.solver.observability import (
+    MOVES_TOO_LITTLE,
+    NUMBERED_OFF,
+    ROUND_THE_TABLE,
+    STATE_THE_PLACE,
+    WOULD_SHOW,
+)
 
 CONFIG = Path(__file__).parents[2] / "config"
 ONE = ("plan.box_points=[3, 3, 2]", "planner.policy=as_listed", "plan.table_positions=12")
@@ -53,10 +61,10 @@ def test_a_stated_place_tells_positions_that_are_numbered_off(shift):
     calibration, places = one_place()
     result = solved(calibration, places, lambda i, n: (i + shift) % n)
     assert result.verdict == "suspect"
-    (text,) = [w for w in result.warnings if "numbered off by" in w]
-    assert f"numbered off by {abs(shift)}" in text
-    assert f"{30.0 * shift:.1f} degrees round the table" in text
-    assert "plan.tracer_m" in text
+    found = coded(*result.warnings)
+    ((_, _, count, where),) = found[NUMBERED_OFF]
+    assert (count, where) == (abs(shift), "plan.tracer_m")
+    assert found[ROUND_THE_TABLE][0][0] == pytest.approx(30.0 * shift, abs=0.05)
 
 
 def test_rightly_numbered_positions_pass_with_a_place_known_to_a_centimetre():
@@ -86,10 +94,12 @@ def test_without_a_stated_place_it_is_named_as_no_length_tells_it(shift):
     result = solved(bare, places, lambda i, n: (i + shift) % n)
     assert result.verdict == "ok"
     assert "numbering" in result.verdict_line
-    assert "state plan.tracer_m" in numbering(result).why
+    ((_, where),) = coded(numbering(result).why)[STATE_THE_PLACE]
+    assert where == "plan.tracer_m"
     told = solved(calibration, places, lambda i, n: i)
     assert "numbering" not in told.verdict_line
-    assert "34 mm or farther" in numbering(told).why  # 2 x 65.2 mm x sin 15 degrees
+    ((apart, _),) = coded(numbering(told).why)[WOULD_SHOW]
+    assert apart == pytest.approx(34.0, abs=0.5)  # 2 x 65.2 mm x sin 15 degrees
 
 
 def test_positions_nearer_to_each_other_than_the_stated_place_is_known_are_named():
@@ -97,7 +107,8 @@ def test_positions_nearer_to_each_other_than_the_stated_place_is_known_are_named
     calibration, places = one_place("plan.table_positions=72", "plan.table_step_deg=5.0")
     result = solved(calibration, places, lambda i, n: (i + 1) % n)
     assert "numbering" in result.verdict_line
-    assert "moves 5.7 mm from one position to the next" in numbering(result).why
+    ((_, moved, *_),) = coded(numbering(result).why)[MOVES_TOO_LITTLE]
+    assert moved == pytest.approx(5.7, abs=0.05)
 
 
 def test_what_was_captured_is_numbered_by_the_feedback_of_the_table():
@@ -115,8 +126,8 @@ def test_a_place_that_is_off_by_no_whole_positions_is_a_warning():
     c, s = np.cos(0.4), np.sin(0.4)
     x, y, z = places[0]
     result = solved(calibration, [(c * x - s * y, s * x + c * y, z)], lambda i, n: i)
-    (told,) = [w for w in result.warnings if "round the table" in w]
-    assert "22.9 degrees round the table, 26 mm" in told
+    ((turned, away, _),) = coded(*result.warnings)[ROUND_THE_TABLE]
+    assert (turned, away) == (pytest.approx(22.9, abs=0.05), pytest.approx(26.0, abs=0.5))
     assert result.verdict == "ok"
 
 
@@ -138,7 +149,7 @@ def test_scripts_state_the_place_by_start_values():
     posed = replace(posed, targets=posed.targets + beside)
     found = tracer.solve(posed)
     assert found.verdict == "suspect"
-    assert any("numbered off by 1" in warning for warning in found.warnings)
+    assert coded(*found.warnings)[NUMBERED_OFF][0][2] == 1
     assert "numbering" in tracer.solve(replace(posed, start_stations=None)).unprotected
 
 
@@ -155,11 +166,11 @@ def six_places():
 def test_six_deviations_tell_it_by_the_places_of_the_plan(shift):
     calibration, places = six_places()
     result = solved(calibration, places, lambda i, n: (i + shift) % n)
-    told = [w for w in result.warnings if "numbered off by" in w]
-    assert len(told) == (shift != 0), result.warnings
+    off = coded(*result.warnings).get(NUMBERED_OFF, [])
+    assert len(off) == (shift != 0), result.warnings
     if shift:
         assert result.verdict == "suspect"
-        assert f"numbered off by {abs(shift)}" in told[0]
+        assert off[0][2] == abs(shift)
 
 
 def test_six_deviations_of_positions_shifted_by_several_are_refused():

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded
 from plate_data import RADIUS, grid_rows, simulated
 from plate_disturbed import measured
 
@@ -15,7 +16,12 @@ from rotcal_ros.methods.ball_plate.solver import (
     plate_trials,
     solve,
 )
-from rotcal_ros.methods.ball_plate.solver.separability import Separability, separability
+from rotcal_ros.methods.ball_plate.solver.result import ORIGIN_DRIFTS
+from rotcal_ros.methods.ball_plate.solver.separability import (
+    WEAKLY_SEPARATED,
+    Separability,
+    separability,
+)
 
 
 def slope_of(problem):
@@ -96,7 +102,7 @@ def test_balls_side_by_side_separate_weakly(grid, balls):
     assert bool(found.weak) == (grid == 24)
     problem, _ = simulated(grid, balls)
     warnings = solve(problem).warnings
-    assert any(text.startswith("only weakly separated: ") for text in warnings) == (grid == 24)
+    assert (WEAKLY_SEPARATED in coded(*warnings)) == (grid == 24)
 
 
 def test_rejected_centres_stay_rejected_in_trials():
@@ -122,7 +128,7 @@ def test_a_drift_is_estimated_in_every_group():
     )
     drift = np.array([0.0, 0.0, 2e-6])  # along z, which the turned frames of groups share
     result = solve(replace(still, centres=still.centres + np.outer(still.run_time, drift)))
-    (text,) = [text for text in result.warnings if "drifts by" in text]
+    (text,) = [text for text in result.warnings if ORIGIN_DRIFTS in coded(text)]
     found = re.search(r"by \((\S+) \+- \S+, (\S+) \+- \S+, (\S+)", text).groups()
     np.testing.assert_allclose(1e-6 * np.array(found, float), drift, atol=1.5e-7)
 

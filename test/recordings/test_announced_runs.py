@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 from bag_samples import CONFIGURATION, START_NS, STORE, encode, open_writer, serialised
+from coded import coded
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.publishers import RUN
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.nodes.player.replayed_bag import ReplayedBag
-from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.replay import STRANGERS_PLANS, read_recording
 
 OTHER = CONFIGURATION.replace("window_samples: 30", "window_samples: 20")
 OURS, THEIRS = f"ours@{START_NS + 1}", f"theirs@{START_NS + 2}"
@@ -67,7 +68,7 @@ def test_the_runs_own_plan_counts_by_its_identity(
     assert recording.configuration.text == CONFIGURATION
     assert recording.observations == read_recording(run_bag).observations
     assert recording.foreign_plans == 1
-    assert any("1 plans on plan belong to no run" in text for text in recording.warnings())
+    assert coded(*recording.warnings())[STRANGERS_PLANS] == [(1, "plan")]
     replayed = ReplayedBag.read(file)
     assert (replayed.plan_id, replayed.configuration) == ("ours", CONFIGURATION)
     assert replayed.strangers == {THEIRS}

@@ -21,6 +21,7 @@ from bag_samples import (
     serialised,
     write_run,
 )
+from coded import coded
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.interrupted_files import InterruptedSession
@@ -31,7 +32,7 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import LengthStatus, Observation, TracerSample
 from rotcal_ros.methods.configuration import parse_configuration, read_configuration, read_policy
-from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.replay import CAPTURED_OTHERWISE, read_recording
 from rotcal_ros.recordings.summary import describe
 from rotcal_ros.recordings.topics import Topics
 
@@ -66,7 +67,7 @@ def test_given_configuration_wins(run_bag: Path) -> None:
     recording = read_recording(run_bag, configuration=parse_configuration(text))
     assert {o.n_samples for o in recording.observations} == {20}
     assert not recording.same_as_recorded
-    assert any("differ from those captured live" in text for text in recording.warnings())
+    assert CAPTURED_OTHERWISE in coded(*recording.warnings())
 
 
 @pytest.mark.parametrize("method", ["tracer", "ball_plate", "plane_mirror"])
@@ -85,7 +86,7 @@ def test_what_another_set_up_does_not_find_again_differs_and_nothing_breaks(run_
     text = CONFIGURATION.replace("window_samples: 30", "window_samples: 30000")
     recording = read_recording(run_bag, configuration=parse_configuration(text))
     assert not [o for o in recording.observations if o.accepted]
-    assert any("differ from those captured live" in text for text in recording.warnings())
+    assert CAPTURED_OTHERWISE in coded(*recording.warnings())
 
 
 def test_truncated_bag_gives_the_first_observations(

@@ -16,7 +16,7 @@ from rotcal_ros.adjust.model import Model, block_rows
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
@@ -46,6 +46,12 @@ from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import planned_table
 from rotcal_ros.planning.plan import Plan, numbered_steps, pauses_at_stations
 from rotcal_ros.planning.readings import Readings
+
+ALL_FIT_IF: Final = noted("all readings fit if {0}: correct what is stated")
+REFERENCE_IN_RESULT: Final = noted(
+    "the errors of the reference are in the result: there is one shift and no certificate; add "
+    "shifts, or solver.reference_errors_arcsec"
+)
 
 NAME: Final = "angle_comparison"
 NOWHERE: Final = (0.0, 0.0, 0.0)
@@ -117,15 +123,10 @@ def states(
     """Return what is doubted, and what is done about effects that no reading can show."""
     rival, doubts = rivalry(configuration.plan, configuration.solver, read, found), []
     if REFERENCE not in found.further:
-        doubts.append(
-            phrase(
-                "the errors of the reference are in the result: there is one shift and no "
-                "certificate; add shifts, or solver.reference_errors_arcsec"
-            )
-        )
+        doubts.append(phrase(REFERENCE_IN_RESULT))
     if rival.better:
         others = reduce(partial(phrase, "{0}, or if {1}"), rival.better[:MOST_NAMED])
-        doubts.append(phrase("all readings fit if {0}: correct what is stated", others))
+        doubts.append(phrase(ALL_FIT_IF, others))
     stated = {p.effect: p for p in (*_unread(), _arrivals(found), _gauge(configuration, found))}
     for protection in rival.protections():
         if protection.treatment == "not protected" or protection.effect != "gauge":

@@ -20,7 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.protection import TOLERABLE, Effect, Protection
 from rotcal_ros.foundation.units import DEGREE, TURN
 from rotcal_ros.methods.angle_comparison.model import (
@@ -35,6 +35,9 @@ from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonSolverSettings,
 )
 from rotcal_ros.planning.readings import Readings
+
+COUNT: Final = noted("readings count {0}")
+STOOD_AT: Final = noted("setting {0} stood at {1:g} deg, not at {2:g}")
 
 READ: Final = 8000
 """Readings that are solved again for rivals, one after the other."""
@@ -60,9 +63,7 @@ def rivals_of(plan: ComparisonPlanSettings, solver: ComparisonSolverSettings) ->
         return  # the reference is taken for perfect: it has no numbers
     for counting in SIGNS.keys() - {solver.readings_count} if certified else ():
         counted = replace(solver, readings_count=counting)
-        yield Rival(
-            "sign of readings", phrase("readings count {0}", phrase(counting)), plan, counted
-        )
+        yield Rival("sign of readings", phrase(COUNT, phrase(counting)), plan, counted)
     for what, errors in (
         (phrase("the signs of the certificate are reversed"), tuple(-e for e in stated)),
         (
@@ -87,7 +88,7 @@ def _shifts_of(
     def moved(by: int) -> Iterator[tuple[Phrase, tuple[float, ...]]]:
         for k in range(first, len(stated)):
             there = low + (stated[k] + by * step - low) % 360.0
-            what = phrase("setting {0} stood at {1:g} deg, not at {2:g}", k, there, stated[k])
+            what = phrase(STOOD_AT, k, there, stated[k])
             yield what, (*stated[:k], there, *stated[k + 1 :])
 
     for by in (1, -1):

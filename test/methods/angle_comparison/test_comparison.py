@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded
 from scipy.spatial.transform import Rotation
 
 from rotcal_ros.adjust import engine
@@ -18,7 +19,9 @@ from rotcal_ros.methods import (
     prepare_to_measure,
     read_configuration,
 )
+from rotcal_ros.methods.angle_comparison.method import ALL_FIT_IF, REFERENCE_IN_RESULT
 from rotcal_ros.methods.angle_comparison.model import REFERENCE, Circles, model_of
+from rotcal_ros.methods.angle_comparison.rivals import STOOD_AT
 from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonPlanSettings,
     ComparisonSolverSettings,
@@ -348,7 +351,7 @@ def test_one_shift_alone_takes_the_reference_for_perfect_and_says_so():
     world = World(planned((0,)))
     result = solved(world, "plan.shifts_deg=[0.0]")
     assert result.verdict == "suspect"
-    assert result.warnings[0].startswith("the errors of the reference are in the result")
+    assert REFERENCE_IN_RESULT in coded(result.warnings[0])
     assert result.deviations["ECC"] == pytest.approx(world.value - world.value[0], abs=1e-17)
     assert not result.details["also"]
     world.value = world.noisy()  # which the closure shows
@@ -371,7 +374,8 @@ def test_a_reference_shifted_by_another_step_than_stated_is_not_ok():
     stated.value = world.value
     result = solved(stated)
     assert result.verdict != "ok"
-    assert "all readings fit if setting 2 stood at 180 deg, not at 150" in result.warnings[0]
+    assert ALL_FIT_IF in coded(result.warnings[0])
+    assert (2, 180.0, 150.0) in coded(result.warnings[0])[STOOD_AT]
 
 
 def configured(**settings):

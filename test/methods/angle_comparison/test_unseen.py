@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from circle_world import FOUR, NOISE, THREE, TURN, TWO, CircleWorld, solved, stated
 from click.testing import CliRunner
+from coded import coded
 
 from rotcal_ros import read_result
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.angle_comparison.model import model_of, readings_of
+from rotcal_ros.methods.angle_comparison.rivals import COUNT
 from rotcal_ros.methods.dry_run import prospects
 
 
@@ -142,7 +144,7 @@ def test_a_certificate_that_shifts_check_shows_the_sign_of_the_readings():
     assert right.verdict == "ok"
     assert {"gauge", "numbering", "sign of readings"}.isdisjoint(right.unprotected)
     wrong = solved(stated(THREE, world.certificate), -world.read(THREE))
-    assert any("readings count against the table" in warning for warning in wrong.warnings)
+    assert coded(*wrong.warnings)[COUNT] == [("against the table",)]
 
 
 def test_a_plan_says_beforehand_what_it_cannot_show_and_what_one_more_setting_brings():

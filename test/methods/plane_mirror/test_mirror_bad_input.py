@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG, most
+from coded import coded
 from mirror_cell import measure, paper_cell, ring_cell
 from mirror_scene import only, rows_of, with_points
 
+from rotcal_ros.adjust.engine import SCATTERS
+from rotcal_ros.adjust.look import BEYOND
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, check_nests, solve
+from rotcal_ros.methods.plane_mirror.solver.set_up import NO_POINTS, STEEP
+from rotcal_ros.methods.plane_mirror.solver.solve import REPEATS_DIFFER
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
 
@@ -81,7 +86,8 @@ def test_third_reflector_outvotes_the_wrong_one():
     bad = with_points(problem, {m: problem.xyz[m] + np.array([0.0, 0.0, 4e-4])})
     result = solve(bad)
     assert {r.index for r in result.rejected} == {d, m}
-    assert "nest 2): its test value" in result.rejected[0].why
+    assert BEYOND in coded(result.rejected[0].why)
+    assert result.rejected[0].why.parts[0].endswith("nest 2)")
     assert not result.residuals.used[[d, m]].any()
     assert np.abs(result.deviations["ECC"] - truth()).max() < 5 * ARCSEC
 
@@ -91,9 +97,10 @@ def test_mirror_beyond_its_incidence_range():
     problem = simulated(incidence_limit=33.0 * DEGREE)
     result = solve(problem)
     assert result.rejected
-    assert "beyond the limit of 33 deg" in result.rejected[0].why
+    ((*_, limit),) = coded(result.rejected[0].why)[STEEP]
+    assert limit == pytest.approx(33.0)
     assert result.verdict == "suspect"
-    assert "no usable points at" in result.warnings[0]
+    assert NO_POINTS in coded(result.warnings[0])
     assert len(result.angles) == len(result.deviations["ECC"]) < 17
     with pytest.raises(DataError, match=r"every beam strikes the mirror beyond 0.5 deg"):
         solve(simulated(incidence_limit=0.5 * DEGREE))
@@ -180,7 +187,7 @@ def test_three_nests_tell_that_one_moved_but_not_which():
     row = rows_of(problem, kind=NEST, nest=2, station=3)[0]
     result = solve(with_points(problem, {row: problem.xyz[row] + np.array([4e-4, 4e-4, 0.0])}))
     assert result.verdict != "ok"
-    assert any("times as stated" in text for text in result.warnings)
+    assert SCATTERS in coded(*result.warnings)
     off = np.abs(result.deviations["ECC"] - truth())[1:]
     assert np.all(off < 4.0 * result.std["ECC"][1:])
 
@@ -193,7 +200,8 @@ def test_position_commanded_twice_with_different_results():
         measure(cell, deviations, TrackerNoise(), np.random.default_rng(2), way="joint")
     )
     assert result.verdict == "suspect"
-    assert "positions commanded to 0 and 360 deg differ by" in result.warnings[0]
+    ((first, last, *_),) = coded(result.warnings[0])[REPEATS_DIFFER]
+    assert (first, last) == pytest.approx((0.0, 360.0))
     assert result.details["closure_rad"] == pytest.approx(30 * ARCSEC, abs=5 * ARCSEC)
 
 

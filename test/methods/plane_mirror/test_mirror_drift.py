@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG, most, share
+from coded import coded
 from drifting_tracker import ARCSEC, Creep, campaign
 from mirror_scene import estimates, only
 from scipy.stats import binom
@@ -12,7 +13,13 @@ from scipy.stats import binom
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.plane_mirror.solver import check_nests, solve
 from rotcal_ros.methods.plane_mirror.solver.problem import nest_rounds
-from rotcal_ros.methods.plane_mirror.solver.solve import MirrorSolution
+from rotcal_ros.methods.plane_mirror.solver.solve import (
+    AS_PRINTED,
+    MOVED_BETWEEN_ROUNDS,
+    NOT_MEASURED_AGAIN,
+    UNSEEN_DRIFT,
+    MirrorSolution,
+)
 
 RUNS = 600 if LONG else 100
 ABOUT = (0.93, 0.97) if LONG else share(0.95, RUNS)
@@ -81,7 +88,7 @@ def test_a_printed_way_says_what_the_drift_does_to_it(way):
     """It takes none into account; U holds what the model found of it."""
     found = campaign(CREEPS["azimuth"])
     result = solve(found.problem(found.noisy(np.random.default_rng(2), 1)[0], way=way))
-    assert any("as printed, takes no drift" in text for text in result.warnings)
+    assert AS_PRINTED in coded(*result.warnings)
     assert result.verdict == "suspect"
     error = (result.deviations["ECC"] - found.ecc)[1:] / result.std["ECC"][1:]
     assert np.abs(error).max() < 3.5
@@ -102,7 +109,7 @@ def test_without_closing_nests_the_drift_is_named():
     errors, result = runs(CREEPS["azimuth"], closing=False)
     assert coverage(errors, result) < 0.9
     assert effect_of(result)["drift"].treatment == "not protected"
-    assert "station 0, 1, 2, 3, 4, 5" in effect_of(result)["drift"].why
+    assert coded(effect_of(result)["drift"].why)[NOT_MEASURED_AGAIN] == [("0, 1, 2, 3, 4, 5",)]
     assert "drift" in result.unprotected
     assert "drift" not in result.details
 
@@ -114,7 +121,7 @@ def test_a_station_left_without_closing_nests_is_named():
     kept = ~((problem.station == 3) & (rounds == rounds[problem.station == 3].max()))
     drift = effect_of(solve(only(problem, kept)))["drift"]
     assert drift.treatment == "not protected"
-    assert "left station 3," in drift.why
+    assert coded(drift.why)[NOT_MEASURED_AGAIN] == [("3",)]
 
 
 @pytest.mark.slow
@@ -122,8 +129,8 @@ def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
     found = campaign(CREEPS["azimuth"])
     result = solve(found.problem(found.noisy(np.random.default_rng(2), 1)[0]))
     assert result.verdict == "suspect"
-    assert "tracker station 0 moved between rounds of nests (azimuth 3." in result.warnings[0]
-    assert "plan.nests_every" in result.warnings[0]
+    ((station, azimuth, *_),) = coded(result.warnings[0])[MOVED_BETWEEN_ROUNDS]
+    assert (station, int(azimuth)) == ("0", 3)
     shown = campaign(CREEPS["azimuth"], every=1)
     result = solve(shown.problem(shown.noisy(np.random.default_rng(2), 1)[0]))
     assert result.verdict == "ok", result.warnings
@@ -250,9 +257,9 @@ def test_a_drift_that_swings_between_two_rounds_of_nests_is_named_with_its_size(
     told = effect_of(result)["uneven drift"]
     assert told.treatment == "not protected"
     assert "uneven drift" in result.unprotected
-    assert "plan.nests_every" in told.why
+    assert UNSEEN_DRIFT in coded(told.why)
     moved = np.abs(swung - still)[1:]
     worst = float((moved / result.std["ECC"][1:]).max())
     assert worst > 1.5  # it matters,
-    figure = float(told.why.split("up to ")[1].split()[0])
+    ((figure,),) = coded(told.why)[UNSEEN_DRIFT]
     assert worst < 2.5 * figure  # by what is said of an arcsecond here and at the first position

@@ -7,6 +7,7 @@ import gathered_worlds as worlds
 import numpy as np
 import pytest
 from chances import LONG
+from coded import coded
 from drifting_tracker import KINDS, campaign
 from gathered_worlds import ARCSEC, carried_world, mirror_world
 from mirror_scene import estimates
@@ -17,7 +18,7 @@ from rotcal_ros.methods.plane_mirror.solver import (
     mirror_trials,
     solve,
 )
-from rotcal_ros.methods.plane_mirror.solver.solve import MirrorSolution
+from rotcal_ros.methods.plane_mirror.solver.solve import STATED_SWING, MirrorSolution
 
 WAYS = ("stitching", "registration", "joint")
 
@@ -160,7 +161,7 @@ def test_u_holds_a_swing_of_an_arcsecond_between_two_looks_at_the_nests(cycles):
         assert (np.abs(caused)[1:] / result.std["ECC"][1:]).max() < 2.5
         told = {p.effect: p for p in result.protections}["uneven drift"]
         assert told.treatment == "bounded"
-        assert "0.5 arcsec" in told.why
+        assert coded(told.why)[STATED_SWING] == [(pytest.approx(0.5),)]
 
 
 @pytest.mark.slow

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG
+from coded import coded
 from mirror_cell import measure, paper_cell, ring_cell
 from mirror_scene import PLACES, estimates, measured
 
 from rotcal_ros.adjust.closures import Closure
+from rotcal_ros.adjust.engine import SCATTERS, UNCONTRADICTED
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
@@ -40,7 +42,7 @@ def test_what_is_measured_once_checks_nothing():
     cell = ring_cell(np.radians([0.0, 30.0, 60.0]), ((0, 1, 2),))
     result = solve(measured("stitching", cell))
     assert (result.dof, result.sigma0, result.verdict) == (0, 1.0, "suspect")
-    assert any("nothing could contradict" in text for text in result.warnings)
+    assert UNCONTRADICTED in coded(*result.warnings)
     assert "stations" not in result.details
     assert "closure_rad" not in result.details
 
@@ -173,7 +175,7 @@ def test_too_small_a_noise_scales_the_covariance(way):
     result = solve(problem)
     assert result.sigma0 > 1.5
     assert result.verdict == "suspect"
-    assert any("times as stated" in text for text in result.warnings)
+    assert SCATTERS in coded(*result.warnings)
     n, step = problem.xyz.size, 1e-6
     moved = problem.xyz + step * np.eye(n).reshape(n, *problem.xyz.shape)
     slope = (estimates(problem, moved) - estimates(problem, 2.0 * problem.xyz - moved)) / (

@@ -4,10 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded
 
 import rotcal_ros as rc
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
-from rotcal_ros.methods.tracer.solver.stations import StationProblem, solve
+from rotcal_ros.methods.tracer.solver.stations import (
+    DIFFER_AT_ONE_ANGLE,
+    MORE_THAN_STATED,
+    StationProblem,
+    solve,
+)
 
 DATA = Path(__file__).parents[3] / "examples" / "data"
 ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))
@@ -51,7 +57,8 @@ def test_a_statement_that_the_circle_contradicts_is_replaced():
     assert believed.verdict == "ok"
     doubted = solve(posed(stations, error_motion_std=1e-7))
     assert doubted.verdict == "suspect"
-    assert "more than the stated 0.1 um explain" in doubted.warnings[0]
+    ((*_, stated, _used),) = coded(doubted.warnings[0])[MORE_THAN_STATED]
+    assert stated == pytest.approx(0.1)
     assert doubted.std["ECC"].max() > 0.5 * believed.std["ECC"].max()
 
 
@@ -71,7 +78,7 @@ def test_an_angle_that_comes_again_has_to_agree():
     )
     assert sound.verdict == "ok"
     assert moved.verdict == "suspect"
-    assert "stand at the same table angle but differ" in moved.warnings[0]
+    assert DIFFER_AT_ONE_ANGLE in coded(moved.warnings[0])
 
 
 def test_a_table_of_stations_has_no_targets(tmp_path):

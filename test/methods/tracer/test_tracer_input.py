@@ -5,12 +5,17 @@ import json
 import numpy as np
 import pytest
 from chances import LONG, most
+from coded import coded
 from tracer_scene import arc, low_ring, simulate
 
+from rotcal_ros.adjust.engine import MANY_LOST, SCATTERS
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.posed import SAME_ANGLE_DIFFERS
+from rotcal_ros.methods.tracer.solver.problem import REPEATS, TOO_FAR, TOO_FEW
+from rotcal_ros.methods.tracer.solver.solve import IN_ONE_PLANE, LEAVE_THE_CIRCLE
 
 SCENE = simulate(seed=1)
 VARIANTS = [
@@ -106,9 +111,9 @@ def test_identical_repetition_is_dropped_and_counted():
         for name in ("position", "target", "length")
     }
     result = solve(SCENE.problem(**again))
-    assert [(r.index, r.why) for r in result.rejected] == [
-        (704, "repeats row 5 (station 0, target 5)")
-    ]
+    (rejection,) = result.rejected
+    assert rejection.index == 704
+    assert coded(rejection.why)[REPEATS] == [(5, "station 0, target 5")]
     assert (result.deviations["ECC"] == solve(problem).deviations["ECC"]).all()
     assert not result.residuals.used[704]
     assert result.verdict == "ok"
@@ -141,7 +146,8 @@ def test_spikes_are_rejected_flagged_and_harmless(options):
     assert result.residuals.used.sum() == 704 - 5
     # a rejected length keeps its residual: what was added to it
     assert result.residuals.residual[spoilt_rows[:4]] == pytest.approx(sizes[:4], abs=3e-6)
-    assert "differs by 7" in result.rejected[4].why
+    ((_, _, apart, _),) = coded(result.rejected[4].why)[TOO_FAR]
+    assert apart == pytest.approx(7.0, abs=0.5)
     error = np.abs(result.deviations["ECC"] - scene.deviation)
     assert (error <= 4 * result.std["ECC"] + 1e-15).all()
     assert result.verdict == "ok"
@@ -174,7 +180,8 @@ def test_many_spikes_are_suspicious():
     length[::25] += 1e-4
     result = solve(SCENE.problem(length=length))
     assert result.verdict == "suspect"
-    assert any("more than 3 % is suspicious" in text for text in result.warnings)
+    ((*_, share),) = coded(*result.warnings)[MANY_LOST]
+    assert share == pytest.approx(3.0)
 
 
 def test_the_uncertainty_follows_the_noise_not_its_statement():
@@ -185,7 +192,7 @@ def test_the_uncertainty_follows_the_noise_not_its_statement():
     assert bold.sigma0 == pytest.approx(2 * honest.sigma0, rel=1e-3)
     found = honest.std["ECC"] * honest.sigma0
     assert bold.std["ECC"] == pytest.approx(found, rel=2e-2)
-    assert any("lengths is 2 times as stated" in text for text in bold.warnings)
+    assert coded(*bold.warnings)[SCATTERS] == [("the lengths", pytest.approx(2.0, abs=0.05))]
     modest = solve(SCENE.problem(length_std=4e-7))
     assert modest.std["ECC"] == pytest.approx(found, rel=2e-2)
     assert modest.verdict == "ok"
@@ -211,14 +218,14 @@ def test_closure_that_does_not_close_is_suspect():
     result = solve(scene.problem(length=(distance + noise).ravel()))
     assert result.verdict == "suspect"
     assert result.details["closure"][0]["error"] == pytest.approx(20 * ARCSEC, abs=2 * ARCSEC)
-    assert any("same table angle" in text for text in result.warnings)
+    assert SAME_ANGLE_DIFFERS in coded(*result.warnings)
 
 
 def test_unstated_error_motion_is_seen_on_the_circle():
     scene = simulate(seed=13, layout=low_ring, error_motion=2e-6)
     result = solve(scene.problem())
     assert result.verdict == "suspect"
-    assert any("error motion is larger" in text for text in result.warnings)
+    assert LEAVE_THE_CIRCLE in coded(*result.warnings)
     stated = solve(scene.problem(error_motion_std=2e-6))
     assert stated.verdict == "ok"
     assert stated.budget["error_motion"][1:].min() > 5 * ARCSEC
@@ -244,7 +251,7 @@ def test_blocked_station_is_left_out_and_said():
     assert result.angles.tolist() == np.delete(SCENE.angles, 4).tolist()
     assert result.details["station_ids"].tolist() == [0, 1, 2, 3, 5, 6, 7, 8, 9, 10]
     assert len(result.rejected) == 3
-    assert "station 4 has 3 usable lengths, 4 are needed" in result.rejected[0].why
+    assert coded(result.rejected[0].why)[TOO_FEW] == [("station 4", 3, 4)]
     assert result.verdict == "suspect"
     assert np.isnan(result.residuals.residual[~result.residuals.used]).all()
     assert json.loads(result.to_json())["verdict"] == "suspect"
@@ -293,7 +300,7 @@ def test_targets_in_one_plane_above_the_tracer():
     scene = simulate(seed=14, layout=flat)
     result = solve(scene.problem())
     assert result.details["stations"] == pytest.approx(scene.stations, abs=2e-6)
-    assert any("one plane" in text for text in result.warnings)
+    assert IN_ONE_PLANE in coded(*result.warnings)
     mirror = scene.stations * [1, 1, -1] + [0, 0, 0.8]
     above = solve(scene.problem(start_stations=mirror + 1e-3))
     assert above.details["stations"] == pytest.approx(mirror, abs=2e-6)

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG
+from coded import coded
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods.tracer.solver import adjust, solve
+from rotcal_ros.methods.tracer.solver.solve import JOINED
 
 STD = 2e-7
 OFFSET = 37e-6
@@ -53,7 +55,8 @@ def test_another_zero_is_found_and_leaves_no_trace():
     assert result.verdict == undisturbed.verdict == "ok"
     moved = np.abs(result.deviations["ECC"] - undisturbed.deviations["ECC"])
     assert (moved <= result.std["ECC"] + 1e-12).all()
-    assert "joined by 8 steps measured again" in " ".join(result.warnings)
+    ((_, steps, *_),) = coded(*result.warnings)[JOINED]
+    assert steps == 8
     # Without the join the other zero is seen.
     assert solve(changed).verdict != "ok"
 

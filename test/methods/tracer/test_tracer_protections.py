@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 from chances import LONG
+from coded import coded
 
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.reporting import ALONG_ITS_CIRCLE
+from rotcal_ros.methods.tracer.solver.solve import LIKE_THE_TABLE
 
 STATIONS, TARGETS, RADIUS = 12, 24, 0.09
 LENGTH, TARGET = 2e-7, 1e-6
@@ -188,10 +191,10 @@ def test_an_origin_that_drifts_in_step_with_each_turn_is_named_where_the_table_t
     assert spoilt.sigma0 == pytest.approx(sound.sigma0, abs=0.02)
     named = treatments(spoilt)["tangential motion"]
     assert named.treatment == "not protected"
-    assert "a machine whose origin drifts in step with each turn of the table" in named.why
-    assert "um of it is" in named.why
+    assert LIKE_THE_TABLE in coded(named.why)
+    assert ALONG_ITS_CIRCLE in coded(named.why)
     once = treatments(solve(measured(2)))["tangential motion"]
-    assert "in step with each turn" not in once.why
+    assert LIKE_THE_TABLE not in coded(once.why)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -13,9 +14,9 @@ from rotcal_ros.methods.tracer.solver.observability import (
     name_direction,
     weakest_direction,
 )
-from rotcal_ros.methods.tracer.solver.problem import arrange
+from rotcal_ros.methods.tracer.solver.problem import TOO_FEW, arrange
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.methods.tracer.solver.solve import solve
+from rotcal_ros.methods.tracer.solver.solve import NO_DEVIATION, solve
 
 
 def test_what_the_verdict_rests_on_is_counted():
@@ -38,8 +39,8 @@ def test_what_the_verdict_rests_on_is_counted():
     result = solve(scene.problem(**rows))
     assert result.n_observations == 8 * 24 + 4
     assert len(result.rejected) == 6
-    assert any("no deviation for station(s) 6: too few" in text for text in result.warnings)
-    fewer = [r.why for r in result.rejected if "usable lengths" in r.why]
+    assert coded(*result.warnings)[NO_DEVIATION] == [("6",)]
+    fewer = [r.why for r in result.rejected if TOO_FEW in coded(r.why)]
     assert fewer == ["station 6 has 3 usable lengths, 4 are needed"] * 3
     used = result.residuals.used
     assert used.sum() == 8 * 24 - 2

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coded import coded
 from segment_scene import LENGTH_STD, measure
 from tracer_scene import low_ring, paper_block
 
@@ -9,6 +10,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError, Observab
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.solution import adjust
+from rotcal_ros.methods.tracer.solver.solve import AS_FRINGES, IN_ONE_PLANE
 
 
 def test_prediction_of_stations_with_zeros_of_their_own_and_of_known_targets():
@@ -69,7 +71,7 @@ def test_few_lengths_to_level_targets_with_breaks_find_their_start(by_target):
         )
         result = solve(run.problem(0.5 + 1e-3 * segment, segment))
         assert np.abs(result.details["stations"] - run.stations).max() < 2e-5
-        assert any("all targets lie in one plane" in w for w in result.warnings)
+        assert IN_ONE_PLANE in coded(*result.warnings)
         assert result.verdict == "ok"
 
 
@@ -139,7 +141,7 @@ def test_a_slip_is_found_where_it_is_and_a_break_is_told_from_none():
     k = np.arange(280)
     assert solve(run.problem(0.5 + 316e-9 * (k >= 160), 0)).verdict == "suspect"
     result = solve(run.problem(0.5 + 2 * 316e-9 * (k >= 160), 0))
-    assert any("as much as -2 fringe(s), a counter that slipped" in w for w in result.warnings)
+    assert coded(*result.warnings)[AS_FRINGES] == [(-2,)]
     stayed = solve(run.problem(0.5, k // 160))
     assert stayed.verdict == "ok"
     assert stayed.details["segments"][1]["probability"] > 1e-3

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from chances import LONG
+from coded import coded
 from six_coverage import KINDS, TWELVE, coverage
 from six_scene import on_circle, scene
 
+from rotcal_ros.adjust.engine import SCATTERS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.tracer_six.solver import SixProblem, adjust, solve
 
@@ -87,6 +89,6 @@ def test_a_stated_scatter_is_believed_until_the_places_contradict_it():
     rows = scene(np.random.default_rng(5), scatter=(4e-7, 2e-6)).rows
     wrong = solve(SixProblem(**rows, scatter_translation_std=1e-7, scatter_rotation_std=5e-7))
     assert wrong.verdict == "suspect"
-    assert any("the scatter of the arrivals is" in text for text in wrong.warnings)
+    assert "the arrivals" in [what for what, _ in coded(*wrong.warnings)[SCATTERS]]
     right = solve(SixProblem(**rows, scatter_translation_std=4e-7, scatter_rotation_std=2e-6))
     assert right.verdict == "ok"

@@ -20,12 +20,14 @@ from rotcal_ros.adjust.model import CurveModel, Disturbing, Grouping, KnownRelat
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.language import noted
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.solver.layout import ROUNDING, PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 
 UM: Final = Unit("um", MICROMETRE)
 WORDS: Final = Words("centres", "dirt, a touched plate or warm air", "there", "there")
+GREW: Final = noted("the plate grew")
 IN_PLANE: Final = ("the centres in the plane", "the centres along the axis")
 BY_AXIS: Final = ("the centres along x", "the centres along y", "the centres along z")
 LARGEST: Final = 1e-4
@@ -257,7 +259,7 @@ def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
     found = (
         Disturbing("drift", "the origin of the CMM drifts", rows.of(drift_columns(rows.time, 1)),
                    LARGEST, UM),
-        Disturbing("growth", "the plate grew", grown, LARGEST_GROWTH, Unit("um/m", MICROMETRE)),
+        Disturbing("growth", GREW, grown, LARGEST_GROWTH, Unit("um/m", MICROMETRE)),
         Disturbing("knock", "the plate moved on the table", moved.reshape(3 * n, -1), LARGEST, UM,
                    family=True, of_each=6, stays=True, usual=RANDOM_MOMENTS,
                    stands_for=n / len(moments)),

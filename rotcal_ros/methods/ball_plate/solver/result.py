@@ -22,7 +22,7 @@ from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import TOLERABLE, Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Result
@@ -47,6 +47,27 @@ from rotcal_ros.methods.ball_plate.solver.separability import (
     require_balls,
     require_separable,
     separability,
+)
+
+SCATTER_UNEQUALLY: Final = noted(
+    "the centres scatter unequally, by {0} um along x, y and z: each axis counts by its own "
+    "noise; state solver.sigma_axes_m, or find out why"
+)
+OWN_ZEROS: Final = noted("The offset between {0} is not measured: each group has its own zero")
+FEW_BALLS_LEFT: Final = noted(
+    "{0} of {1} table positions have fewer than {2} balls and are left out of the result: {3}"
+)
+PLATE_GREW: Final = noted(
+    "the plate {0} by {1:.3g} um/m over the run, {2}: let plate and machine settle, or measure "
+    "in less time"
+)
+ORIGIN_DRIFTS: Final = noted(
+    "the origin of the CMM drifts by ({0}) um over the run in x, y, z; it is estimated and taken "
+    "off"
+)
+NOT_CLOSED_FORM: Final = noted(
+    "not all centres are left with equal weights, which the closed form needs: the least squares "
+    "took its place (they are the same where both exist)"
 )
 
 METHOD: Final = "ball_plate"
@@ -463,10 +484,7 @@ def _doubts(solution: PlateSolution) -> Iterator[Phrase]:
     odd = solution.alike is not None and solution.alike < AXIS_SIGNIFICANCE
     if odd or least > np.log(UNEQUAL):
         shown = ", ".join(f"{size / MICROMETRE:.3g}" for size in noise.tolist())
-        yield phrase(
-            "the centres scatter unequally, by {0} um along x, y and z: each axis counts by its "
-            "own noise; state solver.sigma_axes_m, or find out why", shown
-        )  # fmt: skip
+        yield phrase(SCATTER_UNEQUALLY, shown)
 
 
 def _of_growth(found: FoundEffect, material: str) -> Phrase:
@@ -481,8 +499,7 @@ def _of_growth(found: FoundEffect, material: str) -> Phrase:
     else:
         cause = phrase("as {0} does that {1} by {2:.2g} K", material, warms, abs(warmed))
     return phrase(
-        "the plate {0} by {1:.3g} um/m over the run, {2}: let plate and machine settle, or "
-        "measure in less time", phrase("grew") if amount > 0.0 else phrase("shrank"),
+        PLATE_GREW, phrase("grew") if amount > 0.0 else phrase("shrank"),
         abs(amount) / MICROMETRE, cause
     )  # fmt: skip
 
@@ -492,30 +509,20 @@ def _warnings(solution: PlateSolution) -> Iterator[Phrase]:
     left_out = np.setdiff1d(np.arange(problem.n_positions), solution.table_positions)
     if len(left_out):
         yield phrase(
-            "{0} of {1} table positions have fewer than {2} balls and are left out of the "
-            "result: {3}", len(left_out), problem.n_positions, MIN_BALLS,
+            FEW_BALLS_LEFT, len(left_out), problem.n_positions, MIN_BALLS,
             ", ".join(map(str, left_out))
         )  # fmt: skip
     if solution.layout.groups > 1:
-        yield phrase(
-            "The offset between {0} is not measured: each group has its own zero",
-            _groups_in_words(solution),
-        )
+        yield phrase(OWN_ZEROS, _groups_in_words(solution))
     elif problem.complete:
         yield from separability(problem.grid, problem.balls).sentences()
     if solution.problem.closed_form and not solution.closes:
-        yield phrase(
-            "not all centres are left with equal weights, which the closed form needs: the least "
-            "squares took its place (they are the same where both exist)"
-        )
+        yield phrase(NOT_CLOSED_FORM)
     if problem.drift:
         drift = _drift(solution)
         size, band = drift["amount"][0] / MICROMETRE, 2.0 * drift["std"][0] / MICROMETRE
         shown = ", ".join(f"{a:.3f} +- {u:.3f}" for a, u in zip(size, band, strict=True))
-        yield phrase(
-            "the origin of the CMM drifts by ({0}) um over the run in x, y, z; it is estimated "
-            "and taken off", shown
-        )  # fmt: skip
+        yield phrase(ORIGIN_DRIFTS, shown)
 
 
 def _drift(solution: PlateSolution) -> dict[str, Floats]:

@@ -8,6 +8,7 @@ Where most do not, the pattern shows the mistake; where a few do not, those rows
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -18,6 +19,15 @@ from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+
+TWICE: Final = noted(
+    "measured {0} times while ball {1} is missing there; which is which is not known"
+)
+OFF_THE_CIRCLE: Final = noted("the centre lies {0:.3f} mm off the circle")
+OFF_ITS_PLACE: Final = noted("the centre lies {0:.2f} degrees from its place")
+AT_STEP: Final = noted(
+    "the centre lies {0:.2f} degrees from its place, where ball step {1} stands"
+)
 
 RADIUS_TOLERANCE = 0.002
 """Largest accepted relative difference between measured and stated ball circle."""
@@ -144,12 +154,12 @@ def _displaced(problem: BallPlateProblem) -> tuple[Ints, list[Phrase]]:
         raise DataError(_mistake(problem, angle))
     _check_whole_balls(problem, bad, on_plate / step)
     found = np.round(on_plate[bad] / step).astype(int) % problem.grid
-    away, there = (
-        noted("the centre lies {0:.2f} degrees from its place"),
-        noted("the centre lies {0:.2f} degrees from its place, where ball step {1} stands"),
-    )
     reasons = [
-        phrase(there if place in problem.balls else away, abs(off[r]) * step / DEGREE, place)
+        phrase(
+            AT_STEP if place in problem.balls else OFF_ITS_PLACE,
+            abs(off[r]) * step / DEGREE,
+            place,
+        )
         for r, place in zip(bad, found, strict=True)
     ]
     return bad, reasons
@@ -262,9 +272,7 @@ def _off_height(problem: BallPlateProblem) -> tuple[Ints, list[Phrase]]:
     distance = np.hypot(problem.centres[:, 0], problem.centres[:, 1]) - problem.radius
     worst = np.where(np.abs(height) > np.abs(distance), height, distance)
     bad = np.flatnonzero(np.abs(worst) > HEIGHT_TOLERANCE * problem.radius)
-    reasons = [
-        phrase("the centre lies {0:.3f} mm off the circle", worst[r] / MILLIMETRE) for r in bad
-    ]
+    reasons = [phrase(OFF_THE_CIRCLE, worst[r] / MILLIMETRE) for r in bad]
     return bad, reasons
 
 
@@ -279,14 +287,7 @@ def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[Phrase]]:
         missing = np.setdiff1d(problem.balls, there)
         if len(missing):
             bad.append(r)
-            reasons.append(
-                phrase(
-                    "measured {0} times while ball {1} is missing there; which is which "
-                    "is not known",
-                    times[r],
-                    ", ".join(map(str, missing)),
-                )
-            )
+            reasons.append(phrase(TWICE, times[r], ", ".join(map(str, missing))))
     return np.array(bad, dtype=np.int64), reasons
 
 

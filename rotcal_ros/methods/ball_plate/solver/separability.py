@@ -37,6 +37,8 @@ from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.methods.ball_plate.solver.layout import PlateLayout
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
+WEAKLY_SEPARATED: Final = noted("only weakly separated: {0}")
+
 MIN_BALLS = 3
 """Balls that a table position needs: two leave the rotation about their line open."""
 TOLERANCE = 1e-9
@@ -94,7 +96,7 @@ class Separability:
                 )
             )
         if self.weak:
-            found.append(phrase("only weakly separated: {0}", _spell(self.weak)))
+            found.append(phrase(WEAKLY_SEPARATED, _spell(self.weak)))
         return tuple(found)
 
 

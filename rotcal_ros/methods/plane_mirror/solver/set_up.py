@@ -17,7 +17,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError, GeometryError
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
@@ -35,6 +35,9 @@ from rotcal_ros.methods.plane_mirror.solver.problem import (
     find_reflectors,
     nest_rounds,
 )
+
+STEEP: Final = noted("angle of incidence {0:.1f} deg is beyond the limit of {1:g} deg")
+NO_POINTS: Final = noted("no usable points at {0}: left out of the result")
 
 MIN_SEPARATION: Final = 1e-3
 """Two reflectors, or a reflector and its image, are never closer than this (m)."""
@@ -84,7 +87,7 @@ def laid_out(
     require_angles(layout, problem.way)
     absent = np.setdiff1d(np.arange(len(problem.angles)), used).tolist()
     names = listed([problem.position_name(i) for i in absent], ", ")
-    missing = (phrase("no usable points at {0}: left out of the result", names),) * bool(absent)
+    missing = (phrase(NO_POINTS, names),) * bool(absent)
     return layout, tuple(rejected), missing
 
 
@@ -157,11 +160,7 @@ def drop_steep(
     rejected = [
         Rejection(
             int(row),
-            phrase(
-                "angle of incidence {0:.1f} deg is beyond the limit of {1:g} deg",
-                angle[pair] / DEGREE,
-                limit,
-            ),
+            phrase(STEEP, angle[pair] / DEGREE, limit),
         )
         for pair in np.flatnonzero(steep)
         for row in (pairs.direct[pair], pairs.mirrored[pair])

@@ -21,7 +21,7 @@ from rotcal_ros.adjust.mapped import MappedFit, mapped
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.results import FreeDirection, Rejection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
@@ -47,6 +47,35 @@ from rotcal_ros.methods.plane_mirror.solver.set_up import (
     joining_nests,
     laid_out,
     require_angles,
+)
+
+STATED_SWING: Final = noted(
+    "by the stated swing of the tracker's azimuth of {0:g} arcsec (uneven_drift_std_arcsec) "
+    "about the straight line between rounds of nests"
+)
+NOT_MEASURED_AGAIN: Final = noted(
+    "the nests were not measured again before the tracker left station {0}, so what it turned by "
+    "while it stood there is in the deviations"
+)
+UNSEEN_DRIFT: Final = noted(
+    "what the tracker turns by between two rounds of nests and back again leaves no trace; 1 "
+    "arcsec of it moves a deviation by up to {0:.2g} standard uncertainties: let it settle, and "
+    "measure the nests more often (plan.nests_every)"
+)
+STOOD_ELSEWHERE: Final = noted("nest {0} stood elsewhere at station {1}")
+AS_PRINTED: Final = noted(
+    "the way {0}, as printed, takes no drift of the tracker into account, which moves deviations "
+    "by up to {1:.2f} arcsec: the uncertainty holds it; choose joint"
+)
+MOVED_BETWEEN_ROUNDS: Final = noted(
+    "tracker station {0} moved between rounds of nests (azimuth {1:.1f}, tilts {2:.1f} and "
+    "{3:.1f} arcsec, range {4:.1f} um), which moves deviations by up to {5:.1f} standard "
+    "uncertainties; it is taken away as linear in time, but a knock or a bend would stay: let "
+    "the tracker settle, or measure the nests more often (plan.nests_every)"
+)
+REPEATS_DIFFER: Final = noted(
+    "positions commanded to {0:g} and {1:g} deg differ by {2:.2f} arcsec, expected within "
+    "{3:.2f}: the table does not repeat, or mirror or tracker moved"
 )
 
 METHOD: Final = "plane_mirror"
@@ -379,9 +408,7 @@ class MirrorSolution:
             size = float(np.linalg.norm(self._off(np.array([k])))) / MILLIMETRE
             if size * MILLIMETRE < SEATED * float(self.tracker.std[element].max()):
                 continue  # no more than one reading of many that chance takes far off
-            text = phrase(
-                "nest {0} stood elsewhere at station {1}", nests.name[nests.point[k]], station
-            )
+            text = phrase(STOOD_ELSEWHERE, nests.name[nests.point[k]], station)
             mine = nests.point == nests.point[k]
             if (nests.station[mine] == nests.station[k]).sum() > 1:
                 text = phrase("{0} in one of its rounds", text)
@@ -408,15 +435,7 @@ class MirrorSolution:
         off = np.abs(fit.left_out) / np.where(std > 0.0, std, np.inf)
         if off.max(initial=0.0) <= 0.5:
             return []
-        return [
-            phrase(
-                "the way {0}, as printed, takes no drift of the tracker into account, "
-                "which moves deviations by up to {1:.2f} arcsec: the uncertainty holds "
-                "it; choose joint",
-                self.way,
-                np.abs(fit.left_out).max() / ARCSEC,
-            )
-        ]
+        return [phrase(AS_PRINTED, self.way, np.abs(fit.left_out).max() / ARCSEC)]
 
     @cached_property
     def drift(self) -> Drift:
@@ -481,24 +500,13 @@ class MirrorSolution:
             return Protection(
                 "uneven drift",
                 "bounded",
-                phrase(
-                    "by the stated swing of the tracker's azimuth of {0:g} arcsec "
-                    "(uneven_drift_std_arcsec) about the straight line between rounds of "
-                    "nests",
-                    stated / ARCSEC,
-                ),
+                phrase(STATED_SWING, stated / ARCSEC),
             )
         error = float(ARCSEC / self.std[1:].min())
         return Protection(
             "uneven drift",
             "not protected",
-            phrase(
-                "what the tracker turns by between two rounds of nests and back again "
-                "leaves no trace; 1 arcsec of it moves a deviation by up to {0:.2g} "
-                "standard uncertainties: let it settle, and measure the nests more often "
-                "(plan.nests_every)",
-                error,
-            ),
+            phrase(UNSEEN_DRIFT, error),
         )
 
     def _knock(self, open_: Sequence[int]) -> Protection:
@@ -542,11 +550,7 @@ def _drift(problem: PlaneMirrorProblem, open_: Sequence[int]) -> Protection:
         return Protection(
             "drift",
             "not protected",
-            phrase(
-                "the nests were not measured again before the tracker left station {0}, "
-                "so what it turned by while it stood there is in the deviations",
-                names,
-            ),
+            phrase(NOT_MEASURED_AGAIN, names),
         )
     return Protection(
         "drift",
@@ -622,11 +626,7 @@ class Drift:
             x, y, azimuth = total[:3] / ARCSEC
             found.append(
                 phrase(
-                    "tracker station {0} moved between rounds of nests (azimuth {1:.1f}, "
-                    "tilts {2:.1f} and {3:.1f} arcsec, range {4:.1f} um), which moves "
-                    "deviations by up to {5:.1f} standard uncertainties; it is taken away "
-                    "as linear in time, but a knock or a bend would stay: let the tracker "
-                    "settle, or measure the nests more often (plan.nests_every)",
+                    MOVED_BETWEEN_ROUNDS,
                     self.solution.layout.problem.station_name(number),
                     azimuth,
                     x,
@@ -697,9 +697,7 @@ def differing(repeats: Sequence[Closure], angles: Floats, significance: float) -
     """Return a sentence about positions that differ, commanded to the same of ``angles`` (N,)."""
     return [
         phrase(
-            "positions commanded to {0:g} and {1:g} deg differ by {2:.2f} arcsec, "
-            "expected within {3:.2f}: the table does not repeat, or mirror or tracker "
-            "moved",
+            REPEATS_DIFFER,
             angles[c.first] / DEGREE,
             angles[c.last] / DEGREE,
             c.error / ARCSEC,

@@ -20,13 +20,30 @@ import numpy as np
 from rotcal_ros.adjust.diagnosis import Limits
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError, RotcalError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.problem import Grid
+
+WOULD_SHOW: Final = noted(
+    "positions that are numbered off by one or more put the tracer {0:.2g} mm or farther from "
+    "where {1} has it"
+)
+MOVES_TOO_LITTLE: Final = noted(
+    "{0}: the tracer moves {1:.2g} mm from one position to the next, and {2} is believed to "
+    "{3:.2g} mm only"
+)
+STATE_THE_PLACE: Final = noted("{0}: state {1}, which would show it")
+ROUND_THE_TABLE: Final = noted(
+    "the tracer stands {0:.1f} degrees round the table, {1:.0f} mm, from where {2} has it"
+)
+NUMBERED_OFF: Final = noted(
+    "{0}, which is {1}: the positions are numbered off by {2}, or the table's zero or {3} is "
+    "wrong; every deviation may stand at the angle of another"
+)
 
 RANK_TOLERANCE: Final = 1e-12
 """Smallest eigenvalue of the mean outer product of the design's rows, relative to the largest."""
@@ -234,10 +251,7 @@ class Numbering:
         off = 2.0 * self.radius * abs(np.sin(0.5 * (self.bearing or 0.0)))
         if self.bearing is None or self.step == 0.0 or off <= self.near:
             return verdict, warnings
-        found = phrase(
-            "the tracer stands {0:.1f} degrees round the table, {1:.0f} mm, from where {2} has it",
-            self.bearing / DEGREE, off / MILLIMETRE, self.where
-        )  # fmt: skip
+        found = phrase(ROUND_THE_TABLE, self.bearing / DEGREE, off / MILLIMETRE, self.where)
         count = round(self.bearing / self.step)
         if not count or self.radius * abs(self.bearing - count * self.step) > self.near:
             return verdict, (
@@ -251,11 +265,7 @@ class Numbering:
             )
         several = phrase("{0} table positions", abs(count))
         positions = several if abs(count) > 1 else phrase("1 table position")
-        warning = phrase(
-            "{0}, which is {1}: the positions are numbered off by {2}, or the table's zero or "
-            "{3} is wrong; every deviation may stand at the angle of another", found, positions,
-            abs(count), self.where
-        )  # fmt: skip
+        warning = phrase(NUMBERED_OFF, found, positions, abs(count), self.where)
         return "suspect" if verdict == "ok" else verdict, (*warnings, warning)
 
     def protection(self) -> Protection:
@@ -269,15 +279,14 @@ class Numbering:
             return Protection(
                 "numbering",
                 "not protected",
-                phrase("{0}: state {1}, which would show it", unseen, self.where),
+                phrase(STATE_THE_PLACE, unseen, self.where),
             )
         if apart <= self.near:
             return Protection(
                 "numbering",
                 "not protected",
                 phrase(
-                    "{0}: the tracer moves {1:.2g} mm from one position to the next, and "
-                    "{2} is believed to {3:.2g} mm only",
+                    MOVES_TOO_LITTLE,
                     unseen,
                     apart / MILLIMETRE,
                     self.where,
@@ -287,12 +296,7 @@ class Numbering:
         return Protection(
             "numbering",
             "tested",
-            phrase(
-                "positions that are numbered off by one or more put the tracer {0:.2g} mm "
-                "or farther from where {1} has it",
-                apart / MILLIMETRE,
-                self.where,
-            ),
+            phrase(WOULD_SHOW, apart / MILLIMETRE, self.where),
         )
 
 

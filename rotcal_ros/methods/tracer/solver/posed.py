@@ -40,7 +40,7 @@ from rotcal_ros.adjust.model import (
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.tracer.solver.carried_lengths import (
     KNOWN,
@@ -65,6 +65,8 @@ from rotcal_ros.methods.tracer.solver.problem import Absent, Grid, TracerProblem
 from rotcal_ros.methods.tracer.solver.reported import along_beams
 from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
 from rotcal_ros.planning.readings import passes
+
+SAME_ANGLE_DIFFERS: Final = noted("stations {0} and {1} stand at the same table angle but differ")
 
 CIRCLE: Final = 5
 """Stations from which on their plane gives the direction of the axis."""
@@ -232,10 +234,7 @@ class Posed:
         for first, last in coming_again(angles):
             rows = np.zeros((1, len(angles)))
             rows[0, [first, last]] = -1.0, 1.0
-            what = phrase(
-                "stations {0} and {1} stand at the same table angle but differ",
-                number[first], number[last],
-            )  # fmt: skip
+            what = phrase(SAME_ANGLE_DIFFERS, number[first], number[last])
             found.append(KnownRelation(what, rows, unit=SECONDS))
         return found
 

@@ -21,13 +21,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.methods.tracer.settings import (
     Datum,
     TracerLimits,
     TracerSolverSettings,
     Variant,
 )
+
+TOO_FAR: Final = noted(
+    "{0}, target {1}: differs by {2:.4g} m from the station's median, but the targets lie at "
+    "most {3:.4g} m apart"
+)
+REPEATS: Final = noted("repeats row {0} ({1})")
+TOO_FEW: Final = noted("{0} has {1} usable lengths, {2} are needed")
 
 _DEFAULTS: Final = TracerSolverSettings()
 _LATEST: Final = 2**62
@@ -544,7 +551,7 @@ def _place_rows(problem: LengthProblem, strips: _Strips, why: dict[int, Phrase])
                 f"rows {kept} and {again} both give a length for {name}, but differ: {a} m and "
                 f"{b} m; keep the accepted one, or average them before solving"
             )
-        why[int(again)] = phrase("repeats row {0} ({1})", kept, name)
+        why[int(again)] = phrase(REPEATS, kept, name)
     row = np.full(shape[0] * shape[1], -1, dtype=np.int64)
     row[place[order[first]]] = order[first]
     return row.reshape(shape)
@@ -581,9 +588,8 @@ def _drop_impossible(
         _check_unit_of_lengths(excess[several][used[several]], span)
     for j, i in np.argwhere(excess > span):
         why[int(row[j, i])] = phrase(
-            "{0}, target {1}: differs by {2:.4g} m from the station's median, but the targets "
-            "lie at most {3:.4g} m apart", problem.station_name(station[j]), i, excess[j, i], span
-        )  # fmt: skip
+            TOO_FAR, problem.station_name(station[j]), i, excess[j, i], span
+        )
     row[excess > span] = -1
 
 
@@ -625,10 +631,7 @@ def _drop_undetermined(problem: LengthProblem, row: Ints, strips: _Strips, absen
                 if name == "station":
                     what = problem.station_name(index)
                 for dropped in table[lines][table[lines] >= 0]:
-                    why[int(dropped)] = phrase(
-                        "{0} has {1} usable lengths, {2} are needed", what, int(count[index]),
-                        minimum
-                    )  # fmt: skip
+                    why[int(dropped)] = phrase(TOO_FEW, what, int(count[index]), minimum)
                 table[lines] = -1
 
 

@@ -28,9 +28,11 @@ from rotcal_ros.adjust.fit import Fit, fitted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
+
+NOT_FOLLOWED: Final = noted("{0}do not follow it: it is noise of the reports, and was not used")
 
 CONSISTENT: Final = 3.0
 """Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
@@ -78,9 +80,7 @@ class Reported:
             "the beams, and the lengths ", self.along / MICROMETRE
         )  # fmt: skip
         if not self.estimated:
-            return phrase(
-                "{0}do not follow it: it is noise of the reports, and was not used", text
-            )
+            return phrase(NOT_FOLLOWED, text)
         return phrase(
             "{0}follow {1:.0f} % of it (standard deviation {2:.0f} %): the rest is noise of the "
             "reports; the lengths were reduced by that share, and {3:.2g} um joined their "

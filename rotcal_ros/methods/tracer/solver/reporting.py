@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.engine import Adjusted
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Rejection, Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 from rotcal_ros.methods.tracer.solver.problem import Grid, LengthProblem
+
+COMES_BACK_WITHIN: Final = noted(
+    "what of it does not come back with the angle is less than {0:.2g} um, {1:.2g} arcsec (95 %, "
+    "{2})"
+)
+NO_ANGLE_AGAIN: Final = noted(
+    "no angle was measured again, which would bound what of it does not come back with {0}"
+)
+ALONG_ITS_CIRCLE: Final = noted(
+    "a tracer that mount or cable shift along its circle between the angles{0} leaves no trace "
+    "in any length: 1 um of it is {1:.2f} arcsec{2}"
+)
 
 
 def of_all_rows(
@@ -125,19 +137,9 @@ def tangential_protection(
     what else is said. ``within`` (m): how near the tracer came back, 95 %, as ``shown``; None:
     that is ``untested``.
     """
-    why = phrase(
-        "a tracer that mount or cable shift along its circle between the angles{0} leaves no "
-        "trace in any length: 1 um of it is {1:.2f} arcsec{2}", alike,
-        MICROMETRE / radius / ARCSEC, of
-    )  # fmt: skip
-    bound = phrase(
-        "no angle was measured again, which would bound what of it does not come back with {0}",
-        untested,
-    )
+    why = phrase(ALONG_ITS_CIRCLE, alike, MICROMETRE / radius / ARCSEC, of)
+    bound = phrase(NO_ANGLE_AGAIN, untested)
     if within is not None:
-        bound = phrase(
-            "what of it does not come back with the angle is less than {0:.2g} um, {1:.2g} "
-            "arcsec (95 %, {2})", within / MICROMETRE, within / radius / ARCSEC, shown
-        )  # fmt: skip
+        bound = phrase(COMES_BACK_WITHIN, within / MICROMETRE, within / radius / ARCSEC, shown)
     every = listed([text for text in (why, beside, bound) if text])
     return Protection("tangential motion", "not protected", every)

@@ -26,7 +26,7 @@ from rotcal_ros.adjust.observable import family_observable_by
 from rotcal_ros.adjust.outputs import Outputs
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -55,6 +55,11 @@ from rotcal_ros.methods.tracer.solver.posed import (
 from rotcal_ros.methods.tracer.solver.problem import Grid, TracerProblem
 from rotcal_ros.methods.tracer.solver.reported import Reported, nearest, weighed
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations, ranges
+
+SLIPS_FOUND: Final = noted(
+    "{0} is found in {1:.0f} % of the cases, by these lengths in this order; the uncertainty "
+    "holds what the others do"
+)
 
 NEARLY: Final = 1e-3
 """How well (m) the targets of a free network are known where it starts."""
@@ -88,10 +93,7 @@ class UnseenSlips(NamedTuple):
     def protection(self) -> Protection:
         """Return the statement about slips."""
         what = phrase("a counter that slips a fringe of {0:.3g} m", self.size)
-        why = phrase(
-            "{0} is found in {1:.0f} % of the cases, by these lengths in this order; the "
-            "uncertainty holds what the others do", what, 100 * self.found
-        )  # fmt: skip
+        why = phrase(SLIPS_FOUND, what, 100 * self.found)
         if self.worst > TOLERABLE:
             return Protection("slip", "not protected", phrase("{0} on average", why), self.worst)
         if self.found >= POWER:

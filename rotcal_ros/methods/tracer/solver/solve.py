@@ -12,7 +12,7 @@ from rotcal_ros.adjust.closures import Closure, closures, difference_variance
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import (
@@ -38,6 +38,32 @@ from rotcal_ros.methods.tracer.solver.reporting import (
     tangential_protection,
 )
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
+
+CIRCLE_SHOWS: Final = noted(
+    "{0:.2g} m from {1} residuals of the circle, which show its radial part; the tangential part "
+    "is taken to be as large"
+)
+LIKE_THE_TABLE: Final = noted(
+    ", or a machine whose origin drifts in step with each turn of the table,"
+)
+AS_FRINGES: Final = noted("as much as {0:+d} fringe(s), a counter that slipped")
+LEAVE_THE_CIRCLE: Final = noted(
+    "the stations leave their circle by {0:.3g} m (rms): the table's radial error motion is "
+    "larger than the stated {1:.2g} m; {2:.2g} m, from {3} residuals of the circle, is used in "
+    "its place"
+)
+JOINED: Final = noted(
+    "run {0} was joined by {1} steps measured again: its lengths were {2:+.3g} m off (standard "
+    "deviation {3:.2g} m); the steps agree within {4:.2g} m, {5:.2f} times what is expected"
+)
+TARGETS_LEFT_OUT: Final = noted(
+    "target(s) {0} of the free network were left out: fewer than {1} lengths reach them"
+)
+NO_DEVIATION: Final = noted("no deviation for station(s) {0}: too few usable lengths")
+IN_ONE_PLANE: Final = noted(
+    "all targets lie in one plane, so the tracer could stand on either side of it: the lower "
+    "side was taken; give start_stations to choose the other"
+)
 
 METHOD = "tracer_multistation"
 MOST_FRINGES: Final = 3
@@ -166,22 +192,18 @@ def _doubts(solution: TracerSolution) -> Iterator[Phrase]:
     motion = solution.error_motion
     if solution.contradicted is not None:
         rms = float(np.sqrt(np.mean(solution.motion.radial**2)))
-        yield phrase(
-            "the stations leave their circle by {0:.3g} m (rms): the table's radial error motion "
-            "is larger than the stated {1:.2g} m; {2:.2g} m, from {3} residuals of the circle, is "
-            "used in its place", rms, motion.stated, motion.used, motion.dof
-        )  # fmt: skip
+        yield phrase(LEAVE_THE_CIRCLE, rms, motion.stated, motion.used, motion.dof)
     missing = solution.problem.missing(solution.positions)
     if missing:
         names = ", ".join(str(j) for j in missing)
-        yield phrase("no deviation for station(s) {0}: too few usable lengths", names)
+        yield phrase(NO_DEVIATION, names)
 
 
 def _cause(size: float, std: float, fringe: float) -> Phrase:
     """Return what may have made a zero jump by ``size`` +- ``std``, m."""
     number = round(size / fringe) if fringe else 0
     if 0 < abs(number) <= MOST_FRINGES and abs(size - number * fringe) <= AGREES * std:
-        cause = phrase("as much as {0:+d} fringe(s), a counter that slipped", number)
+        cause = phrase(AS_FRINGES, number)
     else:
         cause = phrase("a beam that was broken, or a tracer that was knocked")
     return phrase(
@@ -195,21 +217,11 @@ def _remarks(solution: TracerSolution) -> Iterator[Phrase]:
     spare = sorted({int(solution.problem.target[row]) for row in solution.posed.absent.spare})
     if spare:
         names = ", ".join(str(i) for i in spare)
-        yield phrase(
-            "target(s) {0} of the free network were left out: fewer than {1} lengths reach them",
-            names, FREE_TARGET_MINIMUM
-        )  # fmt: skip
+        yield phrase(TARGETS_LEFT_OUT, names, FREE_TARGET_MINIMUM)
     if solution.posed.ambiguous:
-        yield phrase(
-            "all targets lie in one plane, so the tracer could stand on either side of it: the "
-            "lower side was taken; give start_stations to choose the other"
-        )
+        yield phrase(IN_ONE_PLANE)
     for run, offset, std, steps, apart, sigma0, _ in map(dict.values, _joins(solution)):
-        yield phrase(
-            "run {0} was joined by {1} steps measured again: its lengths were {2:+.3g} m off "
-            "(standard deviation {3:.2g} m); the steps agree within {4:.2g} m, {5:.2f} times "
-            "what is expected", run, steps, offset, std, apart, sigma0
-        )  # fmt: skip
+        yield phrase(JOINED, run, steps, offset, std, apart, sigma0)
     if solution.reported is not None and solution.reported.warning:
         yield solution.reported.warning
 
@@ -358,7 +370,7 @@ def _protections(solution: TracerSolution) -> Iterator[Protection]:
     if solution.slips is not None:
         yield solution.slips.protection()
     nearest = max(_returned(solution), key=lambda each: each["within"], default=None)
-    drift = phrase(", or a machine whose origin drifts in step with each turn of the table,")
+    drift = phrase(LIKE_THE_TABLE)
     yield tangential_protection(
         solution.motion.radius,
         alike=drift if arrivals > 1 else "",
@@ -380,12 +392,7 @@ def _error_motion(solution: TracerSolution) -> Protection:
         return Protection(
             "error motion",
             "estimated",
-            phrase(
-                "{0:.2g} m from {1} residuals of the circle, which show its radial part; "
-                "the tangential part is taken to be as large",
-                motion.used,
-                motion.dof,
-            ),
+            phrase(CIRCLE_SHOWS, motion.used, motion.dof),
         )
     return Protection(
         "error motion",

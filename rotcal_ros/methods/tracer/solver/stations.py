@@ -20,7 +20,7 @@ from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import Protection, ordered
 from rotcal_ros.foundation.results import ErrorMotion, Placement, Result, Zeros
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
@@ -36,6 +36,15 @@ from rotcal_ros.methods.tracer.solver.reporting import tangential_protection
 from rotcal_ros.methods.tracer.solver.solve import (
     METHOD,
     circle_details,
+)
+
+DIFFER_AT_ONE_ANGLE: Final = noted(
+    "stations {0} and {1} stand at the same table angle but differ by {2:.3g} arcsec, expected 0 "
+    "with a standard deviation of {3:.3g} arcsec: something moved or drifted during the run"
+)
+MORE_THAN_STATED: Final = noted(
+    "the stations leave their circle by {0:.2g} um radially ({1} residuals), more than the "
+    "stated {2:.2g} um explain: {3:.2g} um are used in its place"
 )
 
 EXACT: Final = 1e-10
@@ -167,19 +176,23 @@ def _doubt(motion: TableMotion, found: ErrorMotion) -> Phrase:
     """Return what speaks against the stated error motion."""
     radial = np.sqrt((motion.radial**2).sum() / found.dof) / MICROMETRE
     return phrase(
-        "the stations leave their circle by {0:.2g} um radially ({1} residuals), more than the "
-        "stated {2:.2g} um explain: {3:.2g} um are used in its place", radial, found.dof,
-        (found.stated or 0.0) / MICROMETRE, found.used / MICROMETRE
-    )  # fmt: skip
+        MORE_THAN_STATED,
+        radial,
+        found.dof,
+        (found.stated or 0.0) / MICROMETRE,
+        found.used / MICROMETRE,
+    )
 
 
 def _doubt_closure(closure: Closure) -> Phrase:
     """Return the sentence about a closure that is larger than its uncertainty allows."""
     return phrase(
-        "stations {0} and {1} stand at the same table angle but differ by {2:.3g} arcsec, "
-        "expected 0 with a standard deviation of {3:.3g} arcsec: something moved or drifted "
-        "during the run", closure.first, closure.last, closure.error / ARCSEC, closure.std / ARCSEC
-    )  # fmt: skip
+        DIFFER_AT_ONE_ANGLE,
+        closure.first,
+        closure.last,
+        closure.error / ARCSEC,
+        closure.std / ARCSEC,
+    )
 
 
 def _protections(

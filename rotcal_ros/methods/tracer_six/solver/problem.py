@@ -13,7 +13,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.methods.tracer.solver.problem import (
     Grid,
     LengthProblem,
@@ -24,6 +24,11 @@ from rotcal_ros.methods.tracer.solver.problem import (
     station_minimum,
 )
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
+
+FEW_PLACES: Final = noted(
+    "position {0} has usable lengths from place(s) {1} only: three that are not in a line are "
+    "needed"
+)
 
 _DEFAULTS: Final = TracerSixSolverSettings()
 
@@ -198,10 +203,7 @@ def _poor(problem: SixProblem, grid: Grid) -> dict[int, Phrase]:
         if problem.tilt_std is not None and len(seen) > 1:
             continue
         names = ", ".join(map(str, seen.tolist()))
-        text = phrase(
-            "position {0} has usable lengths from place(s) {1} only: three that are not in a line "
-            "are needed", position, names
-        )  # fmt: skip
+        text = phrase(FEW_PLACES, position, names)
         for row in grid.row[here][grid.row[here] >= 0].tolist():
             why[row] = text
     if len(why) == np.count_nonzero(grid.row >= 0):

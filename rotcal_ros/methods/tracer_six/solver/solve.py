@@ -22,7 +22,7 @@ from rotcal_ros.adjust.observable import observable_by
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Placement, Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -44,6 +44,15 @@ from rotcal_ros.methods.tracer.solver.reporting import (
 from rotcal_ros.methods.tracer_six.solver.model import lengths_of, model_of
 from rotcal_ros.methods.tracer_six.solver.poses import Curves, find_start, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, StationLayout, lay_out
+
+UPSIDE_DOWN: Final = noted(
+    "beams go down by {0:.0f} degrees, through the table, and none goes up as steeply: the z "
+    "axis of targets and places seems to point into the table, and then EZC, EAC and EBC have "
+    "the wrong sign"
+)
+NO_DEVIATIONS: Final = noted(
+    "no deviations for position(s) {0}: fewer than three places have enough lengths"
+)
 
 METHOD = "tracer_six"
 STEEP: Final = 45.0 * DEGREE
@@ -229,9 +238,7 @@ def _numbering(solution: SixSolution) -> Numbering:
 def _doubts(solution: SixSolution) -> list[Phrase]:
     missing = solution.problem.missing(solution.positions)
     names = ", ".join(map(str, missing))
-    few = phrase(
-        "no deviations for position(s) {0}: fewer than three places have enough lengths", names
-    )
+    few = phrase(NO_DEVIATIONS, names)
     return [few] if missing else []
 
 
@@ -370,11 +377,7 @@ class Upward:
         """Return ``verdict`` and ``warnings``; a frame that stands on its head is not ok."""
         if self.lowest > -STEEP or self.highest > STEEP:
             return verdict, warnings
-        warning = phrase(
-            "beams go down by {0:.0f} degrees, through the table, and none goes up as steeply: "
-            "the z axis of targets and places seems to point into the table, and then EZC, EAC "
-            "and EBC have the wrong sign", -self.lowest / DEGREE
-        )  # fmt: skip
+        warning = phrase(UPSIDE_DOWN, -self.lowest / DEGREE)
         return "suspect" if verdict == "ok" else verdict, (*warnings, warning)
 
     def protection(self) -> Protection:
