@@ -123,14 +123,20 @@ def _beside_gross(whole: Diagnosis, gross: Ints) -> Diagnosis:
         together = _explained(whole)
     except RotcalError:
         return apart  # gross errors in all directions let nothing settle
-    if _improbability(apart) < _improbability(together) - TIED:
+    if not _same(apart, together) and apart.improbability < together.improbability - TIED:
         return _contested_by(apart, together)
     return _contested_by(together, apart)  # it says what else may be wrong
 
 
+def _same(first: Diagnosis, second: Diagnosis) -> bool:
+    """Whether two diagnoses leave out the same observations and hold the same effects."""
+    held, others = ([e.what for e in each.nuisance] for each in (first, second))
+    return first.why.keys() == second.why.keys() and held == others
+
+
 def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     """Return the ``best`` of two diagnoses, and that the ``other`` is possible where it is."""
-    apart, change = _improbability(other) - _improbability(best), other.fit.value - best.fit.value
+    apart, change = other.improbability - best.improbability, other.fit.value - best.fit.value
     if apart >= 2.0 * np.log(ALIKE) or not best.fit.influenced(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
@@ -165,18 +171,6 @@ def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     return _explained(replace(diagnosis, why=why, price=price))
 
 
-def _improbability(diagnosis: Diagnosis) -> float:
-    """Return BIC: twice -ln of the probability, by which whole beliefs are compared.
-
-    As in :meth:`Look._support`; an observation that waits outside is explained by itself.
-    """
-    fit, n = diagnosis.fit, len(diagnosis.used)
-    factors = diagnosis.noise.factors[diagnosis.model.of_component[diagnosis.used]]
-    unknowns = fit.kernel.rank - sum(e.columns.shape[1] for e in diagnosis.nuisance)
-    spread = 2.0 * float(np.log(factors).sum())
-    return float(fit.chi2 + spread + unknowns * np.log(n) + diagnosis.price)
-
-
 def _explained(diagnosis: Diagnosis) -> Diagnosis:
     """Return what explains the residuals; effects may do so far better than larger noise.
 
@@ -192,7 +186,7 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
     used = found.used
     taken_up = 1.0 - found.fit.redundancy[used]
     spread = 2.0 * taken_up @ np.log(found.noise.factors[found.model.of_component[used]])
-    if _improbability(other) < _improbability(found) - spread - 2.0 * np.log(ALIKE):
+    if other.improbability < found.improbability - spread - 2.0 * np.log(ALIKE):
         return other
     return found
 
@@ -273,7 +267,7 @@ def _together(diagnosis: Diagnosis) -> Diagnosis | None:
             if found is None or not _bearable(before, found):
                 continue
             other = before.holding(found)
-            if _improbability(other) <= _improbability(diagnosis):
+            if other.improbability <= diagnosis.improbability:
                 return other
     return None
 

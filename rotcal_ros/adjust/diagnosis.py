@@ -65,7 +65,8 @@ class Explanation(NamedTuple):
     ``columns`` (n, r) of errors in the unit of the observations; ``rows`` are left out for it, or
     it is ``effect`` and its columns become unknowns, which ``mixing`` (k, r) takes to sizes of the
     effect. ``support``: ln of its probability, by BIC, at a ``price`` of unknowns and of
-    alternatives of its kind. ``change`` (o + a,): what it does to all outputs.
+    alternatives of its kind. ``change`` (o + a,): what it does to all outputs; ``hidden``
+    (o + a, s): what the same does that leaves no residual, as large as what does, in s ways.
     """
 
     what: Phrase
@@ -79,6 +80,7 @@ class Explanation(NamedTuple):
     mixing: Floats | None = None
     probability: float = 0.0
     blamed: Blame | None = None
+    hidden: Floats | None = None
 
 
 class Contest(NamedTuple):
@@ -135,6 +137,18 @@ class Diagnosis:
         found.__dict__["fit"] = fit  # it is known already
         return found
 
+    @cached_property
+    def improbability(self) -> float:
+        """BIC: twice -ln of the probability, by which whole beliefs are compared.
+
+        As in :meth:`Look._support`; an observation that waits outside is explained by itself.
+        """
+        fit, n = self.fit, len(self.used)
+        factors = self.noise.factors[self.model.of_component[self.used]]
+        unknowns = fit.kernel.rank - sum(e.columns.shape[1] for e in self.nuisance)
+        spread = 2.0 * float(np.log(factors).sum())
+        return float(fit.chi2 + spread + unknowns * np.log(n) + self.price)
+
     def describe(self) -> Phrase:
         """Return what is wrong with the observations."""
         name = self.model.names
@@ -173,9 +187,12 @@ class Diagnosis:
             return rival.what in taken
         return bool(len(rival.rows)) and all(row in self.why for row in rival.rows.tolist())
 
-    def contested(self) -> Iterator[tuple[float, Floats]]:
-        """Yield the probability of each rival, and by how much (o,) it moves the outputs."""
+    def possible(self) -> Iterator[Floats]:
+        """Yield what is possible, (o + a, k) per unit normal each: rivals, and what is hidden."""
         for best, rivals in self.open_contests:
             weight = np.exp([min(e.support - best.support, 0.0) for e in rivals])
             for share, e in zip(weight / (1.0 + weight.sum()), rivals, strict=True):
-                yield float(share), e.change - best.change
+                hidden = [] if e.hidden is None else [e.hidden]
+                moved = np.column_stack([e.change - best.change, *hidden])
+                yield np.asarray(np.sqrt(share) * moved)
+        yield from (e.hidden for e in self.nuisance if e.hidden is not None)

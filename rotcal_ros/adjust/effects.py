@@ -27,6 +27,7 @@ from rotcal_ros.adjust.distributions import (
     noncentrality,
     normal_isf,
     normal_sf,
+    t_isf,
 )
 from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats, Ints
@@ -42,6 +43,8 @@ RATHER_RARE: Final = 1e-4
 """Chance at which members of a family that hold more and fewer columns are compared."""
 INCREDIBLE: Final = 10.0
 """Times the largest size of an effect: who is no surer than that of a size does not see it."""
+COVERED: Final = 1.959964
+"""Standard uncertainties on either side that hold 95 % of a normal distribution."""
 HARMLESS: Final = 0.1
 """Error, in standard uncertainties, of what cannot be separated from nothing."""
 
@@ -216,9 +219,40 @@ def family_test(seen: ObservableFamily, rest: tuple[float, float] | None = None)
     usual = chi2_isf(RATHER_RARE, np.maximum(seen.rank, 1))
     k = int(np.argmax(seen.squares - usual))
     alone = effect_test(seen.member(k), rest)
+    return alone._replace(probability=chance_in_family(alone, seen), member=k)
+
+
+def chance_in_family(alone: EffectTest, seen: ObservableFamily) -> float:
+    """Return how probably the largest of a family is by chance as rare as one ``alone``."""
+    if not alone.rank:
+        return 1.0
     u = normal_isf(max(0.5 * alone.probability, NOTHING))
-    chance = above_of_family(u, seen.alike, seen.rank) if alone.rank else 1.0
-    return alone._replace(probability=min(chance, 1.0), member=k)
+    return min(above_of_family(u, seen.alike, seen.rank), 1.0)
+
+
+def hidden_beside(test: EffectTest, seen: Observable) -> Floats:
+    """Return what sizes that leave no residual do, (o + a, s): as large as the others, s ways.
+
+    Of a move of which residuals show some ways alone the others are as probable. So few ways show
+    roughly how large: 1.96 hold 95 % as those of Student's t do.
+    """
+    ways = np.linalg.qr(_axes(seen)[2])[0]
+    shown = test.size - ways @ (ways.T @ test.size)
+    size = float(np.linalg.norm(shown)) / np.sqrt(max(test.rank, 1))
+    few = t_isf(normal_sf(COVERED), max(test.rank, 1)) / COVERED
+    return np.asarray(few * size * (ways.T @ seen.moved).T)
+
+
+def chance_beside_scatter(
+    test: EffectTest, squares: Floats, weight: Floats, rest: tuple[float, float] | None
+) -> float:
+    """Return how probable a ``test`` is whose ``squares`` (m,) depend on what scatters.
+
+    Of ``weight`` (m,): by a size that is hardly known, which leaves much to chance.
+    """
+    left = np.inf if rest is None else rest[1] - test.rank
+    each = [_chance(t, test.rank, test.variance, left) for t in squares.tolist()]
+    return float(weight @ each)
 
 
 def _axes(seen: Observable) -> tuple[Floats, Floats, Floats]:

@@ -29,6 +29,7 @@ from rotcal_ros.adjust.closures import Closed
 from rotcal_ros.adjust.diagnosis import Diagnosis, Limits
 from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, noncentrality, normal_sf, t_isf
 from rotcal_ros.adjust.effects import (
+    COVERED,
     Observable,
     ObservableFamily,
     Undetected,
@@ -90,8 +91,6 @@ FAILED_SHARE: Final = 0.2
 """Share of rejected observations from which the rest proves nothing."""
 FAILED_FACTOR: Final = 10.0
 """Times the stated noise from which the model does not describe the observations."""
-COVERED: Final = 1.959964
-"""Standard uncertainties on either side that hold 95 % of a normal distribution."""
 SURE: Final = 0.01
 """Standard deviation of the logarithm of a noise up to which Student's t is the normal one."""
 UNCHECKED: Final = 0.99
@@ -178,8 +177,7 @@ class Adjusted:
     @cached_property
     def _probable(self) -> list[Floats]:
         """What is probable but not proved does to the outputs, (o + a, k) per unit normal each."""
-        contested = list(self.diagnosis.contested())
-        found = [np.sqrt(weight) * change[:, None] for weight, change in contested]
+        found = list(self.diagnosis.possible())
         for effect, size, probability in self.model.expected:
             seen = seen_of(self.fit, effect)
             assert isinstance(seen, ObservableFamily)

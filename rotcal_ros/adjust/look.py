@@ -21,11 +21,14 @@ from rotcal_ros.adjust.effects import (
     EffectTest,
     Observable,
     ObservableFamily,
+    chance_beside_scatter,
+    chance_in_family,
     effect_test,
     family_test,
+    hidden_beside,
 )
 from rotcal_ros.adjust.fit import Fit
-from rotcal_ros.adjust.gathering import judged
+from rotcal_ros.adjust.gathering import SUSPECTED, judged
 from rotcal_ros.adjust.groups import CHECKED, Group, JudgedWhole
 from rotcal_ros.adjust.judgement import ALIKE, blame
 from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, members_of
@@ -86,7 +89,7 @@ class Look:
     def significant(self) -> Iterator[Explanation]:
         """Yield the best explanation of each kind that is beyond chance."""
         limits = self.before.limits
-        if len(self._oddest) and self._stands_out(self._oddest[0]):
+        if len(self._oddest) and self._stands_out(self._oddest[0]) and not self._with_others:
             yield self.singles[0]
         yield from self.significant_effects()
         judgement = self.diagnosis.gathering.judgement
@@ -97,6 +100,23 @@ class Look:
             and judgement.chance < limits.significance
         ):
             yield from self.groups[:1]
+
+    @property
+    def _with_others(self) -> bool:
+        """Whether several of a group are suspected, rather than its oddest one alone.
+
+        That one may be sound. Where it is not proved which ones are off, all stay in, and the
+        covariance holds what they may do.
+        """
+        if self.diagnosis.gathering.chance >= SUSPECTED:
+            return False
+        oddest, single = self._oddest[0], self.singles[0]
+        return any(
+            e.support > single.support
+            and e.blamed is not None
+            and oddest in e.blamed.group.members
+            for e in self.groups
+        )
 
     def significant_effects(self) -> Iterator[Explanation]:
         """Yield the best explanation by each effect that is beyond chance."""
@@ -264,7 +284,9 @@ class Look:
         """Yield what an effect explains; of a family its best members, the best first."""
         columns, width = effect.at(self.fit.computed), effect.width
         if isinstance(seen, Observable):
-            yield self._explanation(effect, columns_of(columns, slice(None)), seen, test, 1)
+            written = columns_of(columns, slice(None))
+            test = test._replace(probability=self._chance(written, seen, test))
+            yield self._explanation(effect, written, seen, test, 1)
             return
         tried = [(seen.member(k), k * width, width) for k in _largest(seen.squares)]
         if width > 1:
@@ -273,14 +295,31 @@ class Look:
         for member, first, count in tried:
             alone = effect_test(member, self.rest, largest=effect.largest)
             if alone.rank:
-                alone = alone._replace(probability=test.probability)
                 written = columns_of(columns, slice(first, first + count))
-                among = columns.shape[1] // count
+                chance = self._chance(written, member, alone)
+                if chance > alone.probability:
+                    chance = chance_in_family(alone._replace(probability=chance), seen)
+                alone = alone._replace(probability=max(chance, test.probability))
+                among = effect.stands_for * columns.shape[1] / count
                 found.append(self._explanation(effect, written, member, alone, among))
         yield from sorted(found, key=lambda e: -e.support)
 
+    def _chance(self, columns: Floats, seen: Observable, test: EffectTest) -> float:
+        """Return how probable the ``test`` of ``columns`` (n, k) is by what scatters as it does.
+
+        Rows weigh as if each scattered by itself, by a size that is known.
+        """
+        fit, chance = self.fit, test.probability
+        for each in self.before.model.scatterings if test.rank else ():
+            white = np.where(fit.used[:, None], columns / fit.std[:, None], 0.0) @ test.axes
+            information = test.axes.T @ seen.information @ test.axes
+            beside = each.squares_of(fit, white, test.axes.T @ seen.score, information)
+            own = chance_beside_scatter(test, *beside, self.rest)
+            chance = max(chance, own)
+        return chance
+
     def _explanation(
-        self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: int
+        self, effect: Disturbing, columns: Floats, seen: Observable, test: EffectTest, among: float
     ) -> Explanation:
         """Return what the ``columns`` (n, k) of an effect explain, as far as residuals show.
 
@@ -306,6 +345,7 @@ class Look:
         return Explanation(
             what, listed(()), columns @ test.axes, np.zeros(0, dtype=np.int64),
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
+            hidden=hidden_beside(test, seen),
         )  # fmt: skip
 
     def _groups(self) -> list[Group | JudgedWhole]:

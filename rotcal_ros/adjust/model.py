@@ -193,7 +193,8 @@ class Disturbing:
     ``family`` has members of which at most one is there, in the order of time, each of so many
     columns as its :attr:`width`; other columns are there together. What ``stays`` does so from
     its moment on until the run ends, as :class:`Steps` do. Where its moment is random, what may
-    stay unseen is told of this ``usual`` share of them, not of the worst.
+    stay unseen is told of this ``usual`` share of them, not of the worst. Where not every moment
+    is a member, each ``stands_for`` so many of them: it is as improbable as any moment.
     """
 
     effect: Effect
@@ -205,6 +206,7 @@ class Disturbing:
     of_each: int = 1
     stays: bool = False
     usual: float = 1.0
+    stands_for: float = 1.0
 
     @property
     def width(self) -> int:

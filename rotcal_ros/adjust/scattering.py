@@ -163,6 +163,34 @@ class Scattering(Correlated):
             chance += float(chdtrc(rank, squares) @ sizes.weight[mine])
         return chance, sizes
 
+    def squares_of(
+        self, fit: Fit, white: Floats, score: Floats, information: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return by what chi-squared falls (m,) for ``white`` errors (n, b), by each size.
+
+        Of those that contrasts beside them make likely, with their weights (m,). ``score`` (b,)
+        and ``information`` (b, b) are of rows that scatter each by itself, by the size that they
+        are weighed by: their contrasts count by the variances of these instead.
+        """
+        std, sizes = float(fit.std[self.rows[0]]), self.beside(fit, white)[1]
+        found, root, known = _contrasts(fit, self.rows, std, white)
+        value, moved = found[0], found[1:]
+        now = moved / (1.0 + std**2 * known)
+        score, information = score - now @ value, information - now @ moved.T
+        every, ways = np.zeros(len(sizes.size)), self.parts[0] if root is not None else ()
+        for way in np.unique(sizes.way).tolist():
+            d, axes = known, found.T
+            if root is not None and ways:
+                d, axes = _along(root @ ways[way], found.T)
+            of = sizes.way == way
+            less = 1.0 / (1.0 + sizes.size[of, None] ** 2 * d) - 1.0
+            u = score + moved @ value + (less * axes[:, 0]) @ axes[:, 1:]
+            square = information + moved @ moved.T
+            square = square + (axes[:, 1:].T * less[:, None]) @ axes[:, 1:]
+            inverse = np.linalg.pinv(square, hermitian=True)
+            every[of] = (u[:, None] @ inverse @ u[:, :, None])[:, 0, 0]
+        return every, sizes.weight
+
     def _said_by(self, value: Floats, each: list[tuple[Floats, Floats]], std: float) -> Sizes:
         """Return what contrasts (q,) say: ``each`` way's eigenvalues, and these along its axes."""
         noticed = [_noticed(values) for values, _ in each]

@@ -11,6 +11,7 @@ from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.error_motion import Spectrum
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import Grouping, Model, Unit, linear
+from rotcal_ros.adjust.observable import observable_by
 
 SIGMA, READ = 1e-6, 4
 MICRON = Unit("um", 1e-6)
@@ -167,3 +168,25 @@ def test_errors_of_unknown_sizes_are_further_unknowns():
     one, two = adjust(model), adjust(other)
     assert two.value == pytest.approx(one.value, rel=1e-6)
     assert two.std == pytest.approx(one.std, rel=1e-6)
+
+
+def test_an_effect_is_tested_by_the_covariance_of_what_scatters():
+    """Against plain algebra, for the likeliest sizes; rows weigh as if each scattered alone."""
+    angle = 2.0 * np.pi * np.arange(18) / 18
+    ways = [(0.5, Spectrum((k,), (1.0,)).root(angle)) for k in (2, 3)]
+    _, circle, station = network(18)
+    rng, errors = np.random.default_rng(1), np.linspace(-SIGMA, SIGMA, 18 * READ)[:, None]
+    _, model = stations(18, rng, 2.0 * SIGMA, ways=ways, kind=ways[0][1])
+    fit = adjust(model).fit
+    (each,) = fit.model.scatterings
+    seen = observable_by(fit, np.pad(errors, ((0, 18), (0, 0))))
+    white = np.pad(errors / SIGMA, ((0, 18), (0, 0)))
+    sizes = each.beside(fit, white)[1]
+    squares, weight = each.squares_of(fit, white, seen.score, seen.information)
+    for k in np.argsort(-weight)[:3].tolist():
+        spread = sizes.size[k] * ways[sizes.way[k]][1][station]
+        inverse = np.linalg.inv(SIGMA**2 * np.eye(len(errors)) + spread @ spread.T)
+        free, on = circle[station], errors.T @ inverse
+        left = on - on @ free @ np.linalg.solve(free.T @ inverse @ free, free.T @ inverse)
+        expected = (left @ model.observed[: len(errors)]) ** 2 / (left @ errors)[0]
+        assert squares[k] == pytest.approx(expected[0], rel=1e-6)

@@ -66,15 +66,19 @@ def test_intervals_hold_where_the_statement_is_wrong_in_one_axis(plate, exact):
 
 
 @pytest.mark.slow
-def test_each_axis_is_estimated_without_bias(exact):
+@pytest.mark.parametrize("axes", [(3.0, 2.0, 1.0), (6.0, 2.0, 1.0)])
+def test_each_axis_is_estimated_without_bias(exact, axes):
+    """Whether they are called unequal or not.
+
+    Of 3 : 2 the best test with the 66 degrees of freedom of these 144 centres finds every second
+    one, if it may call one of a thousand alike ones unequal: F of 2.25 is 3.3 standard deviations.
+    """
     rng, square, runs = np.random.default_rng(5), np.zeros(3), 20 if LONG else 8
     for _ in range(runs):
-        noise = np.array([3.0, 2.0, 1.0]) * SIGMA * rng.normal(size=exact.centres.shape)
+        noise = np.array(axes) * SIGMA * rng.normal(size=exact.centres.shape)
         result = solve(replace(exact, centres=exact.centres + noise))
-        square += np.square(axis_noise(result)) / runs
-    np.testing.assert_allclose(
-        np.sqrt(square) / SIGMA, [3.0, 2.0, 1.0], rtol=0.045 if LONG else 0.07
-    )
+        square += np.square(result.details["sigma_axes"]) / runs
+    np.testing.assert_allclose(np.sqrt(square) / SIGMA, axes, rtol=0.045 if LONG else 0.07)
 
 
 def test_axes_of_the_plane_that_differ_are_named_and_counted_each_by_itself(exact):

@@ -3,12 +3,16 @@
 The moves are put on simulated lengths by plain geometry; the table scatters as well.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from chances import LONG
 from six_scene import good_targets, scene
 
+import rotcal_ros as rc
 from rotcal_ros.foundation.protection import POWER
+from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 
 M, N = 6, 16
@@ -67,6 +71,19 @@ def test_scatter_is_not_taken_for_a_move(scatter):
     runs = 60 if LONG else 20
     each = [measured(100 + k, closes=bool(k % 2), scatter=scatter) for k in range(runs)]
     assert sum(result.verdict != "ok" for result in each) <= 0.05 * runs + 2
+
+
+@pytest.mark.slow
+def test_scatter_of_both_sides_is_not_taken_for_a_move():
+    """Which makes as many positions as arrivals: all there is to say how large it is."""
+    sample = Path(__file__).parents[3] / "examples" / "data" / "tracer_six.yaml"
+    configuration, moved = read_configuration(sample), 0
+    for seed in range(40 if LONG else 10):
+        changes = ("plan.bidirectional=true", f"simulation.seed={seed}")
+        table = changed(configuration, changes)
+        result = prepare(table).solve(tuple(rc.simulate_observations(table)))
+        moved += bool(result.details["effects_found"])
+    assert moved <= 1
 
 
 def test_a_machine_that_drifts_in_all_runs_alike_shows_where_a_run_comes_back():

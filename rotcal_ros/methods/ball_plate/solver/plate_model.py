@@ -261,7 +261,8 @@ def _effects(rows: PlateRows) -> tuple[Disturbing, ...]:
                    LARGEST, UM),
         Disturbing("growth", GREW, grown, LARGEST_GROWTH, Unit("um/m", MICROMETRE)),
         Disturbing("knock", "the plate moved on the table", moved.reshape(3 * n, -1), LARGEST, UM,
-                   family=True, of_each=6, stays=True, usual=RANDOM_MOMENTS),
+                   family=True, of_each=6, stays=True, usual=RANDOM_MOMENTS,
+                   stands_for=n / len(moments)),
     )  # fmt: skip
     return found[1:] if problem.drift else found
 

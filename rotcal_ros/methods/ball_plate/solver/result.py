@@ -74,7 +74,15 @@ METHOD: Final = "ball_plate"
 LIMITS: Final = Limits(rejected_share=0.02, gathered_share=3e-4)
 """Dirt on one ball of fifty is nothing unusual; on two of twelve at one position it is."""
 AXIS_SIGNIFICANCE: Final = 0.001
-"""Level of the test whether the centres scatter alike along x and y."""
+"""Level of the test whether the centres scatter alike along x and y, where it is doubted."""
+APART: Final = 0.05
+"""The same from which on each axis counts by its own noise: it is no loss where they are alike."""
+MATTERS: Final = 1.1
+"""Times that one of them scatters as much as the other, below which it makes no difference."""
+SIGNS: Final = 8
+"""Sets of random signs that show what the residuals along an axis feel of each."""
+NO_NOISE: Final = 1e-9
+"""Variance along an axis, of that along the other, that is none."""
 UNEQUAL: Final = 3.0
 """Times that centres may scatter along one axis as much as along another."""
 VISIBLE: Final = 0.01
@@ -93,7 +101,8 @@ PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 class PlateSolution:
     """A solved ``problem``: what was ``fitted`` of it, and what the engine ``found``.
 
-    ``unusable``: the rows that were not fitted at all; ``by_axis``: x and y scatter unequally.
+    ``unusable``: the rows that were not fitted at all; ``alike``: how probably x and y, which
+    count apart, scatter as unequally by chance; None: they count together.
     """
 
     problem: BallPlateProblem
@@ -101,7 +110,12 @@ class PlateSolution:
     layout: PlateLayout
     found: Adjusted
     unusable: tuple[Rejection, ...]
-    by_axis: bool = False
+    alike: float | None = None
+
+    @property
+    def by_axis(self) -> bool:
+        """Whether x and y have noise of their own."""
+        return self.alike is not None
 
     @cached_property
     def rows(self) -> PlateRows:
@@ -198,7 +212,7 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
     """Return the solution of ``problem``; raises what :func:`solve` raises."""
     fitted, unusable, layout = _prepared(problem)
     try:
-        found, by_axis = _found(layout)
+        found, alike = _found(layout)
     except ObservabilityError as error:
         require_separable(fitted)  # names the harmonics, where it is the harmonics
         less = _without_dirty_position(fitted, layout.groups)
@@ -206,7 +220,7 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
             if fitted.drift:
                 raise _hidden_drift(0.0) from error
             raise
-        left_out, fitted, layout, (found, by_axis) = less
+        left_out, fitted, layout, (found, alike) = less
         unusable = (*unusable, *left_out)
     if fitted.drift:
         _require_visible(found, layout)
@@ -215,19 +229,36 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
             f"{len(fitted.centres)} centres leave no redundancy: nothing can be checked; "
             "measure more balls or CMM positions"
         )
-    return PlateSolution(problem, fitted, layout, found, unusable, by_axis)
+    return PlateSolution(problem, fitted, layout, found, unusable, alike)
 
 
-def _found(layout: PlateLayout) -> tuple[Adjusted, bool]:
+def _found(layout: PlateLayout) -> tuple[Adjusted, float | None]:
+    """Return what is found, and how probably axes are alike that count apart; None: together.
+
+    Where it does not matter they count together, which takes a tenth of the time. An effect may
+    pass for noise of one axis, and this for an effect: the more probable is believed.
+    """
     found = engine.adjust(plate_model(layout), LIMITS)
-    if not _unequal(layout, found):
-        return found, False
-    return engine.adjust(plate_model(layout, by_axis=True), LIMITS), True
+    ratio, alike = _axes(layout, found)
+    level = APART if found.diagnosis.noise.estimated else AXIS_SIGNIFICANCE
+    if ratio < MATTERS or alike >= level:
+        return found, None
+    apart = engine.adjust(plate_model(layout, by_axis=True), LIMITS)
+    explained = found.diagnosis.why or found.found_effects
+    if explained and _improbability(found) < _improbability(apart):
+        return found, None
+    return apart, alike
+
+
+def _improbability(found: Adjusted) -> float:
+    """Return twice -ln of the probability, whatever the noise was taken for beforehand."""
+    first = found.model.std[found.diagnosis.used]
+    return found.diagnosis.improbability + 2.0 * float(np.log(first / MICROMETRE).sum())
 
 
 def _without_dirty_position(
     fitted: BallPlateProblem, groups: int
-) -> tuple[list[Rejection], BallPlateProblem, PlateLayout, tuple[Adjusted, bool]] | None:
+) -> tuple[list[Rejection], BallPlateProblem, PlateLayout, tuple[Adjusted, float | None]] | None:
     """Return what is found without a table position of few balls, most of which are dirty.
 
     None where that does not help.
@@ -275,20 +306,34 @@ def _hidden_drift(seen: float) -> ObservabilityError:
     )
 
 
-def _unequal(layout: PlateLayout, found: Adjusted) -> bool:
-    """Whether x and y scatter unequally, where nothing else was found."""
+def _axes(layout: PlateLayout, found: Adjusted) -> tuple[float, float]:
+    """Return how many times centres scatter along one of x and y, and how probable that is.
+
+    Of axes that are alike. The residuals r along each have sums of squares that feel the noise of
+    both, sum r_x^2 = a s_x^2 + c s_y^2; a and c are squared sums of the redundancy matrix by pairs
+    of axes, and the variances have the covariance 2 [a c; c a]^-1. Random signs show them.
+    """
     rows, fit = PlateRows(layout), found.fit
-    if not rows.turned or found.found_effects or len(found.model.components) != len(IN_PLANE):
-        return False
+    if not rows.turned or len(found.model.components) != len(IN_PLANE):
+        return 1.0, 1.0
     if found.model.unstated and not found.diagnosis.noise.estimated:
-        return False  # there is none
+        return 1.0, 1.0  # there is none
     used = fit.used.reshape(-1, 3)[:, 0]
-    left = (np.swapaxes(rows.frame, 1, 2) @ fit.white.reshape(-1, 3, 1))[used, :2, 0]
-    x, y = (left**2).sum(axis=0).tolist()
-    dof = 0.5 * float(fit.redundancy.reshape(-1, 3)[used, :2].sum())
-    if dof < 1.0 or not min(x, y):
-        return False
-    return 2.0 * f_sf(max(x, y) / min(x, y), dof, dof) < AXIS_SIGNIFICANCE
+    back = np.swapaxes(rows.frame[used], 1, 2)[:, :2]
+
+    def along(white: Floats) -> Floats:
+        """Return sums of squares along x and y (2, k) of rows (3 n, k)."""
+        return np.asarray(((back @ white.reshape(len(used), 3, -1)[used]) ** 2).sum(axis=0))
+
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), (len(used), 1, SIGNS))
+    matrix = np.stack([along(fit.left_of((rows.frame[:, :, k : k + 1] * signs).reshape(-1, SIGNS)))
+                       .mean(axis=1) for k in range(2)])  # fmt: skip
+    dof = float(matrix.trace() - matrix[0, 1] - matrix[1, 0]) / 2.0
+    if dof < 1.0:
+        return 1.0, 1.0
+    variance = np.linalg.solve(matrix, along(fit.white)[:, 0])
+    ratio = float(variance.max() / max(variance.min(), NO_NOISE * variance.max()))
+    return float(np.sqrt(ratio)), 2.0 * f_sf(ratio, dof, dof)
 
 
 def model_of_curves(problem: BallPlateProblem, angles: Floats) -> tuple[CurveModel, Ints]:
@@ -436,7 +481,8 @@ def _doubts(solution: PlateSolution) -> Iterator[Phrase]:
     noise, known = found.fit.std[:3], estimated.log_std[found.model.of_component[:3]]
     apart = np.hypot(known[noise.argmin()], known[noise.argmax()])
     least = np.log(noise.max() / noise.min()) - normal_isf(0.5 * AXIS_SIGNIFICANCE) * apart
-    if solution.by_axis or least > np.log(UNEQUAL):
+    odd = solution.alike is not None and solution.alike < AXIS_SIGNIFICANCE
+    if odd or least > np.log(UNEQUAL):
         shown = ", ".join(f"{size / MICROMETRE:.3g}" for size in noise.tolist())
         yield phrase(SCATTER_UNEQUALLY, shown)
 

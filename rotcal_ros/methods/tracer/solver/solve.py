@@ -173,8 +173,8 @@ def _budget(solution: TracerSolution) -> dict[str, Floats]:
         budget["circle"] = budget["circle"] - budget["error_motion"]
     gathered = found.diagnosis.gathering.covariance()
     beside = np.zeros(m) if gathered is None else gathered.diagonal()[:m]
-    contested = [weight * change[:m] ** 2 for weight, change in found.diagnosis.contested()]
-    beside = np.sum([beside, *contested], axis=0)
+    possible = [(moved[:m] ** 2).sum(axis=1) for moved in found.diagnosis.possible()]
+    beside = np.sum([beside, *possible], axis=0)
     whole = sum(budget.values(), np.zeros(m))
     larger = np.where(whole > 0.0, (found.std**2 - beside) / np.where(whole > 0.0, whole, 1.0), 0)
     budget = {source: each * larger for source, each in budget.items()}
