@@ -114,7 +114,9 @@ def read_measurements(
         found.pop("position", None)
         return found
 
-    reading = read_any(source, (*reader.headers, *reader.with_angles), settings, known)
+    # a table of any other form is never held to be one of a table that turned
+    own = own_table(source, reader.with_angles)
+    reading = Reading(own) if own else read_any(source, reader.headers, settings, known)
     where = phrase("table angles of the plan in {0}", configuration.source)
     if reading.angles_deg:
         where = phrase("table angles of the table")

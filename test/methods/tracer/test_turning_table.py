@@ -83,3 +83,14 @@ def test_a_cell_does_not_turn_yet(tmp_path):
     )
     with pytest.raises(rc.RotcalError, match="does not read lengths from a table that turns yet"):
         rc.simulated_truth(rc.read_configuration(settings))
+
+
+def test_a_table_of_any_other_form_is_not_held_to_be_one_that_turned(scene, tmp_path):
+    table, settings = write_turns(scene, tmp_path, setup=setup(scene), with_times=False)
+    rows = [line.split(",") for line in table.read_text().splitlines()]
+    table.write_text("\n".join(",".join([b, a, *rest]) for a, b, *rest in rows) + "\n")
+    try:
+        measured = rc.read_table(table, rc.read_configuration(settings))
+    except rc.RotcalError:
+        return  # refused, where no package reads tables of any form
+    assert measured.configuration.plan.turning_deg_s == ()
