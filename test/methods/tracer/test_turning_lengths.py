@@ -154,6 +154,15 @@ def test_a_turn_in_which_the_beam_broke_goes_on_from_another_zero():
     assert 0.8 < np.sqrt((normalised(scene, result) ** 2).mean()) < 1.2
 
 
+def test_a_turn_that_was_made_again_is_a_turn_of_its_own():
+    scene = turning_scene(10, correlated_s=0.5, again=(0,))
+    again = (scene.turn >= 8).astype(int)
+    _, result = solved(scene, CORRELATED, again=again, segment=scene.turn)
+    assert result.verdict == "ok"
+    assert result.n_observations == 10 * len(scene.angles)
+    assert 0.6 < np.sqrt((normalised(scene, result) ** 2).mean()) < 1.4
+
+
 def test_a_wrong_length_is_left_out():
     scene = turning_scene(7, correlated_s=0.1)
     length = scene.length.copy()

@@ -13,8 +13,9 @@ RATE_HZ = 1000.0
 class TurningScene:
     """Lengths at angles that the table passes; what is true of it.
 
-    ``angle``, ``target``, ``speed`` (rad/s), ``length`` (m), ``time`` (s), (k,); ``angles`` (n,)
-    rad; ``ecc`` (r, n): of each run, rad; ``nominal`` (t, 3): targets as the machine states them.
+    ``angle``, ``target``, ``speed`` (rad/s), ``length`` (m), ``time`` (s), (k,); ``turn`` (k,): in
+    which each was read; ``angles`` (n,) rad; ``ecc`` (r, n): of each run, rad; ``nominal`` (t, 3):
+    targets as the machine states them.
     """
 
     angle: np.ndarray
@@ -23,6 +24,7 @@ class TurningScene:
     speed: np.ndarray
     length: np.ndarray
     time: np.ndarray
+    turn: np.ndarray
     angles: np.ndarray
     ecc: np.ndarray
     nominal: np.ndarray
@@ -50,8 +52,12 @@ def turning_scene(
     mean_reversal=0.0,
     radius=0.065,
     window_deg=0.5,
+    again=(),
 ):
-    """Turn a table and read lengths; each is the centre of a cubic through its window."""
+    """Turn a table and read lengths; each is the centre of a cubic through its window.
+
+    At the end targets ``again``.
+    """
     rng = np.random.default_rng(seed)
     around = 2.0 * np.pi * np.arange(targets) / targets + 0.3
     heights = np.where(np.arange(targets) % 2, 0.3, 0.7)
@@ -63,8 +69,8 @@ def turning_scene(
     half = 0.5 * (mean_reversal + curve(rng, np.arange(1, 5), reversal, fine))
     moved = [curve(rng, np.arange(2, 8), motion, fine) for _ in "xyz"]
     place = radius * np.array([np.cos(0.4), np.sin(0.4), 0.0]) + [0.0, 0.0, 0.2]
-    rows, begun = [], 0.0
-    for target in range(targets):
+    rows, begun, turn = [], 0.0, 0
+    for target in [*range(targets), *again]:
         for run, speed_deg_s in enumerate(speeds_deg_s):
             speed, sense = speed_deg_s * DEGREE, np.sign(speed_deg_s)
             time = np.arange(0.0, 364.0 / abs(speed_deg_s), 1.0 / RATE_HZ)
@@ -84,13 +90,13 @@ def turning_scene(
                 away = shown / DEGREE - grid[k]
                 near = np.abs(away) < window_deg
                 value = np.polynomial.polynomial.polyfit(away[near], read[near], 3)[0]
-                rows.append((k, target, run, speed, value, begun + time[near].mean()))
-            begun += time[-1] + 15.0
-    number, target, run, speed, length, time = np.array(rows).T
+                rows.append((k, target, run, speed, value, begun + time[near].mean(), turn))
+            begun, turn = begun + time[-1] + 15.0, turn + 1
+    number, target, run, speed, length, time, turn = np.array(rows).T
     at = np.array([np.interp(grid * DEGREE, fine, both + np.sign(v) * half) for v in speeds_deg_s])
     return TurningScene(
         number.astype(int), target.astype(int), run.astype(int), speed, length, time,
-        grid * DEGREE, at, nominal, place,
+        turn.astype(int), grid * DEGREE, at, nominal, place,
     )  # fmt: skip
 
 

@@ -347,7 +347,7 @@ def _turned(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
         other = max(other_motion(runs, lengths.angles, first.residual[rows]), ROUND)
         model = posed.model(replace(supposed, other=(other, other)))
         first = fitted(model, kept, model.std, first.x)
-    in_time = InTime.of(lengths, first)
+    in_time = InTime.of(lengths, posed.problem.earlier[lengths.row], first)
     if in_time.independent:
         return adjusted(replace(model, start=first.x), limits), None
     return adjusted(in_time.model(model), limits), in_time

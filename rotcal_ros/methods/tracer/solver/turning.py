@@ -11,9 +11,9 @@ all turns at one speed, places the table at every angle by itself:
   and as large along the circle as across it.
 * **Noise in time.** Readings follow each other so quickly that drifting air spoils neighbours
   alike. What an angle's redundant lengths leave over is correlated as their noise is, for all of
-  them see the table move alike. An autoregression (Yule and Walker, Burnham's order by BIC)
-  describes it: e_i = sum phi_k e_{i-k} + w_i. Lengths less what it foretells,
-  W y, are independent.
+  them see the table move alike. An autoregression describes it, after Yule and Walker and of an
+  order that BIC chooses: e_i = sum phi_k e_{i-k} + w_i. Lengths less what it foretells, W y, are
+  independent.
 
 What W does to places P of the table, of which beams change their directions slowly, is U (W P): so
 q = W P are unknowns in their place, which lengths feel as before, and P = W^-1 q. All is linear
@@ -132,22 +132,30 @@ class NoiseInTime:
 
 @dataclass(frozen=True, eq=False)
 class InTime:
-    """A table's ``lengths`` beside the ``noise`` (r) of its ``runs``, about the unknowns ``x``."""
+    """A table's ``lengths`` beside the ``noise`` (r) of its ``runs``, about the unknowns ``x``.
+
+    ``series`` (k,): which lengths are of one target, of those that were measured as often before.
+    """
 
     lengths: CarriedLengths
+    series: Ints
     runs: Runs
     noise: tuple[NoiseInTime, ...]
     x: Floats
 
     @classmethod
-    def of(cls, lengths: CarriedLengths, fit: Fit) -> InTime:
-        """Return what the residuals of a ``fit`` of independent lengths show."""
+    def of(cls, lengths: CarriedLengths, again: Ints, fit: Fit) -> InTime:
+        """Return what the residuals of a ``fit`` of independent lengths show.
+
+        ``again`` (k,): how often the pair of each was measured before.
+        """
         runs, k = Runs.of(lengths), len(lengths.row)
-        series = np.full((len(lengths.targets), len(lengths.angles)), np.nan)
+        number = lengths.target + len(lengths.targets) * again
+        series = np.full((int(number.max()) + 1, len(lengths.angles)), np.nan)
         white = np.where(fit.used[:k], fit.white[:k], np.nan)
         usual = float(np.nanmedian(np.abs(white)) / NORMAL_QUARTILE)
         white[np.abs(white) > GROSS * usual] = np.nan
-        series[lengths.target, lengths.position] = white
+        series[number, lengths.position] = white
         checked = np.bincount(lengths.position, fit.redundancy[:k], len(lengths.angles))
         found: dict[float, NoiseInTime] = {}
         for speed in np.unique(np.abs(runs.speed)).tolist():
@@ -160,7 +168,11 @@ class InTime:
             count = float(sum(checked[mine].sum() for mine in here))
             found[speed] = NoiseInTime.of(products / products[0], count)
         return cls(
-            lengths, runs, tuple(found[speed] for speed in np.abs(runs.speed).tolist()), fit.x
+            lengths,
+            number,
+            runs,
+            tuple(found[speed] for speed in np.abs(runs.speed).tolist()),
+            fit.x,
         )
 
     @property
@@ -189,10 +201,10 @@ class InTime:
     def _of_lengths(self) -> tuple[csr_array, csr_array, Floats]:
         """W (k, k) of lengths, of what changes slowly with them; and how noise grows by gaps."""
         lengths, k = self.lengths, np.arange(len(self.lengths.row))
-        row = np.full((len(lengths.targets), len(lengths.angles) + 1), -1)
-        row[lengths.target, lengths.position] = k
+        row = np.full((int(self.series.max()) + 1, len(lengths.angles) + 1), -1)
+        row[self.series, lengths.position] = k
         before, ahead, left = self._foretold(lengths.position)
-        there = row[lengths.target[:, None], before]
+        there = row[self.series[:, None], before]
         gone = np.where((there < 0) & (before >= 0), ahead, 0.0)
         own = _news(k, there, ahead, left)
         slow = own - csr_array((gone.sum(axis=1) / left, (k, k)), shape=own.shape)
