@@ -172,6 +172,7 @@ def test_a_wrong_length_is_left_out():
     assert np.sqrt((normalised(scene, result) ** 2).mean()) < 1.3
 
 
+@pytest.mark.slow
 def test_a_tracer_that_moved_on_the_table_is_not_ok():
     scene = turning_scene(8, angles=36)
     length, late = scene.length.copy(), np.arange(len(scene.length)) > 150
