@@ -125,7 +125,7 @@ def read_measurements(
         if reading.runs > 1 or reading.both_directions:  # only now there are positions for them
             settings = replace(settings, angles="")
             reading = read_any(source, reader.headers, settings, known)
-    elif reading.table.header in reader.with_angles:
+    elif own:
         where = phrase("table angles of the table")
     else:
         _require_angles(configuration, path)

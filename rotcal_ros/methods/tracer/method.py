@@ -105,13 +105,10 @@ def _in_segments(configuration: Configuration) -> bool:
     return bool(turning) or bool(configuration.solver.zero == "per_segment")
 
 
-def _segments(observations: Sequence[Observation], *, turning: bool) -> Ints:
-    """Return the segment (k,) of each observation; another run, or turn, is another segment."""
-    each = [
-        (o.run, o.segment, *((o.station, o.target) if turning else (0, 0))) for o in observations
-    ]
-    numbers = np.array(each, dtype=np.int64).reshape(-1, 4)
-    return np.unique(numbers, axis=0, return_inverse=True)[1].ravel()
+def _segments(observations: Sequence[Observation]) -> Ints:
+    """Return the segment (k,) of each observation; another run is another segment."""
+    both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
+    return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
 
 def _arrivals(configuration: Configuration) -> Arrivals | None:
@@ -151,7 +148,7 @@ def problem(
         }
     return TracerProblem(
         **columns,
-        segment=_segments(observations, turning=len(speeds) > 0) if segments else None,
+        segment=_segments(observations) if segments else None,
         again=again if again.any() else None,
         run=None if segments or len(np.unique(run)) < 2 else run,
         position_std=settings.position_std_m,
@@ -218,9 +215,7 @@ METHOD: Final = Method(
         cell, cell.tracer.mount_m, table, temperature, start_ns
     ),
     plan=lambda configuration: tracer_plan(configuration.plan),
-    check_plan=lambda configuration, plan: check_plan(
-        configuration.solver, plan, turning=bool(configuration.plan.turning_deg_s)
-    ),
+    check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
     adaptive=until_goal,
     compare=compare,
     plan_files=PLAN_FILES,

@@ -27,7 +27,7 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.measurements import TIME, PlannedMeasurements, read_at
 from rotcal_ros.methods.tracer.lengths import LengthCheck
-from rotcal_ros.methods.tracer.plan import turning_plan
+from rotcal_ros.methods.tracer.plan import check_plan, turning_plan
 from rotcal_ros.planning.plan import Point
 from rotcal_ros.planning.table_angles import ANGLE_SETTINGS, table_angles
 
@@ -84,6 +84,7 @@ def read(
     text = replaced(configuration, "plan", plan)
     configuration = parse_configuration(text, configuration.source)
     calibration = Calibration(configuration, turning_plan(configuration.plan, targets))
+    check_plan(configuration.solver, calibration.plan, turning=True)
     steps = {(s.station, s.table_position, s.target): s for s in calibration.plan.steps}
     check, observations = LengthCheck(calibration.plan), list[Observation]()
     for number, turn in enumerate(turns):

@@ -5,7 +5,7 @@ import pytest
 from turning_scene import turning_scene, write_turns
 
 import rotcal_ros as rc
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 
 NOISE = "solver: {length_std_m: 3.5e-8, error_motion_std_m: 0.0}\n"
 
@@ -74,6 +74,11 @@ def test_a_wrong_cell_is_named_by_its_row(scene, tmp_path, old, new, what):
     table.write_text(table.read_text().replace(old, new, 1))
     with pytest.raises(DataError, match=what):
         rc.read_table(table, rc.read_configuration(settings)).solve()
+
+
+def test_three_targets_leave_nothing_to_check_a_place(tmp_path):
+    with pytest.raises(PlanError, match="at least 4"):
+        read(turning_scene(31, angles=12, targets=3), tmp_path)
 
 
 def test_a_cell_does_not_turn_yet(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from turning_scene import ARCSEC, DEGREE, turning_scene
 
+from rotcal_ros.methods.tracer.solver.posed import Posed, Supposed
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import result_of
@@ -58,6 +59,21 @@ def normalised(scene, result):
 def solved(scene, *args, **more):
     solution = adjust(problem_of(scene, *args, **more))
     return solution, result_of(solution)
+
+
+def test_derivatives_are_the_differences_of_lengths():
+    posed = Posed.of(problem_of(turning_scene(1, angles=12)))
+    lengths = posed.lengths_of(Supposed())
+    x = np.random.default_rng(1).normal(0.0, 1e-4, lengths.size)
+    slopes, step = lengths.computed(x)[1].toarray(), 1e-6
+    for block, first in lengths.first.items():
+        if not np.any(slopes[:, first]):
+            continue  # what lengths do not feel, as the frame
+        moved = step * np.eye(1, lengths.size, first)[0]
+        ahead, behind = (lengths.computed(x + sign * moved)[0] for sign in (1.0, -1.0))
+        difference = (ahead - behind) / (2.0 * step)
+        assert slopes[:, first] == pytest.approx(difference, abs=2e-7), block
+    assert np.abs(slopes[:, lengths.first["lag"]]).max() > 1e-3
 
 
 @pytest.mark.parametrize("seed", [1, 2])

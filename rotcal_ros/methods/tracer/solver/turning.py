@@ -37,6 +37,7 @@ from rotcal_ros.adjust.error_motion import WHITE, Spectrum
 from rotcal_ros.adjust.fit import Fit
 from rotcal_ros.adjust.model import Model, linear
 from rotcal_ros.adjust.outputs import Outputs
+from rotcal_ros.adjust.robust_start import NORMAL_QUARTILE
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.methods.tracer.solver.carried_lengths import CarriedLengths
 
@@ -51,8 +52,6 @@ FORGOTTEN: Final = 1e-4
 """Share of a reading's noise that is no matter to a later one."""
 SAME: Final = 1e-9
 """By how much (rad) runs that show one table may differ in their mean."""
-NORMAL_QUARTILE: Final = 0.6745
-"""Median of |x| for a standard normal x."""
 GROSS: Final = 4.0
 """Residuals, in their scatter, beyond which one is no noise."""
 
@@ -93,7 +92,7 @@ class Runs:
 
 @dataclass(frozen=True, eq=False)
 class NoiseInTime:
-    """The noise of a run as an autoregression, of variance 1: ``coefficients`` (order,) of it.
+    """The noise of a run as an autoregression, of variance 1.
 
     ``ahead`` (order + 1, order) and ``left`` (order + 1,): how the first reading, the second and
     so on follow from those before, and the standard deviation of what is new; the last ones hold
