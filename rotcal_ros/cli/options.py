@@ -115,7 +115,7 @@ def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], 
     ``remembers``: what was stated of the table is kept beside it.
     """
     from rotcal_ros.foundation.table_columns import AS_IT_STANDS
-    from rotcal_ros.foundation.table_reading import remember
+    from rotcal_ros.foundation.table_forms import remember
     from rotcal_ros.report.terminal.console import say, tell, understood
 
     def announce(reading: Reading) -> None:
@@ -151,7 +151,7 @@ def references(
 
     Raises UsageError for a ``polygon`` without a reference table among ``sources``.
     """
-    from rotcal_ros.foundation.table_reading import of_tables
+    from rotcal_ros.foundation.table_forms import of_tables
     from rotcal_ros.foundation.tables import is_table
     from rotcal_ros.recordings.result_sources import References
 

@@ -31,7 +31,8 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
-from rotcal_ros.foundation.table_reading import Reading, read_any, reads_any_form
+from rotcal_ros.foundation.table_forms import read_any, reads_any_form
+from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 

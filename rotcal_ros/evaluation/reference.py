@@ -24,7 +24,8 @@ from rotcal_ros.foundation.table_columns import (
     meaning,
     undecided,
 )
-from rotcal_ros.foundation.table_reading import Reading, read_any
+from rotcal_ros.foundation.table_forms import read_any
+from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Header, Row, Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 

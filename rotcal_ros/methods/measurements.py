@@ -13,7 +13,8 @@ from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings, TableColumn
-from rotcal_ros.foundation.table_reading import FILE, Known, Reading, read_any, remembered
+from rotcal_ros.foundation.table_forms import FILE, read_any, remembered
+from rotcal_ros.foundation.table_reading import Known, Reading
 from rotcal_ros.foundation.tables import (
     Header,
     Row,

@@ -19,7 +19,8 @@ from rotcal_ros.evaluation.reference import read_deviations, read_reference
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalError, UndecidedError
 from rotcal_ros.foundation.table_columns import SheetSettings
-from rotcal_ros.foundation.table_reading import FILE, Known, Reading, form_reader, read_any
+from rotcal_ros.foundation.table_forms import FILE, form_reader, read_any
+from rotcal_ros.foundation.table_reading import Known, Reading
 from rotcal_ros.foundation.tables import read_table, table_of
 
 DATA = Path(__file__).parents[2] / "examples" / "data"

@@ -22,7 +22,8 @@ from rotcal_ros.foundation.errors import (
     UndecidedError,
 )
 from rotcal_ros.foundation.table_columns import SheetSettings
-from rotcal_ros.foundation.table_reading import Reading, read_any, remember
+from rotcal_ros.foundation.table_forms import read_any, remember
+from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.units import ARCSEC
 
 ANGLES = np.arange(0.0, 360.0, 45.0)

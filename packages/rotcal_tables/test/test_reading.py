@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.table_columns import ANGLE, TIME, SheetSettings
-from rotcal_ros.foundation.table_reading import Known, Reading, read_any
+from rotcal_ros.foundation.table_forms import read_any
+from rotcal_ros.foundation.table_reading import Known, Reading
 from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_tables.sheets.words import Heading, answer, columns_of, units_of
 

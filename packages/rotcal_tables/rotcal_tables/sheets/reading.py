@@ -37,13 +37,7 @@ from rotcal_ros.foundation.table_columns import (
     undecided,
     unit_setting,
 )
-from rotcal_ros.foundation.table_reading import (
-    Known,
-    Pass,
-    Reading,
-    Use,
-    as_planned,
-)
+from rotcal_ros.foundation.table_reading import Known, Pass, Reading, Use, as_planned
 from rotcal_ros.foundation.tables import Header, Table
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_tables.sheets.deviations import NEAR, Angles, StatedDeviations
