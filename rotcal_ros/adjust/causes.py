@@ -109,7 +109,8 @@ def _least_sizes(diagnosis: Diagnosis, sizes: Sequence[float]) -> list[float]:
             if each.stated is not None:
                 continue  # it is weighed as stated, and what contradicts that is not an effect yet
             chance, beside = each.beside(fit, errors)
-            if chance * among < limit:
+            # an effect that reaches all contrasts leaves none that tell of the size
+            if beside.contrasts and chance * among < limit:
                 found[k] = min(found[k], beside.weighing)
     return found
 
