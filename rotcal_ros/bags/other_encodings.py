@@ -117,7 +117,8 @@ def _protobuf(channel: ChannelDefinition) -> _Parse:
     for file in files.file:
         add(file.name)
     kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(channel.type_name))
-    return kind.FromString
+    parse: _Parse = kind.FromString
+    return parse
 
 
 _PARSERS: Final[dict[str, Callable[[ChannelDefinition], _Parse]]] = {
