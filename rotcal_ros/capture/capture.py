@@ -485,7 +485,7 @@ class Capture:
         if missing:
             raise AttemptRejectedError(
                 phrase(
-                    "no {0} of the air came in time: the index of refraction is unknown",
+                    "no {0} of the air arrived in time: the index of refraction is unknown",
                     ", ".join(missing),
                 )
             )

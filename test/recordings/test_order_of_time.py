@@ -155,7 +155,7 @@ def test_steps_without_an_observation_are_told(every, told, tmp_path):
         if n % every or "tracer" not in m.topic
     ]
     words = read_recording(write_mcap(tmp_path / "a.mcap", kept)).warnings()[0]
-    assert words.startswith("6 of 32 steps were tried in vain, ") == told
+    assert words.startswith("6 of 32 steps failed in every attempt, ") == told
 
 
 def quarters(run, order):
