@@ -30,7 +30,6 @@ from rotcal_ros.methods.air import Refraction
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.configuration import Configuration, read_policy
 from rotcal_ros.methods.continuation import Continuation, continued
-from rotcal_ros.methods.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.methods.frame_conflicts import frame_conflicts
 from rotcal_ros.methods.method import Adaptive, Method, Stations, Trials
 from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL, AsListed, Policy
@@ -38,6 +37,7 @@ from rotcal_ros.planning.plan import Plan, Point, Step
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
+    from rotcal_ros.methods.disturbance import DisturbedMeasurement, Sizes
 
 _DATED_NS: Final = 10**17
 """A stamp before 1973 counts from the start of something: it is no date."""
