@@ -12,8 +12,8 @@ x reads more per y, x per z, y per z: the squareness of the linear axes. Names a
 230-1 and 230-7; metres, radians. Products of tilts among each other (below 1e-8 of the radius) are
 left out.
 
-Where the table stands on an axis A or B that tilts it, that is w, what p is with the tilt at 0,
-and c0 stays where it is. The motions of the table are then its own at every tilt. At the tilt alpha
+Where the table stands on an axis A or B that tilts it, w is what p is with the tilt at 0, and c0
+stays where it is. The motions of the table are then its own at every tilt. At the tilt alpha
 
     p = t + R u + (q + e) x R u - R (q x u) + d,    u = w - t,    R = Rx(alpha) (B: Ry)
 
