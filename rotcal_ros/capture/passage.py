@@ -100,9 +100,8 @@ class Passage:
             )  # fmt: skip
         if abs(speed - ordered) > settings.speed_tolerance * ordered:
             return phrase(
-                "the table passed at {0:.4g} deg/s, ordered {1:g}, allowed {2:.2%} off "
-                "(capture.speed_tolerance): is plan.run_up_deg long enough to reach that "
-                "speed?", speed / DEGREE, ordered / DEGREE, settings.speed_tolerance
+                "the table passed at {0:.4g} deg/s, ordered {1:g}, allowed {2:.2%} off: is "
+                "plan.run_up_deg long enough to reach that speed?", speed / DEGREE, ordered / DEGREE, settings.speed_tolerance
             )  # fmt: skip
         if (off := self.motion.farthest) > settings.position_tolerance_arcsec * ARCSEC:
             return phrase(
@@ -248,8 +247,7 @@ def _few(ahead: Floats, step: Step, settings: CaptureSettings) -> Phrase | None:
         return None
     return phrase(
         "{0} readings before {1:.4f} deg and {2} behind it, expected {3} on each "
-        "side within {4:g} deg (capture.passing_samples): turn slower, read faster, "
-        "or raise plan.passing_deg", sides[0], step.table_angle / DEGREE, sides[1],
+        "side within {4:g} deg: turn slower, read faster, or raise plan.passing_deg", sides[0], step.table_angle / DEGREE, sides[1],
         settings.passing_samples, step.passing / DEGREE
     )  # fmt: skip
 

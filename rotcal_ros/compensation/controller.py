@@ -8,10 +8,10 @@ verifies a file before it counts as written. How to add one: ``docs/controllers.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Final, Protocol
+from typing import ClassVar, Final, NamedTuple, Protocol
 
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
@@ -64,6 +64,33 @@ class Located:
     unverified: tuple[str, ...] = ()
 
 
+class OwnSetting(NamedTuple):
+    """What a control does with an axis beside its table, as every export of the table repeats it.
+
+    ``name`` is the setting's in the control, ``effect`` what it does to the table, ``handled``
+    what the export does about it, and what a person has to. Without a ``source`` it is from
+    memory.
+    """
+
+    name: str
+    effect: str
+    handled: str
+    source: str
+
+    def describe(self) -> str:
+        """Return it in one line."""
+        doubt = "" if self.source else " (not confirmed by a page)"
+        return f"{self.name}: {self.effect}{doubt}; {self.handled}"
+
+
+class Comment(NamedTuple):
+    """Where a file of a controller takes comments: its ending, the line, and how one looks."""
+
+    suffix: str
+    place: int
+    form: str
+
+
 class Rule(Protocol):
     """A table as a control has loaded it."""
 
@@ -78,9 +105,13 @@ class Controller(ABC):
     ``position_resolution`` (rad) is the step of the positions in a file, ``staircase`` says that
     the control does not interpolate between them. ``suffixes`` are the endings of the names of its
     files; without them files that were copied by hand are not recognised before the first change.
+    ``own_settings`` are what else the control does with the axis; ``comment`` is None if the files
+    have no comments.
     """
 
     facts: ClassVar[Facts]
+    own_settings: ClassVar[tuple[OwnSetting, ...]] = ()
+    comment: ClassVar[Comment | None] = None
     suffixes: ClassVar[tuple[str, ...]] = ()
     position_resolution: ClassVar[float] = 0.0
     staircase: ClassVar[bool] = False
@@ -101,13 +132,19 @@ class Controller(ABC):
     def resolution(self, table: CompensationTable) -> float:
         """Return the step (rad) of the values in the files of ``table``."""
 
-    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return ``files`` with the line ``text`` as a comment, if their form has comments.
+    def commented(self, files: Mapping[str, str], lines: Iterable[str]) -> dict[str, str]:
+        """Return ``files`` with ``lines`` as comments, if their form has comments.
 
         Reading them gives the same as before.
         """
-        del text
-        return dict(files)
+        if self.comment is None:
+            return dict(files)
+        suffix, place, form = self.comment
+        return with_lines(files, suffix, place, [form.format(line) for line in lines])
+
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return ``files`` with the mark ``text``, where whoever looks at the table sees it."""
+        return self.commented(files, [text])
 
     def for_axis(self, axis: str) -> Controller:
         """Return the controller with the values for ``axis`` from the machine's own files.
@@ -176,9 +213,25 @@ class Controller(ABC):
         return ()
 
     @property
+    def switch_on(self) -> str:
+        """What switches the table on at this control, in words; empty if nothing has to."""
+        return ""
+
+    @property
     def busy_command(self) -> tuple[str, ...]:
         """Command that reports whether the machine is at work; see :mod:`.feed`; empty: none."""
         return ()
+
+
+def with_lines(
+    files: Mapping[str, str], suffix: str, place: int, added: Sequence[str]
+) -> dict[str, str]:
+    """Return ``files`` with the lines ``added`` at ``place`` in those that end with ``suffix``."""
+    texts = dict(files)
+    for name in (name for name in files if name.endswith(suffix)):
+        lines = files[name].splitlines(keepends=True)
+        texts[name] = "".join([*lines[:place], *(f"{x}\n" for x in added), *lines[place:]])
+    return texts
 
 
 @dataclass(frozen=True)

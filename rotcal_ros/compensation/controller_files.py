@@ -49,13 +49,22 @@ def fixed(value: float, decimals: int) -> str:
     return text.lstrip("-") if float(text) == 0.0 else text
 
 
-def with_line(files: Mapping[str, str], suffix: str, place: int, line: str) -> dict[str, str]:
-    """Return ``files`` with a further ``line`` at ``place`` in those that end with ``suffix``."""
-    texts = dict(files)
-    for name in (name for name in files if name.endswith(suffix)):
-        lines = files[name].splitlines(keepends=True)
-        texts[name] = "".join([*lines[:place], f"{line}\n", *lines[place:]])
-    return texts
+def backlash_note(about: str, amount: float, table: CompensationTable) -> str:
+    """Say what becomes of a backlash ``amount`` (rad) that the control takes off from above.
+
+    ``about`` names it; the files of ``table`` put it out of force.
+    """
+    if not amount:
+        return ""
+    if table.adds_to:
+        return (
+            f"{about} is not added, since a table was in force in the measurement: if that table "
+            "had one column for both directions, measure without a table"
+        )
+    return (
+        f"{about} is in the table: {-amount / ARCSEC:+.6g} arcsec in the reverse column, because "
+        "it acted in the measurement. If it was another one then, state it"
+    )
 
 
 def every_turn(first: int, turns: int, angles: Floats, *values: Floats) -> tuple[Floats, ...]:

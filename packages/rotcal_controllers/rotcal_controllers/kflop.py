@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import EveryTurnController, Facts
+from rotcal_ros.compensation.controller import EveryTurnController, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     even_interval_deg,
@@ -67,11 +67,24 @@ class Kflop(EveryTurnController):
         source="Dynomotion Wiki, Linear Table Correction (06/2024); Dynomotion Forum, topic 1870",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    own_settings = (
+        OwnSetting(
+            "BacklashMode, BacklashAmount",
+            "of the axis channel act beside the table",
+            "leave them as they were during the measurement",
+            "",
+        ),
+    )
     one_direction = True
     unverified = (
         "the two columns of a point: read off a user's table in the maker's forum",
         "what the control does beyond the table: keep the travel inside",
     )
+
+    @property
+    def switch_on(self) -> str:
+        """The screen that takes the file."""
+        return "Linear Table Correction of the axis in KMotionCNC, with the name of the file"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table; ConfigurationError for an arc or uneven rows."""

@@ -95,6 +95,11 @@ class Smoothieware(EveryTurnController):
         "X", doc="axis of the control that drives the table", choices=("X", "Y", "Z")
     )
 
+    @property
+    def switch_on(self) -> str:
+        """Where the points go, and the command that loads them."""
+        return "copy the points to /sd/pitch_compensation.dat, then M381.3"
+
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the points; ConfigurationError unless the table is zero at 0 and holds 0."""
         require_circle(table, "Smoothieware")
