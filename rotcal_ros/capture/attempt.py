@@ -15,7 +15,7 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream
 from rotcal_ros.capture.window import ReducedWindow, TracerStream
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import NOTHING, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind, ProbeSample
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.planning.plan import Plan, Step
@@ -176,7 +176,7 @@ class Attempt:
             n_samples=n_samples,
             n_used=reduced.n_used,
             accepted=not reduced.reason,
-            reason=reduced.reason or phrase(""),
+            reason=reduced.reason or NOTHING,
             table_angle_measured=table_angle_measured,
             temperature_c=air.temperature_c,
             pressure_pa=air.pressure_pa,

@@ -37,7 +37,7 @@ from rotcal_ros.capture.table import (
 )
 from rotcal_ros.capture.window import Beam, TracerStream
 from rotcal_ros.foundation.arrays import Stamps
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import NOTHING, Phrase, phrase
 from rotcal_ros.foundation.observations import (
     Command,
     Observation,
@@ -510,7 +510,7 @@ class Capture:
     def _never_came(self, stream: Stream) -> Phrase:
         """Return a clause for a stream that has delivered nothing so far."""
         if stream.latest is not None or stream.counts.received:
-            return phrase("")
+            return NOTHING
         if stream is not self._streams.table:
             return phrase("; none has come yet")
         return phrase("; none has come yet: does cell.joint name a joint of the feedback?")

@@ -26,7 +26,7 @@ from rotcal_ros.capture.streams import Stream
 from rotcal_ros.capture.table import ANGLE, offset
 from rotcal_ros.capture.window import ReducedWindow, sequence_steps
 from rotcal_ros.foundation.arrays import Floats, Stamps
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import NOTHING, Phrase, phrase
 from rotcal_ros.foundation.observations import Observation, Turn
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.planning.plan import Step
@@ -101,7 +101,8 @@ class Passage:
         if abs(speed - ordered) > settings.speed_tolerance * ordered:
             return phrase(
                 "the table passed at {0:.4g} deg/s, ordered {1:g}, allowed {2:.2%} off: is "
-                "plan.run_up_deg long enough to reach that speed?", speed / DEGREE, ordered / DEGREE, settings.speed_tolerance
+                "plan.run_up_deg long enough to reach that speed?", speed / DEGREE,
+                ordered / DEGREE, settings.speed_tolerance
             )  # fmt: skip
         if (off := self.motion.farthest) > settings.position_tolerance_arcsec * ARCSEC:
             return phrase(
@@ -142,7 +143,7 @@ def decide_passage(
         "the table did not pass {0:.4f} deg at about {1:g} deg/s within {2:g} s of "
         "the order (capture.step_timeout_s){3}", step.table_angle / DEGREE,
         _turn(step).speed / DEGREE, settings.step_timeout_s,
-        _THE_OTHER_WAY if reversed_ else phrase("")
+        _THE_OTHER_WAY if reversed_ else NOTHING
     )  # fmt: skip
 
 
@@ -246,9 +247,9 @@ def _few(ahead: Floats, step: Step, settings: CaptureSettings) -> Phrase | None:
     if min(sides) >= settings.passing_samples:
         return None
     return phrase(
-        "{0} readings before {1:.4f} deg and {2} behind it, expected {3} on each "
-        "side within {4:g} deg: turn slower, read faster, or raise plan.passing_deg", sides[0], step.table_angle / DEGREE, sides[1],
-        settings.passing_samples, step.passing / DEGREE
+        "{0} readings before {1:.4f} deg and {2} behind it, expected {3} on each side within "
+        "{4:g} deg: turn slower, read faster, or raise plan.passing_deg", sides[0],
+        step.table_angle / DEGREE, sides[1], settings.passing_samples, step.passing / DEGREE
     )  # fmt: skip
 
 

@@ -145,6 +145,10 @@ def phrase_of(text: str, code: str, arguments: Sequence[str]) -> Phrase:
     return phrase(text)
 
 
+NOTHING: Final = listed(())
+"""The text without words: no reason."""
+
+
 def codes_of(texts: Any) -> list[dict[str, Any]]:
     """Return every phrase with arguments among ``texts`` once, as plain data of JSON.
 
