@@ -100,7 +100,7 @@ class Passage:
         if abs(speed - ordered) > settings.speed_tolerance * ordered:
             return (
                 f"the table passed at {speed / DEGREE:.4g} deg/s, ordered {ordered / DEGREE:g}, "
-                f"allowed {settings.speed_tolerance:.2%} off (capture.speed_tolerance): is "
+                f"allowed {settings.speed_tolerance:.2%} off: is "
                 "plan.run_up_deg long enough to reach that speed?"
             )
         if (off := self.motion.farthest) > settings.position_tolerance_arcsec * ARCSEC:
@@ -246,7 +246,7 @@ def _few(ahead: Floats, step: Step, settings: CaptureSettings) -> str | None:
     return (
         f"{sides[0]} readings before {step.table_angle / DEGREE:.4f} deg and {sides[1]} behind "
         f"it, expected {settings.passing_samples} on each side within "
-        f"{step.passing / DEGREE:g} deg (capture.passing_samples): turn slower, read faster, or "
+        f"{step.passing / DEGREE:g} deg: turn slower, read faster, or "
         "raise plan.passing_deg"
     )
 

@@ -40,7 +40,7 @@ def _of_the_table(cell: CellSettings, tree: FrameTree, axis: Placement) -> Itera
     if off > cell.frame_tolerance_m:
         yield phrase(
             "{0} at {1}, {2:.1f} mm from the axis of the solution, which goes through {3}; "
-            "allowed {4:g} mm (cell.frame_tolerance_m)", names, _place(pose.origin),
+            "allowed {4:g} mm", names, _place(pose.origin),
             off / MILLIMETRE, _place(axis.point), cell.frame_tolerance_m / MILLIMETRE
         )  # fmt: skip
     z = pose.axes[:, 2]
@@ -48,7 +48,7 @@ def _of_the_table(cell: CellSettings, tree: FrameTree, axis: Placement) -> Itera
     if tilt > cell.frame_tolerance_deg * DEGREE:
         yield phrase(
             "{0} with z along {1}, {2:.2f} degrees from the axis of the solution, {3}; allowed "
-            "{4:g} (cell.frame_tolerance_deg)",
+            "{4:g}",
             names, _direction(z), tilt / DEGREE, _direction(axis.direction),
             cell.frame_tolerance_deg,
         )  # fmt: skip
@@ -69,7 +69,7 @@ def _of_the_tracer(
     if off[worst] > cell.frame_tolerance_m:
         yield phrase(
             "tf has {0} in {1} at {2}; with the table at {3:g} degrees that is {4:.1f} mm "
-            "from the station of the solution, {5}; allowed {6:g} mm (cell.frame_tolerance_m)",
+            "from the station of the solution, {5}; allowed {6:g} mm",
             printable(cell.tracer_frame), printable(cell.machine_frame), _place(pose.origin),
             angles[worst] / DEGREE, off[worst] / MILLIMETRE, _place(placed.stations[worst]),
             cell.frame_tolerance_m / MILLIMETRE,
