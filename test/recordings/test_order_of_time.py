@@ -230,6 +230,4 @@ def test_streams_without_any_true_time_are_told(tmp_path):
         for m in run_messages()
     ]
     path = write_mcap(tmp_path / "a.mcap", of_the_writer(by_topic(bare), published=False))
-    assert "not all of its streams have valid times" in " ".join(
-        read_recording(path).warnings()
-    )
+    assert "not all of its streams have valid times" in " ".join(read_recording(path).warnings())
