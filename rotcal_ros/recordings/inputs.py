@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rotcal_ros.bags.reader import Progress, bag_files
 from rotcal_ros.bags.settings import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import is_table
 from rotcal_ros.methods.configuration import (
     OFFLINE_GROUPS,
@@ -17,11 +17,13 @@ from rotcal_ros.methods.configuration import (
     changed,
     read_configuration,
 )
-from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.recorded_setup import find_configuration
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics, of_one_cell
+
+if TYPE_CHECKING:
+    from rotcal_ros.foundation.table_reading import Reading
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,8 @@ class Input:
                 raise ConfigurationError(
                     f"--set {of_reading[0]}: {self.path} is not a bag; leave it out"
                 )
+            from rotcal_ros.methods.measurements import read_measurements
+
             stated = changed(read_configuration(self.setup), self.changes)
             return read_measurements(self.path, stated, self.targets, self.announce)
         if self.targets is not None:

@@ -9,8 +9,8 @@ import pytest
 import rotcal_ros as rc
 from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.methods import prepare
+from rotcal_ros.methods.calibration import frame_conflicts
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.methods.frame_conflicts import frame_conflicts
 
 CONFIG = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
