@@ -47,6 +47,7 @@ MARKED = re.compile(rf"\b(?:{'|'.join(MARKS)})\(")
 SHOWN_BY = (
     "Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title", "Words",
     "Disturbing", "Grouping", "KnownBeforehand", "with_prior", "scattering", "Otherwise",
+    "AttemptRejectedError",
 )  # fmt: skip
 """Calls whose texts of several words come onto a page, or are arguments of codes."""
 UNIT = re.compile("_(deg|mm|um|arcsec)$")

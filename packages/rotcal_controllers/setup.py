@@ -5,10 +5,14 @@ from setuptools import find_packages, setup
 NAME = "rotcal_controllers"
 VERSION = "0.1.0"
 CONTROLLERS = {
+    "acs": "Acs",
+    "aerotech": "Aerotech",
+    "encoder_lut": "EncoderLut",
     "fagor": "Fagor",
     "fanuc": "Fanuc",
     "heidenhain": "Heidenhain",
     "kflop": "Kflop",
+    "mach4": "Mach4",
     "pmac": "Pmac",
     "sinumerik": "Sinumerik",
     "smoothieware": "Smoothieware",

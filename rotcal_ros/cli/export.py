@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -37,9 +37,9 @@ AXIS: Final = "axis"
 )
 @click.option(
     "--what",
-    type=click.Choice(["table", AXIS]),
+    type=click.Choice(["table", AXIS, VOLUMETRIC]),
     default="table",
-    help="Compensation table, or where the axes are.",
+    help="Compensation table, where the axes are, or all six deviations.",
 )
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
 @click.option(
@@ -118,9 +118,12 @@ def command(
     is written beside the table. The option is the same as --set machine_ini=FILE.
 
     --what axis writes where the axes are instead, as the parameters of the controller's
-    kinematics, from a result of table_balls.
+    kinematics, from a result of table_balls. --what volumetric writes all deviations, EXC to ECC,
+    in the controller's own form; --to volumetric in a neutral one.
     """
+    from rotcal_ros.compensation.axis_location import prepare_location
     from rotcal_ros.compensation.request import ExportRequest, write_export
+    from rotcal_ros.compensation.volumetric import prepare_volumetric
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import read_source
 
@@ -134,9 +137,10 @@ def command(
         return read_source(path, Input(path, setup, targets, changes, announce=understood))
 
     forward = read(source)
-    if what == AXIS:
-        _refuse(_of_tables(asked, reverse), "--what axis, which writes no table")
-        _write_location(forward, asked, as_json)
+    if what == AXIS or (what == VOLUMETRIC and asked.controller != VOLUMETRIC):
+        _refuse(_of_tables(asked, reverse), f"--what {what}, which writes no table")
+        _write_prepared(prepare_volumetric if what == VOLUMETRIC else prepare_location,
+                        forward, asked, as_json)  # fmt: skip
     elif asked.controller == VOLUMETRIC:
         unused = _of_tables(asked, reverse) | _of_controllers(asked)
         _refuse(unused, "a volumetric table, which holds the deviations as measured")
@@ -208,13 +212,17 @@ def _write_volumetric(forward: ResultSource, asked: ExportRequest) -> tuple[Path
     return write_files(volumetric_files(result, name, letter), asked.out)
 
 
-def _write_location(forward: ResultSource, asked: ExportRequest, as_json: bool) -> None:
-    """Write where the axes are, and say what the controller cannot hold."""
-    from rotcal_ros.compensation.axis_location import prepare_location
+def _write_prepared(
+    prepare: Callable[..., tuple[dict[str, str], tuple[str, ...]]],
+    forward: ResultSource,
+    asked: ExportRequest,
+    as_json: bool,
+) -> None:
+    """Write where the axes are, or all deviations, and say what the controller cannot hold."""
     from rotcal_ros.compensation.controllers import make_controller
     from rotcal_ros.compensation.writing import write_files
 
-    files, words = prepare_location(
+    files, words = prepare(
         forward.result,
         asked.controller,
         make_controller(asked.controller, asked.controller_settings()),

@@ -7,9 +7,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, UndecidedError
+from rotcal_ros.foundation.settings import of_changes
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
-from rotcal_ros.foundation.table_forms import read_any
+from rotcal_ros.foundation.table_forms import read_any, remembered
 from rotcal_ros.foundation.tables import own_table
+from rotcal_ros.foundation.untrusted import load_yaml
 from rotcal_ros.methods.configuration import Configuration, changed, parse_configuration
 from rotcal_ros.methods.method import Method, TableReader, usable_methods
 
@@ -36,13 +38,15 @@ def _reads(path: Path, table: TableReader, sheet: SheetSettings) -> bool | None:
     return True
 
 
-def setup_of_its_own(path: Path, sheet: SheetSettings, changes: Sequence[str]) -> Configuration:
+def setup_of_its_own(path: Path, changes: Sequence[str]) -> Configuration:
     """Return the set-up of a table that needs none, with ``changes``.
 
     Raises ConfigurationError that lists what the table may be for, each with its command, where
     that is not one method alone whose tables state everything.
     """
-    found = fitting_methods(path, sheet)
+    of_the_table = [change for change in changes if change.startswith("sheet.")]
+    stated = of_changes(SheetSettings, "sheet", of_the_table, load_yaml)
+    found = fitting_methods(path, remembered(path, stated))
     if not found:  # what stands against the one that would need nothing else
         every = (m for m in usable_methods() if m.table and not m.table.needs_setup)
         found = list(every)[:1]

@@ -5,28 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rotcal_ros.bags.reader import Progress, bag_files
 from rotcal_ros.bags.settings import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import of_changes
-from rotcal_ros.foundation.table_columns import SheetSettings
-from rotcal_ros.foundation.table_forms import remembered
-from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import is_table
-from rotcal_ros.foundation.untrusted import load_yaml
 from rotcal_ros.methods.configuration import (
     OFFLINE_GROUPS,
     Configuration,
     changed,
     read_configuration,
 )
-from rotcal_ros.methods.fitting import setup_of_its_own
-from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.recorded_setup import find_configuration
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics, of_one_cell
+
+if TYPE_CHECKING:
+    from rotcal_ros.foundation.table_reading import Reading
 
 
 @dataclass(frozen=True)
@@ -65,8 +62,11 @@ class Input:
                 raise ConfigurationError(
                     f"--set {of_reading[0]}: {self.path} is not a bag; leave it out"
                 )
+            from rotcal_ros.methods.fitting import setup_of_its_own
+            from rotcal_ros.methods.measurements import read_measurements
+
             stated = (
-                setup_of_its_own(self.path, self._sheet(), self.changes)
+                setup_of_its_own(self.path, self.changes)
                 if self.setup is None
                 else changed(read_configuration(self.setup), self.changes)
             )
@@ -86,11 +86,6 @@ class Input:
             progress=progress,
             limits=limits,
         )
-
-    def _sheet(self) -> SheetSettings:
-        """Return what the changes say of the table, and what is remembered of its form."""
-        own = [change for change in self.changes if change.startswith("sheet.")]
-        return remembered(self.path, of_changes(SheetSettings, "sheet", own, load_yaml))
 
     def _asked_names(
         self, configuration: Configuration | None, changes: tuple[str, ...]

@@ -206,7 +206,7 @@ class GoalMeasurement:
             raise GoalError(
                 Codes.RECORDER_FAILED,
                 f"{place}: no receipt from the recorder within {limit_s:g} s ({reason}); look at "
-                "its log, or raise planner.receipt_timeout_s",
+                "its log and its disk",
             )
         return receipts[key]
 
