@@ -177,7 +177,9 @@ class UntilGoal:
     def _next(self) -> Choice:
         """Return the choice without its standing."""
         if self._stop is not None:
-            return Choice(None, listed([self._stop, self._closing.describe()], ""), NOWHERE)
+            closed = self._closing.describe()
+            why = listed([self._stop, closed], "") if closed else self._stop
+            return Choice(None, why, NOWHERE)
         step, reason = self._queue[0]
         if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
             step, reason = self._queue[0] = self._better_than(step, reason)
