@@ -487,7 +487,7 @@ class Capture:
         missing = [q.name for q in self._required if getattr(observation, q.column) is None]
         if missing:
             raise AttemptRejectedError(
-                "no {0} of the air came in time: the index of refraction is unknown",
+                "no {0} of the air arrived in time: the index of refraction is unknown",
                 ", ".join(missing),
             )
 

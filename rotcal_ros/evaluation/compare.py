@@ -247,7 +247,7 @@ def _notes(both: PairedCurves, why: Phrase | None, exact: bool) -> list[Phrase]:
             phrase("both rest in part on the same observations, which is taken into account")
         )
     if exact:
-        notes.append(phrase("neither curve states an uncertainty: E_n says nothing"))
+        notes.append(phrase("neither curve states an uncertainty: E_n means nothing"))
     if why:
         notes.append(why)
     return notes

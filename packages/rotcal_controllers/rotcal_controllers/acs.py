@@ -117,8 +117,11 @@ class Acs(EveryTurnController):
                 f"and ERRORMAPON for {place}, STOP"
             )
         rows = [re.split(r"[()=]+", line)[1:3] for line in match[3].splitlines()]
-        if [integer(row[0], name) for row in rows] != list(range(integer(match[2], name))):
-            raise BagError(f"{name}: {len(rows)} values, expected 0 .. {match[2]} in this order")
+        places = [integer(row[0], name) for row in rows]
+        if places != list(range(len(rows))) or integer(match[2], name) != len(rows):
+            raise BagError(
+                f"{name}: {len(rows)} values of {match[2]:.9}, expected all, in their order"
+            )
         values = np.array([number(row[1], name) for row in rows], dtype=np.float64)
         even = (number(match[6], f"{name}, base"), number(match[7], f"{name}, step"))
         return UnrolledTable.evenly(name, even, (values, values), self.travel, DEGREE)

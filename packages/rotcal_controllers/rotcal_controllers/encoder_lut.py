@@ -156,14 +156,17 @@ class EncoderLut(Controller):
         body = re.sub(r"^//.*\n", "", text, flags=re.MULTILINE)
         match = re.fullmatch(r"u?int16_t (\w+)\[(\d+)\] = \{([-\d,\s]*)\};\n", body)
         cells = re.split(r",\s*", match[3].strip()) if match else []
-        if match is None or match[1] != NAMES[self.form] or int(match[2]) != len(cells):
+        if match is None or match[1] != NAMES[self.form] or integer(match[2], name) != len(cells):
             raise BagError(
                 f"{name}: expected {NAMES[self.form]}[N] = {{...}}; with N values, found "
                 f"{len(cells)}"
             )
         if self.points and len(cells) != self.points:
             raise BagError(f"{name}: {len(cells)} values, expected {self.points} per turn")
-        values = np.array([integer(cell, name) for cell in cells], dtype=np.int64)
+        found = [integer(cell, name) for cell in cells]
+        if not all(-32768 <= value <= 65535 for value in found):
+            raise BagError(f"{name}: a value is none of 16 bits")
+        values = np.array(found, dtype=np.int64)
         even = np.arange(len(values)) * TURN / len(values)
         readings = np.asarray(even, dtype=np.float64)
         taken = np.asarray((values - self._middle) * self._step, dtype=np.float64)

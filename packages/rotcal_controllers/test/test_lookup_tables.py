@@ -96,6 +96,7 @@ def test_counts_are_taken_off_the_reading():
     [
         ("int16_t encoder_lut[8]", "int16_t encoder_lut[9]", r"N values, found 8"),
         ("int16_t encoder_lut[8]", "int16_t calibrationLut[8]", r"expected encoder_lut\[N\]"),
+        ("0, ", "99999999999999999999999, ", "a value is none of 16 bits"),
         ("0, ", "0; ", r"expected encoder_lut\[N\]"),
         ("0, ", "0, x", r"expected encoder_lut\[N\]"),
         ("encoder_lut[8] = {\n0, ", "encoder_lut[7] = {\n", "7 values, expected 8 per turn"),

@@ -296,9 +296,7 @@ class UntilGoal:
             best = self._allowance.stated(self._best)
         if not goal <= best < math.inf:
             return None
-        missed = phrase(
-            "all steps that are left would give {0} > {1}", _arcsec(best), _arcsec(goal)
-        )
+        missed = phrase("all remaining steps would give {0} > {1}", _arcsec(best), _arcsec(goal))
         if self._allowance.floor >= goal:
             missed = phrase(
                 "the table's error motion alone, as its circle shows it, gives {0}", _arcsec(best)

@@ -553,7 +553,7 @@ def _protections(solution: SixSolution) -> Iterator[Protection]:
     stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
     for sizes in solution.found.fit.sizes.values():
         if not sizes.contrasts:
-            why = phrase("no distance between places shows it: it is stated")
+            why = phrase("no distance between places shows it: the stated value is used")
             yield Protection("repeatability", "not protected", why)
         elif None in stated:
             yield Protection(

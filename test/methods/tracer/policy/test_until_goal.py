@@ -308,7 +308,7 @@ def test_a_station_without_a_free_beam_ends_the_plan_by_its_name(of):
 def test_a_goal_out_of_reach_of_all_steps_ends_the_plan_at_once(of):
     factor = 20.0
     made = measured(UntilGoal(of, GOAL), cell_of(of, 13, factor))
-    assert "out of reach: all steps that are left would give U" in made[-1].reason
+    assert "out of reach: all remaining steps would give U" in made[-1].reason
     assert len(made) < 90
 
 
