@@ -7,6 +7,7 @@ VERSION = "0.1.0"
 CONTROLLERS = {
     "acs": "Acs",
     "aerotech": "Aerotech",
+    "centroid": "Centroid",
     "encoder_lut": "EncoderLut",
     "fagor": "Fagor",
     "fanuc": "Fanuc",

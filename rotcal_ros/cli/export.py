@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import installed, setup_options
+from rotcal_ros.cli.options import installed, reference_option, setup_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.terminal.console import say, tell, understood
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ AXIS: Final = "axis"
     metavar="BAG|TABLE|RESULT",
     help="Measurement in the other direction.",
 )
+@reference_option
 @click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics instead of a spline.")
 @click.option(
     "--revolutions", metavar="FIRST:LAST", help="Travel, for controllers that do not wrap."
@@ -95,6 +97,7 @@ def command(
     targets: Path | None,
     reverse: Path | None,
     settings: tuple[str, ...],
+    reference_std: float | None,
     what: str,
     **options: Any,
 ) -> int:
@@ -106,6 +109,10 @@ def command(
     table. If it is not known which table was in force, --replace or --add-to must say so. Axis and
     serial number must be those of the machine, and the measurement must be younger than --max-age
     (default: 30 days): a contradiction is refused unless --accept allows it.
+
+    A table of deviations, actual - commanded, needs no set-up: one or both directions, repeated
+    runs, with its uncertainty in a column, by --reference-u, or from the repeats. Whether the
+    numbers are deviations or corrections is asked, where the table does not show it.
 
     The settings of the joint come from --machine-ini; a copy of that file, which uses the table,
     is written beside the table. The option is the same as --set machine_ini=FILE.
@@ -121,7 +128,10 @@ def command(
     from rotcal_ros.recordings.result_sources import read_source
 
     changes = tuple(filter(_is_of_configuration, settings))
-    asked = ExportRequest(settings=tuple(s for s in settings if s not in changes), **options)
+    if setup is None:
+        changes += _of_a_table_alone(source, options["axis"], reference_std)
+    own = tuple(s for s in settings if not _is_of_configuration(s))
+    asked = ExportRequest(settings=own, **options)
 
     def read(path: Path) -> ResultSource:
         return read_source(path, Input(path, setup, targets, changes, announce=understood))
@@ -140,6 +150,19 @@ def command(
         export, paths = write_export(forward, asked, backward)
         _show_written(export.files, paths, as_json, export.describe())
     return 0
+
+
+def _of_a_table_alone(
+    source: Path, axis: str | None, reference_std: float | None
+) -> tuple[str, ...]:
+    """Return what the options say of a table of deviations, which has no set-up."""
+    from rotcal_ros.foundation.tables import is_table
+
+    stated = () if reference_std is None else (f"solver.u_arcsec={reference_std / ARCSEC!r}",)
+    if not is_table(source):
+        _refuse({"--reference-u": reference_std}, "what is no table of deviations")
+        return ()
+    return (*stated, *([f"cell.axis={axis}"] if axis else []))
 
 
 def _of_tables(asked: ExportRequest, reverse: Path | None) -> dict[str, Any]:

@@ -53,22 +53,23 @@ class Input:
         """Return what was measured, ready to be solved.
 
         Raises BagError for a path that is neither a bag nor a table, ConfigurationError for a
-        table without set-up and for impossible changes, DataError for contradictory content.
+        table that needs a set-up and has none, and for impossible changes, DataError for
+        contradictory content.
         """
         of_reading = tuple(change for change in self.changes if is_limit(change))
         if is_table(self.path):
-            if self.setup is None:
-                raise ConfigurationError(
-                    f"{self.path} is a table, and a table needs its set-up: give --setup "
-                    "SETUP.yaml (rotcal new writes one)"
-                )
             if of_reading:
                 raise ConfigurationError(
                     f"--set {of_reading[0]}: {self.path} is not a bag; leave it out"
                 )
+            from rotcal_ros.methods.fitting import setup_of_its_own
             from rotcal_ros.methods.measurements import read_measurements
 
-            stated = changed(read_configuration(self.setup), self.changes)
+            stated = (
+                setup_of_its_own(self.path, self.changes)
+                if self.setup is None
+                else changed(read_configuration(self.setup), self.changes)
+            )
             return read_measurements(self.path, stated, self.targets, self.announce)
         if self.targets is not None:
             raise ConfigurationError(

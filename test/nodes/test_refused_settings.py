@@ -7,6 +7,7 @@ import yaml
 from live_cell import DEMO, wait_until
 
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.plugins import METHODS, provider
 from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.methods.configuration import (
     GROUPS,
@@ -55,7 +56,7 @@ def test_the_configuration_is_refused_with_place_and_nearest_name(name, value, f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", method_names())
+@pytest.mark.parametrize("method", [m for m in method_names() if not provider(m, METHODS)])
 def test_every_setting_of_every_method_is_known_by_its_exact_name_only(method):
     given = read_configuration(DEMO.with_name({"tracer_multistation": "tracer_paper.yaml"}.get(
         method, f"{method}_demo.yaml"

@@ -100,6 +100,11 @@ def mach4(files):
     return lambda angle, rising: np.interp(angle, at, up if rising else down)
 
 
+def centroid(files):
+    at, up, down = np.loadtxt(text_of(files, ".tab").splitlines()[5:]).T
+    return lambda angle, rising: np.interp(angle, at, up if rising else down)
+
+
 def encoder_lut(files):
     """The reading less the offset, linear between two of the entries, of 3600000 counts a turn.
 
@@ -186,6 +191,7 @@ CONTROLS = {
     "acs": Control("acs", acs, {"turns": 2, "first_turn": -1}),
     "mach4": Control("mach4", mach4, {"turns": 2, "first_turn": -1}),
     "mach4 each": Control("mach4", mach4, {"directions": "each"}),
+    "centroid": Control("centroid", centroid, {"turns": 2, "first_turn": -1}),
     "encoder_lut": Control("encoder_lut", encoder_lut, {"counts_per_turn": 3_600_000}),
     "heidenhain": Control("heidenhain", heidenhain, {}),
     "fagor": Control("fagor", fagor, {}),

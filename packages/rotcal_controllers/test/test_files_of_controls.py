@@ -91,6 +91,12 @@ FILES = {
         "C1_CORRECTION(3)=-0.001000000\nC1_CORRECTION(4)=0.000000000\nERRORUNMAP 2, 1\n"
         "ERRORMAP1D 2, 1, 0.000000, 90.000000, C1_CORRECTION\nERRORMAPON 2, 1\nSTOP\n",
     }),
+    "centroid": ({}, {  # a head as in the lathe's cnc-x.tab
+        "x.tab": "CNC10 TAB FILE VERSION 3\nAXIS C1\nUNITS MM\nINTERVAL 90.0000\nENTRIES 5\n"
+        "0.0000\t0.00000\t0.00200\n90.0000\t-0.00500\t-0.00300\n"
+        "180.0000\t0.00300\t0.00500\n270.0000\t-0.00100\t0.00100\n"
+        "360.0000\t0.00000\t0.00200\n",
+    }),
     "mach4": ({"directions": "each"}, {
         "x.txt": "Start Point 0.000000\nLength 360.000000\nNumber of Points 5\n"
         "Position Error positive Error negative\n0.000000 0.000000 0.002000\n"

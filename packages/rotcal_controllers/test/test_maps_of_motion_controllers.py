@@ -6,7 +6,7 @@ from compensation_examples import d4_table
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.foundation.errors import BagError
 
-ENDINGS = {"aerotech": ".cal", "acs": ".prg", "mach4": ".txt"}
+ENDINGS = {"aerotech": ".cal", "acs": ".prg", "mach4": ".txt", "centroid": ".tab"}
 
 
 @pytest.mark.parametrize(
@@ -36,6 +36,21 @@ ENDINGS = {"aerotech": ".cal", "acs": ".prg", "mach4": ".txt"}
         ("mach4", "Points 5", "Points 6", "5 rows, and Number of Points is 6"),
         ("mach4", "Length 360", "Length 350", "are not evenly spaced over the length"),
         ("mach4", "\n90.000000 -0.004000", "\n90.000000 -0.004100", "and the columns differ"),
+        (
+            "centroid",
+            "VERSION 3",
+            "VERSION 2",
+            "expected CNC10 TAB FILE VERSION 3, AXIS, UNITS MM",
+        ),
+        (
+            "centroid",
+            "UNITS MM",
+            "UNITS INCH",
+            "expected CNC10 TAB FILE VERSION 3, AXIS, UNITS MM",
+        ),
+        ("centroid", "ENTRIES 5", "ENTRIES 6", "5 rows, expected 6 that are 90 deg apart"),
+        ("centroid", "INTERVAL 90", "INTERVAL 80", "5 rows, expected 5 that are 80 deg apart"),
+        ("centroid", "\n90.0000\t", "\n90.0000 ", r"row 2: 2 columns, expected 3"),
         ("mach4", "Start", "Begin", "expected Start Point, Length, Number of Points"),
     ],
 )

@@ -32,13 +32,14 @@ VARIANTS = {
     "aerotech": ("aerotech", {"turns": 2}),
     "acs": ("acs", {"turns": 3, "first_turn": -1}),
     "mach4 each": ("mach4", {"directions": "each"}),
+    "centroid": ("centroid", {"turns": 2}),
     "heidenhain": ("heidenhain", {}),
     "heidenhain difference": ("heidenhain", {"backlash": "difference"}),
     "fagor": ("fagor", {}),
     "pmac": ("pmac", {"counts_per_turn": 3_600_000}),
 }
 EVEN_ONLY = {"sinumerik", "fanuc", "twincat", "twincat_nc", "kflop", "pmac", "aerotech", "acs",
-             "mach4"}  # fmt: skip
+             "mach4", "centroid"}  # fmt: skip
 
 
 @pytest.mark.slow
