@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
 
 
@@ -31,7 +31,7 @@ class Choice:
     """The next ``step`` of the plan and the ``reason`` for it; None: nothing more is measured."""
 
     step: int | None
-    reason: str
+    reason: Phrase
     standing: Standing
 
     def same_as(self, other: Choice) -> bool:

@@ -154,6 +154,7 @@ def test_a_wrong_length_is_found_and_measured_again(of, when):
     assert made[when].step in again
     assert len(again) < 10  # those of one station at most, where they check each other little
     assert made[-1].reason.startswith("goal reached")
+    assert made[-1].reason.has("goal reached: {0} <= {1}, {2}")
 
 
 def test_errors_of_many_lengths_are_noise_and_not_single_errors(of):
