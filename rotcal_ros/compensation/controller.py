@@ -27,13 +27,17 @@ EVERY_TURN: Final = (-TURN, 2.0 * TURN)
 
 @dataclass(frozen=True)
 class Facts:
-    """A controller in words, for people; every export repeats it."""
+    """A controller in words, for people; every export repeats it.
+
+    ``verified_on``: what files and rule were tried on.
+    """
 
     title: str
     sign: str
     wrap: str
     unit: str
     source: str
+    verified_on: str = "page only"
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,28 @@ class Located:
 
     files: Mapping[str, str]
     values: Mapping[str, float]
+    source: str
+    notes: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentErrors:
+    """All measured deviations of a rotary axis over one turn, for volumetric compensation.
+
+    ``angles`` (n,) rad ascend within a turn; ``deviations`` (n,) are actual - commanded by their
+    ISO 230-1 names, EXC .. ECC, metres and radians, and repeat in every turn.
+    """
+
+    angles: Floats
+    deviations: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Volumetric:
+    """Files of a volumetric compensation by name, ``notes`` on what they leave, as in Located."""
+
+    files: Mapping[str, str]
     source: str
     notes: tuple[str, ...] = ()
     unverified: tuple[str, ...] = ()
@@ -197,10 +223,33 @@ class Controller(ABC):
             "it for people"
         )
 
+    def write_components(
+        self, errors: ComponentErrors, stem: str, head: Sequence[str]
+    ) -> Volumetric:
+        """Return the files of a volumetric compensation by ``errors``.
+
+        Names of files begin with ``stem``; comments repeat ``head``. Raises ConfigurationError
+        when no public form is known.
+        """
+        del errors, stem, head
+        raise ConfigurationError(
+            f"{self.facts.title}: no public form of its volumetric compensation is known; "
+            "--to volumetric writes all deviations as CSV and JSON"
+        )
+
+    def read_components(self, files: Mapping[str, str]) -> ComponentErrors:
+        """Return what the control makes of its volumetric ``files``; BagError for damage."""
+        raise NotImplementedError(f"{self.facts.title} reads no {', '.join(files)}")
+
     @property
     def travel(self) -> tuple[float, float]:
         """First and last angle (rad) for which the files hold."""
         return EVERY_TURN
+
+    @property
+    def row_spacings_deg(self) -> tuple[float, ...]:
+        """Distances of rows that the control asks for; empty: whatever divides a turn."""
+        return ()
 
     @property
     def one_direction(self) -> bool:

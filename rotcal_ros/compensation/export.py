@@ -416,7 +416,8 @@ def chosen_rows(table: CompensationTable, controller: Controller) -> Compensatio
     when the controller takes none at all.
     """
     best, least, refused = None, np.inf, None
-    for spacing in (None, *(degrees * DEGREE for degrees in SPACINGS_DEG)):
+    asked = controller.row_spacings_deg or SPACINGS_DEG
+    for spacing in (None, *(degrees * DEGREE for degrees in asked)):
         try:
             rows = resample(table, spacing)
             controller.write(rows, "x")

@@ -103,6 +103,7 @@ def test_the_side_file_holds_what_the_page_promises(name):
         "wrap": facts.wrap,
         "unit": facts.unit,
         "source": facts.source,
+        "verified_on": facts.verified_on,
     }
     assert {k: side[k] for k in FACTS_OF_A_TABLE} == FACTS_OF_A_TABLE
 

@@ -94,6 +94,7 @@ class Fanuc(Controller):
         "sum zero, slot(reference) = last",
         unit="detection unit x magnification, whole numbers -7 .. +7",
         source="B-63980EN/01 p. 100, A-77810E, B-63522EN/02 p. 222, B-63330EN/03 p. 25",
+        verified_on="the maker's example of a rotary axis",
     )
     staircase = True
     own_settings = (

@@ -59,6 +59,7 @@ class Pmac(Controller):
         unit="whole numbers of 1/16 count",
         source="Turbo PMAC User Manual pp. 189-192; Turbo PMAC Software Reference pp. 148, 303; "
         "PMAC Software Reference pp. 207-211",
+        verified_on="the maker's example",
     )
     own_settings = (
         OwnSetting(

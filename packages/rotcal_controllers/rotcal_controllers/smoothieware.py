@@ -84,6 +84,7 @@ class Smoothieware(EveryTurnController):
         unit="single precision, about 0.1 arcsec up to 512 deg",
         source="Carvera_Community_Firmware, proposal 221 (02/2026): PitchCompensation.cpp, "
         "Robot.cpp",
+        verified_on="the source of the firmware",
     )
     one_direction = True
     unverified = (

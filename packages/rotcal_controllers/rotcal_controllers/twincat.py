@@ -7,13 +7,21 @@ modulo list the first and the last entry are the same: it ends with the row at 3
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Comment, Controller, Facts, OwnSetting
+from rotcal_controllers import isg_volumetric
+from rotcal_ros.compensation.controller import (
+    Comment,
+    ComponentErrors,
+    Controller,
+    Facts,
+    OwnSetting,
+    Volumetric,
+)
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
     backlash_note,
@@ -158,6 +166,16 @@ class TwinCat(Controller):
             raise BagError(f"{name}: {error.args[0]} is missing, of {n} points") from error
         up, down = (np.array(column, dtype=np.int64) for column in (pos, neg))
         return PeriodicTable(name, np.linspace(0.0, 360.0, n), up, down, -UNIT_DEG * DEGREE)
+
+    def write_components(
+        self, errors: ComponentErrors, stem: str, head: Sequence[str]
+    ) -> Volumetric:
+        """Return a parameter file of the volumetric compensation."""
+        return isg_volumetric.write(errors, stem, head, self.axis_number)
+
+    def read_components(self, files: Mapping[str, str]) -> ComponentErrors:
+        """Read such a file back."""
+        return isg_volumetric.read(files)
 
     def resolution(self, table: CompensationTable) -> float:
         """Return 0.0001 deg, in rad."""
