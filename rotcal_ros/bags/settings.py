@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import check_ros_name, expert, group, of_changes, setting
@@ -53,12 +53,12 @@ class RecorderSettings:
         doc="number of this run of an interrupted session; 0 begins a session, later runs "
         "continue its bag in a new file",
     )
-    queue_bytes: int = expert(
-        67_108_864,
-        doc="bytes, largest amount that waits for the disk; beyond that messages are lost and "
-        "counted",
-        minimum=65_536,
-    )
+    queue_bytes: ClassVar[
+        Annotated[
+            int,
+            "minutes of all streams; a disk that is so far behind does not catch up",
+        ]
+    ] = 67_108_864
     silence_s: float = expert(
         30.0,
         minimum=0.1,
@@ -84,6 +84,11 @@ _CLOCK_DOC: Final = (
     "a device whose clock drifts or counts from its start); without a header always the latter"
 )
 
+_FIELD_DOC: Final = (
+    "where the {} stands in messages of any other type, by the names of the fields, such as {}; "
+    "empty: by the type"
+)
+
 
 @dataclass(frozen=True)
 class TopicSettings:
@@ -105,6 +110,9 @@ class TopicSettings:
     relative_humidity: str = setting(
         "", doc="topic of the humidity; empty: the one called relative_humidity"
     )
+    length_field: str = expert("", doc=_FIELD_DOC.format("length", "measurement.distance"))
+    angle_field: str = expert("", doc=_FIELD_DOC.format("angle", "axis.position"))
+    position_field: str = expert("", doc=_FIELD_DOC.format("point's x, y and z", "pose.position"))
     length_unit: Length = setting("m", doc="unit of the lengths")
     length_unit_m: float = expert(
         1.0,

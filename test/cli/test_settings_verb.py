@@ -3,6 +3,7 @@
 import fnmatch
 import json
 import re
+from importlib.metadata import entry_points
 
 import pytest
 from click.testing import CliRunner
@@ -61,20 +62,20 @@ def words(line):
 def test_those_for_experts_are_told_to_who_asks():
     told = run("capture").stdout
     assert "capture.window_samples" in told
-    assert "capture.spike_limit" not in told
-    assert told.endswith("\nand 12 for experts: rotcal settings capture --expert\n\n")
+    assert "capture.spike_floor_m" not in told
+    assert told.endswith("\nand 7 for experts: rotcal settings capture --expert\n\n")
     whole = run("capture", "--expert").stdout
     usual, experts = whole.split("\nfor experts\n")
     assert "capture.window_samples" in usual
     assert "capture.window_samples" not in experts
-    assert "capture.spike_limit" in experts
-    assert len(re.findall(r"^  capture\.", experts, re.MULTILINE)) == 12
+    assert "capture.spike_floor_m" in experts
+    assert len(re.findall(r"^  capture\.", experts, re.MULTILINE)) == 7
     assert run("capture", "--all").stdout == whole
     solver = run("plane_mirror", "solver").stdout
     assert "for experts: rotcal settings plane_mirror solver --expert\n" in solver
     (group,) = json.loads(run("capture", "--json").stdout)["groups"]
     marked = {s["name"]: s["expert"] for s in group["settings"]}
-    assert marked["capture.spike_limit"] is True
+    assert marked["capture.spike_floor_m"] is True
     assert marked["capture.window_samples"] is False
 
 
@@ -87,7 +88,8 @@ def test_a_row_has_the_unit_the_default_and_what_must_be_given():
 
 
 def test_without_a_method_each_of_them_begins_with_its_own():
-    assert run().stdout == "".join(run(method).stdout for method in METHODS)
+    beside = entry_points(group="rotcal_ros.methods").names  # of packages that are installed
+    assert run().stdout == "".join(run(name).stdout for name in sorted({*METHODS, *beside}))
 
 
 def test_with_all_every_setting_and_the_goal_are_printed():
