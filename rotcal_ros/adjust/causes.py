@@ -150,8 +150,8 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
 
 
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
-    name = diagnosis.model.names
-    why = {row: phrase("{0}: far off all others", name[row]) for row in gross.tolist()}
+    name = diagnosis.model.name_of_row
+    why = {row: phrase("{0}: far off all others", name(row)) for row in gross.tolist()}
     return replace(diagnosis, why=why, price=_price(diagnosis.model, gross))
 
 

@@ -176,8 +176,8 @@ class Diagnosis:
 
     def describe(self) -> Phrase:
         """Return what is wrong with the observations."""
-        name = self.model.names
-        every = list(dict.fromkeys(name[row] for row in sorted(self.why)))
+        name = self.model.name_of_row
+        every = list(dict.fromkeys(name(row) for row in sorted(self.why)))
         gone = listed(every[:8], ", ")
         if len(every) > 8:
             gone = phrase("{0} and {1} others", gone, len(every) - 8)
@@ -191,10 +191,10 @@ class Diagnosis:
         here = replace(self, contests=contests, price=self.price + found.price)
         if found.effect is not None:
             return replace(here, nuisance=(*here.nuisance, found))
-        name, gathering = self.model.names, self.gathering
+        name, gathering = self.model.name_of_row, self.gathering
         if found.blamed is not None:
             gathering = gathering.without(found.blamed)
-        reasons = {row: phrase("{0}: {1}", name[row], found.reason) for row in found.rows.tolist()}
+        reasons = {row: phrase("{0}: {1}", name(row), found.reason) for row in found.rows.tolist()}
         return replace(here, why=self.why | reasons, gathering=gathering)
 
     @property

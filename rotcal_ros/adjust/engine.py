@@ -420,7 +420,7 @@ class Adjusted:
         seen, known = np.flatnonzero(used.any(axis=1)), np.arange(count, len(self.fit.used))
         rows = (seen[:, None] * coordinates + np.arange(coordinates)).ravel()
         influence = self.scale * self.fit.response_of(np.append(rows, known))
-        causes = tuple(self.model.names[row] for row in known.tolist())
+        causes = tuple(self.model.name_of_row(row) for row in known.tolist())
         parts = {n: influence[part] for n, part in components.items()}
         return Influence(seen, coordinates, parts, causes)
 

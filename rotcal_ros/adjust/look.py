@@ -200,7 +200,7 @@ class Look:
         reason = phrase(BEYOND, sign * value, limit, model.unit.shown(sign * left))
         support, price = self._support(squares, int(rank), model.rejectable_elements)
         return Explanation(
-            phrase("{0} is off by {1}", model.names[rows[0]], model.unit.shown(sign * off)),
+            phrase("{0} is off by {1}", model.name_of_row(rows[0]), model.unit.shown(sign * off)),
             reason, columns, rows, support, price, -fit.response_of(rows) @ missed,
         )  # fmt: skip
 
@@ -332,13 +332,13 @@ class Look:
             touched = np.flatnonzero((columns > 0.0 if every.centred else columns).any(axis=1))
             what = phrase(
                 "{0} from {1} on", what,
-                self.before.model.names[touched[every.when[touched].argmin()]]
+                self.before.model.name_of_row(touched[every.when[touched].argmin()]),
             )  # fmt: skip
         elif effect.family:
             touched = np.flatnonzero(columns.any(axis=1))
             if len(np.unique(columns[touched, 0])) == 2 and columns[touched, 0].max() > 0.0:
                 touched = np.flatnonzero(columns[:, 0] > 0.0)  # a shift counted from its mean
-            first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
+            first, last = (self.before.model.name_of_row(k) for k in touched[[0, -1]].tolist())
             stays = effect.stays or np.ptp(columns[touched, 0]) == 0.0
             begins = phrase("{0} from {1} on", what, first)
             what = begins if stays else phrase("{0} from {1} to {2}", what, first, last)

@@ -7,10 +7,9 @@ the order of the observations; nothing is whitened.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -404,8 +403,9 @@ class Model:
     result is C x; what nothing determines, such as a zero that all readings share, outputs must
     not feel. ``further`` (k, p) by name: what else is reported with its uncertainty, but counts in
     no test. ``component`` (n,): which of the ``components`` of noise each observation belongs to.
-    ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations;
-    else they are called by their groups. What is known beforehand joins by :meth:`with_prior`.
+    ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations,
+    or what makes the name of one; else they are called by their groups. What is known beforehand
+    joins by :meth:`with_prior`.
     Rows that are ``correlated`` are weighed as if they were not; the uncertainty of outputs knows.
     ``element`` (n,): rows of one number stand or fall together, as the coordinates of a centre,
     and share their name; -1: alone. ``mixed`` (n, n): what takes rows back to what was read.
@@ -430,7 +430,7 @@ class Model:
     judged: Bools | None = None
     groupings: Sequence[Grouping] = ()
     effects: Sequence[Disturbing] = ()
-    row_names: Sequence[str] = ()
+    row_names: Sequence[str] | Callable[[int], str] = ()
     correlated: Sequence[Correlated] = ()
     element: Ints | None = None
     mixed: csr_array | None = None
@@ -593,26 +593,34 @@ class Model:
         return np.sort(pivots[rank:] - 1) if rank else np.zeros(0, dtype=np.int64)
 
     @cached_property
-    def names(self) -> Sequence[str]:
-        """What people call each observation: its groups, and which one of several it is."""
-        if self.row_names or not self.groupings:
-            return self.row_names or [
-                phrase("observation {0}", k) for k in range(len(self.observed))
-            ]
-        first = self.elements[:, 0]
-        groups = zip(*(g.number[first].tolist() for g in self.groupings), strict=True)
-        plain = [
-            listed(
-                [g.name_of(k) for g, k in zip(self.groupings, each, strict=True) if k >= 0], ", "
-            )
-            for each in groups
-        ]
-        whole, seen, found = Counter(plain), Counter[str](), []
-        for name in plain:
-            seen[name] += 1
-            of = phrase("{0} ({1} of {2})", name, seen[name], whole[name])
-            found.append(of if whole[name] > 1 else name)
-        return [found[k] for k in self.of_element.tolist()]
+    def name_of_row(self) -> Callable[[int], str]:
+        """What makes the name of an observation: its groups, and which one of several it is.
+
+        Names are made one by one, for those of very many observations cost seconds.
+        """
+        if callable(self.row_names):
+            return self.row_names
+        if self.row_names:
+            return self.row_names.__getitem__
+        if not self.groupings:
+            return partial(phrase, "observation {0}")
+        groupings, of_element = self.groupings, self.of_element
+        groups = np.array([g.number[self.elements[:, 0]] for g in groupings])
+        alike = np.unique(groups, axis=1, return_inverse=True)[1]
+        seen, whole = (within(alike) + 1).tolist(), np.bincount(alike)[alike].tolist()
+
+        def name(row: int) -> Phrase:
+            k = int(of_element[row])
+            each = zip(groupings, groups[:, k].tolist(), strict=True)
+            plain = listed([g.name_of(number) for g, number in each if number >= 0], ", ")
+            return phrase("{0} ({1} of {2})", plain, seen[k], whole[k]) if whole[k] > 1 else plain
+
+        return name
+
+    @property
+    def names(self) -> list[str]:
+        """What people call each observation."""
+        return [self.name_of_row(row) for row in range(len(self.observed))]
 
     def linearised(self, x: Floats) -> tuple[Floats, Design]:
         """Return the computed observations (n,) and their design at ``x`` (p,)."""
@@ -643,9 +651,14 @@ class Model:
         blocks with those before.
         """
         k, every = len(values), tuple(dict.fromkeys([*self.components, what]))
-        read, before = self.equations, 0  # of this model no more is kept
+        # of this model no more is kept
+        n, read, name_before, before = len(self.observed), self.equations, self.name_of_row, 0
         if what in self.components:
             before = int((self.of_component == every.index(what)).sum())
+
+        def name(row: int) -> str:
+            known = before + row - n
+            return name_before(row) if row < n else phrase("value {0} of {1}", known, phrase(what))
 
         def equations(x: Floats) -> tuple[Floats, Derivatives]:
             computed, design = read(x)
@@ -662,10 +675,7 @@ class Model:
             groupings=[g.with_others(k) for g in self.groupings],
             effects=[effect.beside(k) for effect in self.effects],
             expected=[e._replace(effect=e.effect.beside(k)) for e in self.expected],
-            row_names=[
-                *self.names,
-                *(phrase("value {0} of {1}", before + i, phrase(what)) for i in range(k)),
-            ],
+            row_names=name,
             element=None if self.element is None else np.append(self.element, np.full(k, -1)),
             mixed=self.mixed
             if self.mixed is None

@@ -101,9 +101,7 @@ def stacked(
             for (name, model), at, _ in every
             for effect in model.effects
         ],
-        row_names=[
-            phrase("{0} of {1}", row, name) for name, m in models.items() for row in m.names
-        ],
+        row_names=_row_names(models, rows),
         correlated=[each.below(at.start) for (_, m), at, _ in every for each in m.correlated],
         element=_elements(parts),
         definitions=_definitions(parts, columns, p),
@@ -115,6 +113,20 @@ def stacked(
         unstated=any(m.unstated for m in parts),
         least=max(m.least for m in parts),
     )
+
+
+def _row_names(models: Mapping[str, Model], rows: Sequence[slice]) -> Callable[[int], str]:
+    """Return what names a row of all: as its model does, and of which one it is."""
+    each = [
+        (at, model.name_of_row, name)
+        for at, (name, model) in zip(rows, models.items(), strict=True)
+    ]
+
+    def name_of(row: int) -> Phrase:
+        at, its_own, name = next(one for one in each if row < one[0].stop)
+        return phrase("{0} of {1}", its_own(row - at.start), name)
+
+    return name_of
 
 
 def _of(name: str, what: str) -> Phrase:

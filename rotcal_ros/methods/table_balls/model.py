@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf, isfinite
 from typing import Final, NamedTuple
 
@@ -760,7 +760,7 @@ def model_of(
             Disturbing("recurring drift", AGAIN, _returning(balls, read, zero), largest, UM),
             Disturbing("knock", "machine or table moved", shifts, largest, UM, family=True),
         ),
-        row_names=list(_names(balls, read)),
+        row_names=partial(_row_name, balls, read),
     )
     for rows in (each, known):
         zeros = np.zeros(rows.shape[0])
@@ -812,16 +812,13 @@ def _also(balls: BallsOnTable, places: Floats) -> dict[str, Outputs]:
     return {name: Outputs.alone(csr_array(rows)) for name, rows in found.items()}
 
 
-def _names(balls: BallsOnTable, read: Readings) -> Iterator[Phrase]:
+def _row_name(balls: BallsOnTable, read: Readings, row: int) -> Phrase:
+    reading, axis = (row, 0) if len(balls.bars) else divmod(row, 3)
     run = phrase("run") if balls.tilting is None else phrase("tilt")
-    for k, at, number in np.column_stack([read.target, read.position, read.station]).tolist():
-        where = k, at, run, number
-        if len(balls.bars):
-            yield phrase("bar {0} at position {1}, {2} {3}", *where)
-        else:
-            yield from (
-                phrase("{0} of ball {1} at position {2}, {3} {4}", a, *where) for a in "xyz"
-            )
+    where = read.target[reading], read.position[reading], run, read.station[reading]
+    if len(balls.bars):
+        return phrase("bar {0} at position {1}, {2} {3}", *where)
+    return phrase("{0} of ball {1} at position {2}, {3} {4}", "xyz"[axis], *where)
 
 
 def _motions(balls: BallsOnTable, places: Floats) -> dict[str, Floats]:

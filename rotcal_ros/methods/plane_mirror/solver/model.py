@@ -600,7 +600,6 @@ class TrackerModel:
             first = np.unique(label, return_index=True)[1][label]
             outputs = np.eye(len(first), count) - np.eye(len(first), count)[first]
         kinds = np.where(element < self.pairs, 0, 1)
-        names = [problem.row_name(row) for row in layout.rows.tolist()]
         model = Model(
             blocks=blocks,
             observed=np.zeros(3 * m),
@@ -612,7 +611,7 @@ class TrackerModel:
             components=("the points",),
             groupings=tuple(self._groupings(kinds)),
             effects=tuple(self._effects()),
-            row_names=[name for name in names for _ in range(3)],
+            row_names=lambda row: problem.row_name(int(layout.rows[row // 3])),
             element=np.repeat(element, 3),
             judged=np.repeat(np.append(kinds[: self.pairs] == 0, self.judged), 3),
         )

@@ -207,16 +207,14 @@ class Posed:
 
     def model(self, supposed: Supposed) -> Model:
         """Return the model whose outputs are ECC of all positions, from the first."""
-        lengths, position, target = (
-            self.lengths_of(supposed), self.grid.position_ids, self.grid.target_ids,
-        )  # fmt: skip
-        stated = of_targets(lengths, self.grid.target_std, self.grid.free)
+        lengths, grid = self.lengths_of(supposed), self.grid
+        position, target = grid.position_ids[lengths.position], grid.target_ids[lengths.target]
+        stated = of_targets(lengths, grid.target_std, grid.free)
         if supposed.walk:
             stated.append(_steps_of_zeros(lengths, supposed.walk))
         begin = lengths.first["turn"]
         first = np.zeros(lengths.size)
         first[begin] = -1.0
-        pairs = np.column_stack([position[lengths.position], target[lengths.target]]).tolist()
         model = Model(
             blocks=lengths.blocks,
             observed=lengths.observed,
@@ -226,11 +224,13 @@ class Posed:
             words=WORDS,
             unit=UM,
             components=["the lengths"],
-            groupings=_groupings(lengths, self.grid),
+            groupings=_groupings(lengths, grid),
             effects=effects_of(lengths, unbroken=self.problem.segment is not None),
-            row_names=[
-                phrase("{0}, target {1}", self.problem.station_name(j), i) for j, i in pairs
-            ],
+            row_names=lambda row: phrase(
+                "{0}, target {1}",
+                self.problem.station_name(int(position[row])),
+                int(target[row]),
+            ),
         )
         for known in stated:
             model = known.beside(model)

@@ -178,12 +178,11 @@ def _rigid(points: Floats) -> Floats:
 def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths) -> Model:
     """Return the model of all that the lengths and what is stated say."""
     grid, when = layout.grid, lengths.order.astype(np.float64)
-    names = [problem.station_name(k) for k in grid.position_ids.tolist()]
+    station, target = grid.position_ids[lengths.station], grid.target_ids[lengths.target]
     effects = effects_of(lengths)
     slips = [e for e in effects if e.effect == "slip"]
     if not problem.slip or problem.zero == "per_station":
         slips = []
-    pairs = zip(lengths.station.tolist(), grid.target_ids[lengths.target].tolist(), strict=True)
     model = Model(
         blocks=lengths.blocks,
         observed=lengths.observed,
@@ -195,11 +194,13 @@ def model_of(problem: SixProblem, layout: StationLayout, lengths: CarriedLengths
         unit=UM,
         components=["the lengths"],
         groupings=[
-            Grouping("station", grid.position_ids[lengths.station], near=-lengths.toward),
-            Grouping("target", grid.target_ids[lengths.target], when),
+            Grouping("station", station, near=-lengths.toward),
+            Grouping("target", target, when),
         ],
         effects=effects,
-        row_names=[phrase("{0}, target {1}", names[s], t) for s, t in pairs],
+        row_names=lambda row: phrase(
+            "{0}, target {1}", problem.station_name(int(station[row])), int(target[row])
+        ),
         shared=("place", "zero", "target", "lean"),
         expected=[Expected(each, problem.slip, SLIPPED) for each in slips],
         closures=_closures(problem, layout),
