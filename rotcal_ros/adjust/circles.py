@@ -139,6 +139,12 @@ class Turns:
         shift = self.shift.T[:, :, None]
         return circle + (step + shift) % self.size, cell + (step - shift) % self.size
 
+    @cached_property
+    def waves(self) -> Orders:
+        """By how much each order h of each circle turns with the shift, (h, t, C)."""
+        orders = np.arange(self.size // 2 + 1)[:, None, None]
+        return np.asarray(self.sign * np.exp(2j * np.pi / self.size * self.shift * orders))
+
     def normal_times(self, share: Floats, x: Floats) -> Floats:
         """Return the normal matrix of rows with squared weights ``share`` (t, N) times x (p,)."""
         (read, by), sign = self._met, self.sign.T[:, :, None]
@@ -332,8 +338,7 @@ class ByOrder(Kernel):
 
         None where an order is so badly determined that digits go.
         """
-        size, orders = turns.size, np.arange(turns.size // 2 + 1)
-        wave = _waves(turns, orders).transpose(2, 0, 1)
+        size, wave = turns.size, turns.waves
         normal = (wave.conj() * share[:, None]).swapaxes(1, 2) @ wave
         at_zero = np.hstack([turns.sign, np.sqrt(size) * turns.tied])
         values, vectors, scale = _of_unit_diagonal((at_zero * share[:, None]).T @ at_zero)
@@ -483,8 +488,7 @@ class ByOrder(Kernel):
     def _felt(self) -> tuple[Floats, Floats]:
         """What a row at place 0 of a turn does to places (t, C, N) and to the others (t, s)."""
         turns = self.turns
-        wave = _waves(turns, np.arange(turns.size // 2 + 1))
-        orders = np.einsum("cdh,tdh->tch", self._by_circle, wave.conj())
+        orders = np.einsum("cdh,htd->tch", self._by_circle, turns.waves.conj())
         rows = np.hstack([turns.sign / np.sqrt(turns.size), turns.tied])
         zero = rows @ self.zero
         orders[:, :, 0] = zero[:, : turns.circles] * np.sqrt(turns.size)
@@ -554,15 +558,27 @@ class ByOrder(Kernel):
     @property
     def leverage(self) -> Floats:
         """The diagonal (n,) of J N^-1 J'."""
-        return np.asarray(self.between[self.turns.turn, self.turns.turn, 0])
+        return np.asarray(self._of_turns[self.turns.turn])
+
+    @cached_property
+    def _of_turns(self) -> Floats:
+        """What the inverse is of a row with itself (t,)."""
+        turns = self.turns
+        wave, at_zero = turns.waves, self._at_zero
+        orders = ((wave @ self.inverse) * wave.conj()).sum(axis=2).real
+        orders[0] = ((at_zero @ self.zero) * at_zero).sum(axis=1)
+        twice = orders.sum(axis=0) * 2.0 - orders[0]
+        return np.asarray((twice if turns.size % 2 else twice - orders[-1]) / turns.size)
 
     def squares_between(self, share: Floats) -> Floats:
         """Return sums of squares (c, c) of J N^-1 J' between rows, ``share`` (c, n) of each."""
         turns = self.turns
         cell, whole = turns.turn * turns.size + turns.place, len(turns.sign) * turns.size
         cells = np.stack([np.bincount(cell, part, whole) for part in share])
-        orders = np.fft.rfft(cells.reshape(len(share), -1, turns.size), axis=2)
-        between = np.fft.rfft(self.between**2, axis=2)
+        cells = cells.reshape(len(share), -1, turns.size)
+        seen = np.flatnonzero(cells.any(axis=(0, 2)))
+        orders = np.fft.rfft(cells[:, seen], axis=2)
+        between = np.fft.rfft(self._between_turns(seen) ** 2, axis=2)
         found = np.einsum("atq,tuq,buq->abq", orders.conj(), between, orders, optimize=True)
         return np.asarray(np.fft.irfft(found, turns.size, axis=2)[:, :, 0])
 
@@ -572,19 +588,23 @@ class ByOrder(Kernel):
 
         J N^-1 J' of the row at place j of one turn and that at place i of another: by j - i.
         """
-        turns = self.turns
-        wave = _waves(turns, np.arange(turns.size // 2 + 1))
-        wave = wave.transpose(2, 0, 1)
-        orders = (wave @ self.inverse @ wave.conj().swapaxes(1, 2)).transpose(1, 2, 0)
-        at_zero = np.hstack([turns.sign, np.sqrt(turns.size) * turns.tied])
-        orders[:, :, 0] = at_zero @ self.zero @ at_zero.T
-        return np.asarray(np.fft.irfft(orders, turns.size, axis=2))
+        return self._between_turns(np.arange(len(self.turns.sign)))
 
+    def _between_turns(self, which: Ints) -> Floats:
+        """Return the same between some turns (k,), (k, k, N)."""
+        size, at_zero = self.turns.size, self._at_zero[which]
+        wave, (first, second) = self.turns.waves[:, which], np.triu_indices(len(which))
+        orders = (wave @ self.inverse @ wave.conj().swapaxes(1, 2))[:, first, second].T
+        orders[:, 0] = (at_zero @ self.zero @ at_zero.T)[first, second]
+        found = np.empty((len(which), len(which), size))
+        found[first, second] = np.fft.irfft(orders, size)
+        found[second, first] = np.roll(found[first, second, ::-1], 1, axis=1)  # the other way
+        return found
 
-def _waves(turns: Turns, orders: Ints) -> Orders:
-    """Return by how much each order (h,) of each circle turns with the shift, (t, C, h)."""
-    turned = 2j * np.pi / turns.size * turns.shift[:, :, None] * orders
-    return np.asarray(turns.sign[:, :, None] * np.exp(turned))
+    @property
+    def _at_zero(self) -> Floats:
+        """What rows of each turn feel of order 0, (t, C + s)."""
+        return np.hstack([self.turns.sign, np.sqrt(self.turns.size) * self.turns.tied])
 
 
 def _of_unit_diagonal(square: Floats) -> tuple[Floats, Floats, Floats]:

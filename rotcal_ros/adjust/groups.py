@@ -169,14 +169,12 @@ class GroupTest:
 
     ``squares``: T = r'R^+r, chi-squared with ``rank`` degrees of freedom, ``probability``: how
     probably chance exceeds it. ``redundancy``: share of a row that others check, on average.
-    ``lost_share``: share of the group's elements that were rejected.
     """
 
     squares: float
     rank: int
     probability: float
     redundancy: float
-    lost_share: float
 
 
 def group_test(group: Group | JudgedWhole, rest: tuple[float, float] | None = None) -> GroupTest:
@@ -194,7 +192,4 @@ def group_test(group: Group | JudgedWhole, rest: tuple[float, float] | None = No
         variance = max(rest[0] - squares, 1e-300) / (rest[1] - rank)
         probability = f_sf(squares / rank / variance, rank, rest[1] - rank)
     checked, rows = group.checks
-    whole = group.size + group.lost
-    return GroupTest(
-        squares, rank, probability, checked / max(rows, 1), group.lost / whole if whole else 0.0
-    )
+    return GroupTest(squares, rank, probability, checked / max(rows, 1))

@@ -421,7 +421,10 @@ class Look:
                     found[k] = _as_a_whole(fit, grouping.kind, names[k], of[k], lost[k])
                 continue
             rows = np.stack([of[number] for number in numbers])
-            values, vectors = np.linalg.eigh(np.eye(size) - fit.kernel.among_each(rows))
+            among = fit.kernel.among_each(rows)
+            alike = (among == among[0]).all()  # as those of a circle are
+            values, vectors = np.linalg.eigh(np.eye(size) - (among[:1] if alike else among))
+            values = np.broadcast_to(values, (len(rows), size))
             along, seen = (fit.white[rows][:, None] @ vectors)[:, 0], values > CHECKED
             squares = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
             checked = np.clip(values, 0.0, 1.0).sum(axis=1)

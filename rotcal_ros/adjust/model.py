@@ -500,10 +500,13 @@ class Model:
             if (each != each[first]).any():
                 raise DataError(f"{what} of the model: expected the same for all of an element")
         for g in self.groupings:
-            every = members_of(g, self.rejectable).items()
-            mixed = [number for number, rows in every if len(np.unique(sizes[rows])) > 1]
-            if mixed:
-                raise DataError(f"elements of {g.kind} {mixed[0]}: expected as many rows in each")
+            mine = self.rejectable & (g.number >= 0)
+            number, size = g.number[mine], sizes[mine]
+            mixed = number[np.bincount(number, size)[number] != np.bincount(number)[number] * size]
+            if len(mixed):
+                raise DataError(
+                    f"elements of {g.kind} {mixed.min()}: expected as many rows in each"
+                )
 
     @cached_property
     def of_element(self) -> Ints:

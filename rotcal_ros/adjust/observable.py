@@ -88,9 +88,7 @@ def _part_observable_by(
 
 def _products(first: Floats, second: Floats) -> Floats:
     """Return the scalar products (k, w, w) of the columns of each of k members, (n, k, w)."""
-    ways = range(first.shape[2])
-    found = [[np.einsum("nk,nk->k", first[:, :, a], second[:, :, b]) for b in ways] for a in ways]
-    return np.moveaxis(np.array(found), 2, 0)
+    return np.asarray(first.transpose(1, 2, 0) @ second.transpose(1, 0, 2))
 
 
 def _firm_up(fit: Fit, own: Floats, whole: Floats, white: Callable[[Ints], Floats]) -> None:

@@ -73,28 +73,6 @@ def rotation_from_vector(vectors: ArrayLike) -> Floats:
     return result
 
 
-def fit_rotation(source: ArrayLike, target: ArrayLike) -> Floats:
-    """Return the rotation R (3, 3) that minimises the sum of ``|R source_i - target_i|^2``.
-
-    ``source`` and ``target`` are vectors of shape (k, 3), for points relative to their
-    centroids. The determinant is +1 also for planar sets. Source: Kabsch, Acta Cryst. A32
-    (1976) 922, with the sign correction of A34 (1978) 827.
-
-    Raises GeometryError when the vectors lie on one line, so that the turn about it is free.
-    """
-    s = np.asarray(source, dtype=np.float64)
-    t = np.asarray(target, dtype=np.float64)
-    u, singular, vt = np.linalg.svd(t.T @ s)
-    if not singular[1] > 1e-12 * singular[0]:
-        raise GeometryError(
-            f"a rotation cannot be found from {len(s)} vectors on one line: "
-            "give at least two directions"
-        )
-    sign = np.sign(np.linalg.det(u @ vt))
-    result: Floats = (u * np.array([1.0, 1.0, sign])) @ vt
-    return result
-
-
 MIN_ASPECT: Final = 0.01
 """Points whose extent across their longest direction is below this share lie "in a line"."""
 

@@ -63,12 +63,12 @@ class Dense:
     def std(self):
         return np.linalg.norm(self.outputs @ self.gain, axis=1)
 
-    def group(self, kind, name, members, rows, unit=None, gathered=None, lost=0):
+    def group(self, kind, name, members, rows, unit=None, gathered=None):
         """Rows (e, c) or (e,) of the design as a group."""
         at = rows.reshape(len(members), -1)
         unit = np.ones(at.shape) if unit is None else unit.reshape(at.shape)
         gain = self.gain[:, at.ravel()]
         return Group.of(
             kind, name, members, self.residual[at], unit, self.design[at.ravel()] @ gain,
-            lambda: Sensitivity.whole(self.outputs @ gain), gathered, lost,
+            lambda: Sensitivity.whole(self.outputs @ gain), gathered,
         )  # fmt: skip

@@ -516,6 +516,14 @@ def test_observations_are_called_by_their_groups():
     runs = replace(model, groupings=model.groupings[:1])
     assert runs.names[17] == "run 1 (3 of 15)"
     assert replace(model, groupings=()).names[17] == "observation 17"
+    asked = []
+    own = replace(model, row_names=lambda row: asked.append(row) or f"reading {row}")
+    known = own.with_prior("the certificate", np.eye(1, model.size[1]), np.zeros(1), 1e-6)
+    assert not asked  # a name is made when it is asked for
+    n = len(model.observed)
+    assert known.name_of_row(17) == "reading 17"
+    assert known.name_of_row(n) == "value 0 of the certificate"
+    assert asked == [17]
 
 
 def test_outputs_that_are_only_told_change_no_judgement_and_no_bit_of_the_others():

@@ -47,10 +47,3 @@ def test_estimated_noise_is_that_of_the_others():
     test = group_test(group, rest=(whole, 20.0))
     ratio = (test.squares / 5) / ((whole - test.squares) / 15)
     assert test.probability == pytest.approx(stats.f.sf(ratio, 5, 15))
-
-
-def test_rejected_elements_stay_in_the_count():
-    design = lines()
-    errors = RNG.standard_normal(len(design))
-    group = view(design, errors).group("station", "one", np.arange(6), np.arange(6), lost=2)
-    assert group_test(group).lost_share == pytest.approx(0.25)

@@ -4,10 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rotcal_ros.foundation.errors import GeometryError
 from rotcal_ros.geometry.rotations import (
     cross_matrix,
-    fit_rotation,
     rotation_about_z,
     rotation_from_vector,
     wrap_angle,
@@ -42,15 +40,3 @@ def test_rotation_about_z_is_counter_clockwise(angle):
 @given(vectors, vectors)
 def test_cross_matrix(v, w):
     assert cross_matrix(v) @ w == pytest.approx(np.cross(v, w), abs=1e-14)
-
-
-@given(vectors, st.booleans())
-def test_fit_rotation_recovers_the_turn(vector, planar):
-    source = np.random.default_rng(3).normal(size=(6, 3)) * [1, 1, 0 if planar else 1]
-    expected = rotation_from_vector(vector)
-    assert fit_rotation(source, source @ expected.T) == pytest.approx(expected, abs=1e-12)
-
-
-def test_fit_rotation_refuses_a_line():
-    with pytest.raises(GeometryError, match="one line"):
-        fit_rotation(np.outer([1.0, 2, 3], [1, 0, 0]), np.outer([1.0, 2, 3], [0, 1, 0]))
