@@ -210,9 +210,14 @@ class Prospect:
 
     @classmethod
     def of(cls, calibration: Calibration, change: str = "") -> Prospect:
-        """Return that of a plan, by one measurement of it with its stated noise."""
-        alone = calibration.of_distances
-        result = alone.solve(alone.measured({}, SEED).observations)
+        """Return that of a plan, by one measurement of it with its stated noise.
+
+        Where a method knows no noise it is an exact one, with the uncertainty that is stated.
+        """
+        alone, noisy = calibration.of_distances, calibration.method.disturbances is not None
+        result = alone.solve(
+            alone.measured({}, SEED).observations if noisy else alone.nominal_observations()
+        )
         std = {name: float(result.std[name].max()) for name in result.components}
         return cls(change, std, result.unprotected)
 
