@@ -74,7 +74,7 @@ def _as_usual(_positions: int) -> Iterator[Changes]:
 
 
 @dataclass(frozen=True)
-class Way:
+class Route:
     """A ``method``, the ``settings`` that make it one of an instrument, and its efforts.
 
     ``efforts`` yields further settings for a number of table angles, the quickest first.
@@ -87,26 +87,26 @@ class Way:
 
 PLATE: Final = ("plan.plate.circle_radius_m=0.185", "plan.plate.ball_diameter_m=0.025")
 """A plate that is usual, until somebody states another."""
-OWNED: Final[Mapping[str, tuple[str, tuple[Way, ...]]]] = {
+OWNED: Final[Mapping[str, tuple[str, tuple[Route, ...]]]] = {
     "tracer": (
         "laser tracer, and a machine that carries its reflector",
-        (Way("tracer_multistation", _boxes), Way("tracer_six")),
+        (Route("tracer_multistation", _boxes), Route("tracer_six")),
     ),
-    "tracker": ("laser tracker and a mirror on the table", (Way("plane_mirror", _reflectors),)),
+    "tracker": ("laser tracker and a mirror on the table", (Route("plane_mirror", _reflectors),)),
     "cmm": (
         "measuring machine, with a plate of balls or balls on the table",
-        (Way("ball_plate", _plates, PLATE), Way("table_balls", _balls)),
+        (Route("ball_plate", _plates, PLATE), Route("table_balls", _balls)),
     ),
     "probe": (
         "touch probe of the machine tool, and a ball or three",
-        (Way("table_balls", _balls),),
+        (Route("table_balls", _balls),),
     ),
-    "ball-bar": ("ball bar", (Way("table_balls", _balls, ("plan.measure=bar",)),)),
-    "r-test": ("R-test", (Way("table_balls", _balls, ("plan.measure=displacement",)),)),
-    "polygon": ("polygon and autocollimator", (Way("angle_comparison", _shifts),)),
+    "ball-bar": ("ball bar", (Route("table_balls", _balls, ("plan.measure=bar",)),)),
+    "r-test": ("R-test", (Route("table_balls", _balls, ("plan.measure=displacement",)),)),
+    "polygon": ("polygon and autocollimator", (Route("angle_comparison", _shifts),)),
     "interferometer": (
         "laser interferometer with rotary indexer",
-        (Way("deviations"), Way("angle_comparison", _shifts)),
+        (Route("deviations"), Route("angle_comparison", _shifts)),
     ),
 }
 """Name -> what it is in words, and the ways that it serves."""
@@ -185,7 +185,7 @@ def _require_of_any(changes: Changes, methods: Iterable[str]) -> None:
 
 
 def _best(
-    instrument: str, way: Way, goal: Goal, machine_std: float | None, changes: Changes
+    instrument: str, way: Route, goal: Goal, machine_std: float | None, changes: Changes
 ) -> Advice:
     """Return the quickest effort that meets the goal, else the one that misses it least."""
     if way.method not in method_names():
@@ -197,9 +197,9 @@ def _best(
     own = tuple(change for change in changes if change.partition("=")[0] in known)
     tried, refused = list[Advice](), list[str]()
     for effort in way.efforts(goal.positions):
-        said = (*way.settings, *effort, *of_machine, *own)
+        stated = (*way.settings, *effort, *of_machine, *own)
         with noting(refused):
-            tried.append(_predicted(instrument, way, goal, known, said))
+            tried.append(_predicted(instrument, way, goal, known, stated))
             if tried[-1].meets:
                 return tried[-1]
     if tried:
@@ -216,9 +216,9 @@ def noting(refused: list[str]) -> Iterator[None]:
         refused.append(str(error))
 
 
-def _predicted(instrument: str, way: Way, goal: Goal, known: Known, said: Changes) -> Advice:
-    """Return what a set-up with the settings ``said`` would give; raises what refuses it."""
-    given = dict(given_value(way.method, known, change) for change in said)
+def _predicted(instrument: str, way: Route, goal: Goal, known: Known, stated: Changes) -> Advice:
+    """Return what a set-up with the settings ``stated`` would give; raises what refuses it."""
+    given = dict(given_value(way.method, known, change) for change in stated)
     values = {**values_of_tables(way.method), **of_a_turn(known, goal.positions), **given}
     rests = {
         name: values.get(name, known[name].default)
@@ -246,13 +246,13 @@ def _predicted(instrument: str, way: Way, goal: Goal, known: Known, said: Change
         pauses=len(calibration.plan.pauses),
         untested=prospect.untested,
         rests_on=rests,
-        command=_command(way.method, goal.positions, said),
+        command=_command(way.method, goal.positions, stated),
     )
 
 
-def _command(method: str, positions: int, said: Changes) -> str:
+def _command(method: str, positions: int, stated: Changes) -> str:
     """Return what begins it: the set-up, or the solution of a table that needs none."""
-    stated = [word for change in said for word in ("--set", change)]
+    stated = [word for change in stated for word in ("--set", change)]
     table = find_method(method).table
     if table is not None and not table.needs_setup:
         return shlex.join(["rotcal", "solve", f"{method}.csv", *stated])
@@ -260,7 +260,7 @@ def _command(method: str, positions: int, said: Changes) -> str:
     return shlex.join([*new, "-y", "-o", f"{method}.yaml"])
 
 
-def _refused(instrument: str, way: Way, why: str) -> Advice:
+def _refused(instrument: str, way: Route, why: str) -> Advice:
     title = way.method
     with suppress(RotcalError):
         title = find_method(way.method).title

@@ -47,7 +47,8 @@ def test_the_command_writes_the_set_up_that_was_predicted(tmp_path, monkeypatch)
 
 
 def test_stated_deviations_have_the_stated_uncertainty_and_nothing_tests_them():
-    pytest.importorskip("rotcal_tables")
+    if "deviations" not in method_names():
+        pytest.skip("its package is not installed")
     found = ways("--own", "interferometer", "--want", "ECC=2", "--set", "solver.u_arcsec=0.5")
     known = next(way for way in found if way["method"] == "deviations")
     assert known["expanded"]["ECC"] == pytest.approx(1.0 * ARCSEC)
