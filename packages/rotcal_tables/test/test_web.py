@@ -337,8 +337,9 @@ def test_what_a_method_has_to_be_told_is_named(visitor):
         ("deviations", "needs --set machine_ini=a.ini",
          'needs "Settings, one in a line as NAME=VALUE" machine_ini'),
         ("table_balls", "correct plan.axis_m, or plan.chain",
-         "correct \"nominal point of the table axis in the machine's coordinates: XOC and YOC are how far the axis is from it at its "
-         'height, EXC and EYC are the table\'s motions there", or plan.chain (in a set-up file)'),
+         'correct "nominal point of the table axis in the machine\'s coordinates: XOC and YOC are '
+         "how far the axis is from it at its height, EXC and EYC are the table's motions there\", "
+         "or plan.chain (in a set-up file)"),
         ("tracer_multistation", "give --targets TARGETS.csv with x, or --targets a.csv",
          'give "Targets" with x, or "Targets"'),
         ("deviations", "no {place} for --option in laser.csv", "no (place) for --option in"
