@@ -252,11 +252,11 @@ def _predicted(instrument: str, way: Route, goal: Goal, known: Known, stated: Ch
 
 def _command(method: str, positions: int, stated: Changes) -> str:
     """Return what begins it: the set-up, or the solution of a table that needs none."""
-    stated = [word for change in stated for word in ("--set", change)]
+    words = [word for change in stated for word in ("--set", change)]
     table = find_method(method).table
     if table is not None and not table.needs_setup:
-        return shlex.join(["rotcal", "solve", f"{method}.csv", *stated])
-    new = ["rotcal", "new", "--method", method, "--positions", str(positions), *stated]
+        return shlex.join(["rotcal", "solve", f"{method}.csv", *words])
+    new = ["rotcal", "new", "--method", method, "--positions", str(positions), *words]
     return shlex.join([*new, "-y", "-o", f"{method}.yaml"])
 
 

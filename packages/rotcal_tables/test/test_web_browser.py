@@ -199,7 +199,7 @@ def test_a_refusal_names_boxes_in_the_language_of_the_page(opened):
     noise = page.locator("[id='set.solver.u_arcsec']")
     expect(noise).to_have_attribute("aria-invalid", "true", timeout=PATIENCE_MS)
     label = page.locator("label[for='set.solver.u_arcsec']").inner_text()
-    assert label.startswith("Standardunsicherheit")
+    assert label.startswith("Standardmessunsicherheit")
     told = page.locator("#error_words").inner_text()
     assert label.lower() in told.lower()
     assert "--" not in told
