@@ -34,7 +34,7 @@ setup(
         "rotcal_ros.method_settings": [f"deviations = {NAME}.deviations.settings:SETTINGS"],
         f"{NAME}.readers": [f"renishaw = {NAME}.renishaw:read"],
         "rotcal_ros.tables": [f"any = {NAME}.sheets.reading:READER"],
-        "rotcal_ros.verbs": [f"web = {NAME}:VERB"],
+        "rotcal_ros.verbs": [f"web = {NAME}:VERB", f"pairs = {NAME}:PAIRS"],
         "rotcal_ros.translations": [f"{NAME} = {NAME}"],
     },
     zip_safe=False,
