@@ -82,7 +82,7 @@ class Angles:
 class StatedDeviations:
     """What a table says of its deviations: ``columns`` by what they are, in ``rows`` of a file.
 
-    ``where`` names it; ``said`` is what a person said of it. ``others`` are angles of no known
+    ``where`` names it; ``settings`` are what a person said of it, ``others`` angles of no known
     name: where they follow the commanded ones, within NEAR of the smallest ``step`` (rad), the
     deviation is held against them. ``proposal`` shows the columns side by side.
     """
@@ -93,7 +93,7 @@ class StatedDeviations:
     proposal: Sequence[str]
     step: float
     others: Sequence[Angles] = ()
-    said: SheetSettings = AS_IT_STANDS
+    settings: SheetSettings = AS_IT_STANDS
 
     def read(self) -> tuple[Sequence[Decimal], str]:
         """Return the deviations (rad) and how they were understood; a question where it is open.
@@ -103,14 +103,16 @@ class StatedDeviations:
         columns = self.columns
         commanded, measured = columns.get(TABLE_ANGLE), columns.get(ACTUAL)
         stated = columns.get("deviation")
-        if self.said.values == "positions" and stated and not measured:
+        if self.settings.values == "positions" and stated and not measured:
             stated, measured = None, stated
         if commanded and stated and not measured:
             measured = next(
                 (each for each in self.others if self._is_beside(commanded, each)), None
             )
         if commanded and measured:
-            found = self._differences(measured, commanded, self.said.counter, self.said.zero)
+            found = self._differences(
+                measured, commanded, self.settings.counter, self.settings.zero
+            )
             if measured.unit == COUNTS:
                 self._require_counts_of_a_turn(found, measured, commanded)
             self._require_positions(found, measured, commanded)
@@ -119,13 +121,13 @@ class StatedDeviations:
                 return found, BY_BOTH
             return self._agreed(found, measured, commanded, stated or columns[REVERSED])
         if stated:
-            if commanded and self.said.values not in ("deviations", "corrections"):
+            if commanded and self.settings.values not in ("deviations", "corrections"):
                 self._require_small(stated, commanded)
-            if self.said.values == "corrections":
+            if self.settings.values == "corrections":
                 return [-value for value in stated.values], TURNED
             return stated.values, ""
         either = columns[REVERSED]
-        if REVERSED in self.said.named():
+        if REVERSED in self.settings.named():
             return [-value for value in either.values], TURNED
         raise self._asked(
             f"{either.text!r} may be actual - commanded, or commanded - actual",
@@ -169,7 +171,7 @@ class StatedDeviations:
         if abs(found[k]) > NEAR * self.step:
             ways = {way: off for way, off in self._ways(measured, commanded)
                     if off <= NEAR * self.step}  # fmt: skip
-            if self.said.zero == "table" and (self.said.counter, "first") in ways:
+            if self.settings.zero == "table" and (self.settings.counter, "first") in ways:
                 return
             if ways:
                 raise self._other_way(ways, measured, found[0])
@@ -182,7 +184,7 @@ class StatedDeviations:
 
     def _require_finer(self, measured: Angles, commanded: Angles) -> None:
         """Raise a question where commanded and measured angles seem to stand the other way."""
-        sure = measured.unit == COUNTS or TABLE_ANGLE in self.said.named()
+        sure = measured.unit == COUNTS or TABLE_ANGLE in self.settings.named()
         if not sure and measured.is_rounder(commanded):
             raise self._asked(
                 f"{measured.text!r} is rounder than {commanded.text!r}, as commanded angles "
@@ -196,12 +198,12 @@ class StatedDeviations:
     ) -> Iterator[tuple[tuple[str, str], float]]:
         """Yield counter and zero that may be meant, with the largest deviation then (rad)."""
         cells = [float(value / measured.size) for value in measured.values]
-        counters = [self.said.counter]
-        if measured.unit == COUNTS and not self.said.counter:
+        counters = [self.settings.counter]
+        if measured.unit == COUNTS and not self.settings.counter:
             whole = [round(cell, 6) for cell in cells]
             counters += [bits for bits in COUNTERS if is_counter(whole, bits)]
         for counter in counters:
-            for zero in (self.said.zero, "first"):
+            for zero in (self.settings.zero, "first"):
                 found = self._differences(measured, commanded, counter, zero)
                 yield (counter, zero), float(max(map(abs, found)))
 
@@ -210,7 +212,7 @@ class StatedDeviations:
     ) -> UndecidedError:
         """Return the question where a counter wraps, or where its zero is."""
         plain = {counter for counter, _ in ways}
-        if self.said.counter not in plain:
+        if self.settings.counter not in plain:
             off = {counter: min(ways[way] for way in ways if way[0] == counter)
                    for counter, _ in ways}  # fmt: skip
             return self._asked(
