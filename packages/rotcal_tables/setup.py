@@ -32,7 +32,7 @@ setup(
     entry_points={
         "rotcal_ros.methods": [f"deviations = {NAME}.deviations.method:METHOD"],
         "rotcal_ros.method_settings": [f"deviations = {NAME}.deviations.settings:SETTINGS"],
-        f"{NAME}.readers": [f"renishaw = {NAME}.renishaw:read"],
+        f"{NAME}.readers": [f"dmis = {NAME}.dmis:read", f"renishaw = {NAME}.renishaw:read"],
         "rotcal_ros.tables": [f"any = {NAME}.sheets.reading:READER"],
         "rotcal_ros.verbs": [f"web = {NAME}:VERB", f"pairs = {NAME}:PAIRS"],
         "rotcal_ros.translations": [f"{NAME} = {NAME}"],

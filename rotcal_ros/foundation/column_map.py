@@ -37,7 +37,7 @@ from rotcal_ros.foundation.table_reading import Known, Reading, Use, as_planned
 from rotcal_ros.foundation.tables import Header, Table, is_workbook, read_table
 
 _OF_ANY_FORM: Final = (
-    "angles", "values", "up", "decimal", "name", "table",
+    "angles", "values", "up", "decimal", "name", "names", "table",
     "counts_per_turn", "commanded_counts", "counter", "zero",
 )  # fmt: skip
 """Settings of ``sheet`` for what is read by a package only."""

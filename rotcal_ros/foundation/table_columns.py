@@ -114,6 +114,9 @@ class SheetSettings:
     columns: tuple[str, ...] = setting(
         (), doc="columns by the text at their head where that says nothing, as length=Messwert"
     )
+    names: str = expert(
+        "", doc="what the names of points say, as P{position}_N{ball}; empty: nothing"
+    )
     name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
     table: str = expert("", doc="which of several tables side by side on a sheet, from 1")
 

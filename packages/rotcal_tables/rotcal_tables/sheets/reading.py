@@ -54,6 +54,7 @@ from rotcal_tables.sheets.layout import (
 )
 from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_tables.sheets.passes import Halt, closed, directed, is_repeated, passes
+from rotcal_tables.sheets.point_names import names_in_question, with_names_apart
 from rotcal_tables.sheets.questions import (
     is_number,
     likely_head,
@@ -121,12 +122,21 @@ class AnyForm:
                 f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
                 f"{', '.join(names)}"
             )
-        named = settings.named()
+        named, raw = settings.named(), found
+        if settings.names:
+            found = [with_names_apart(grid, settings.names) for grid in raw]
         layout = best_layout(found, headers, named, str(path), settings.table)
         require_named(path, headers, named, layout.head if layout else likely_head(found))
         if layout is None or layout.missing:
+            asked = None if settings.names else names_in_question(str(path), raw, headers)
+            if asked:
+                raise asked
             raise not_understood(path, headers, layout, found, named)
         require_as_wide_as_its_head(path, layout)
+        if settings.names:  # a table is known by its head as it stands in the file
+            at = next((n for n, cells in layout.sheet.rows if texts_of(cells) == layout.form), 0)
+            as_read = next((g for g in raw if g.form == layout.sheet.form), raw[0])
+            layout = replace(layout, form=texts_of(dict(as_read.rows).get(at, ())))
         return _Rows(path, layout, settings, known()).read()
 
     def heads(self, path: Path) -> Iterator[tuple[str, ...]]:
