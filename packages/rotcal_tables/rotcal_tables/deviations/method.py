@@ -15,8 +15,8 @@ from itertools import chain
 from typing import Final
 
 import numpy as np
-from scipy.stats import t as student
 
+from rotcal_ros.adjust.distributions import t_isf, t_sf
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.evaluation.combination import UNCHECKED
@@ -28,7 +28,7 @@ from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.table_columns import undecided
+from rotcal_ros.foundation.table_columns import ANGLE, UNITS, undecided
 from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Row, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
@@ -99,7 +99,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
         )
     # a whole count hides up to half a count, the same in all runs
     stated = np.hypot(stated, TURN / abs(count) / np.sqrt(12.0) if count else 0.0)
-    wide = scatter * (student.ppf((1.0 + COVERAGE) / 2.0, dof) / COVERAGE_FACTOR if dof else 0.0)
+    wide = scatter * (t_isf((1.0 - COVERAGE) / 2.0, dof) / COVERAGE_FACTOR if dof else 0.0)
     same = arrivals.target[:, None] == arrivals.target
     covariance = np.outer(stated, stated) * same + wide**2 * np.eye(len(values))
     doubts = _strangers(values, arrivals, dof)
@@ -150,7 +150,7 @@ def _strangers(values: Floats, arrivals: Arrivals, dof: int) -> list[Phrase]:
     worst = int(np.argmax(squares))
     rest = float(np.sum(residual**2) - squares[worst]) / (dof - 1)
     size = np.sqrt(squares[worst] / max(rest, 1e-30))
-    if 2.0 * len(values) * student.sf(size, dof - 1) > STRANGE:
+    if 2.0 * len(values) * t_sf(size, dof - 1) > STRANGE:
         return []
     return [
         phrase(
@@ -220,7 +220,7 @@ def require_sign(reading: Reading) -> None:
         REVERSED,
         ACTUAL,
     }
-    ours = {DEVIATION, "deviation_arcsec"}.intersection(reading.form_head)
+    ours = {f"deviation_{unit}" for unit in UNITS[ANGLE]}.intersection(reading.form_head)
     if not (stated or ours or ACTUAL in reading.uses or BY_BOTH in reading.remarks):
         raise _which_sign(reading)
 
