@@ -25,7 +25,6 @@ setup(
         "python-calamine",
         "PyYAML",
         f"rotcal_ros=={VERSION}",
-        "scipy",
         "starlette",
         "uvicorn",
     ],
