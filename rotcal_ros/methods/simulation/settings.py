@@ -103,6 +103,13 @@ class TableSettings:
     feedback_noise_arcsec: float = expert(
         0.02, doc="arcsec, noise of one table feedback", minimum=0.0
     )
+    feedback_lag_s: float = expert(
+        0.0, doc="s, by which the feedback is late while the table moves", minimum=-1.0, maximum=1.0
+    )
+    ripple_arcsec: float = expert(
+        0.0, minimum=0.0, doc="arcsec, amplitude about even motion while the table turns on"
+    )
+    ripple_hz: float = expert(3.0, doc="Hz, of that ripple", minimum=1e-3, maximum=1000.0)
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,8 @@ def read(
     configuration = parse_configuration(text, configuration.source)
     calibration = Calibration(configuration, turning_plan(configuration.plan, targets))
     check_plan(configuration.solver, calibration.plan, turning=True)
-    steps = {(s.station, s.table_position, s.target): s for s in calibration.plan.steps}
+    passed = (step for step in calibration.plan.steps if step.turn is not None)
+    steps = {(s.station, s.table_position, s.target): s for s in passed}
     check, observations = LengthCheck(calibration.plan), list[Observation]()
     for number, turn in enumerate(turns):
         run = _run_of(turn, speeds)

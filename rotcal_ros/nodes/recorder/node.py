@@ -264,6 +264,10 @@ class Receipts:
             for data, _ in batch:
                 seen = self._session.take(data)
                 self._pending.expect(seen.step, seen.attempt, stamp_ns(seen.window_end))
+        elif name == self._called.topic(names.TABLE_ANGLE):
+            for data, _ in batch:
+                order = deserialize_message(data, msg.TableAngle)
+                self._pending.order(order.step, order.attempt, turn=bool(order.turn_speed))
         elif name == self._called.topic(names.PROBE_POINT) and _echoes(topic):
             for data, _ in batch:
                 point = deserialize_message(data, msg.ProbePoint)
