@@ -37,7 +37,7 @@ from rotcal_ros.capture.window import (
     too_few_usable,
 )
 from rotcal_ros.foundation.arrays import Floats, Stamps
-from rotcal_ros.foundation.language import Phrase, phrase
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Observation, PointKind, Turn
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND, TURN
 from rotcal_ros.planning.plan import Step
@@ -119,10 +119,10 @@ class Passage:
     ahead: Floats
 
     def at(self, stamps: Stamps) -> Floats:
-        """Return how far ahead the table was at ``stamps`` (k,) of the passage, rad."""
-        return np.asarray(
-            np.interp(stamps - self.stamps[0], self.stamps - self.stamps[0], self.ahead)
-        )
+        """Return how far ahead the table was at ``stamps`` (k,), rad; outside it moves evenly."""
+        since, passed = stamps - self.stamps[0], self.stamps - self.stamps[0]
+        beyond_s = (since - np.clip(since, 0, passed[-1])) * NANOSECOND
+        return np.asarray(np.interp(since, passed, self.ahead) + self.motion.slope * beyond_s)
 
     @property
     def motion(self) -> Curve:
@@ -274,16 +274,18 @@ def _observe(
     """Reduce the readings of a passage."""
     step = attempt.step
     read, sense = _readings(streams, step), float(np.sign(_turn(step).speed))
-    rows = slice(read.index(int(passed.stamps[0])), read.index(int(passed.stamps[-1]) + 1))
+    first, last = (int(stamp) for stamp in passed.stamps[[0, -1]])
+    rows = slice(max(read.index(first) - 1, 0), read.index(last) + 1)  # one more on each side
     stamps, values = read.stamps[rows], read.values[rows]
     ahead = passed.at(stamps)
     near = np.abs(ahead) < step.passing
+    missing = _missing(values[:, SEQUENCE], ahead, step.passing)
     stamps, values, ahead = stamps[near], values[near], ahead[near]
     reason = passed.fault(_turn(step), settings) or _few(ahead, step, settings)
     if reason:
         reduced = ReducedWindow(reason=reason)
     elif step.kind == PointKind.REFLECTOR:
-        reduced = reduced_length(ahead, stamps, values, settings)
+        reduced = reduced_length(ahead, values, missing, settings)
     else:
         reduced = _reduced(ahead, stamps, values, settings)
     window = (int(stamps[0]), int(stamps[-1])) if len(stamps) else None
@@ -327,24 +329,36 @@ def _reduced(
     )
 
 
+def _missing(sequence: Floats, ahead: Floats, passing: float) -> int:
+    """Return how many readings (n,) up to ``passing`` (rad) beside an angle are missing.
+
+    By their numbers; an instrument that does not number them misses none.
+    """
+    if len(sequence) < 2:
+        return 0
+    lost = sequence_steps(sequence[1:], sequence[0]) - 1
+    inside = np.diff(np.clip(ahead, -passing, passing))
+    share = inside / np.where(inside != 0.0, np.diff(ahead), 1.0)
+    return round(float(lost @ share))
+
+
 def reduced_length(
-    ahead: Floats, stamps: Stamps, values: Floats, settings: CaptureSettings
+    ahead: Floats, values: Floats, missing: int, settings: CaptureSettings
 ) -> ReducedWindow:
     """Return the cubic through lengths at the angle, or what is wrong with them.
 
-    ``ahead`` (n,) rad: where the table was when they were read, at ``stamps`` (n,); ``values``
-    (n, 3): an admitted tracer stream. Few readings that are lost or spikes do no harm. A beam that
-    broke in between is no length: what comes behind counts from another zero.
+    ``ahead`` (n,) rad: where the table was when they were read; ``values`` (n, 3): an admitted
+    tracer stream, in which others are ``missing``. Few that are, or are spikes, do no harm. A beam
+    that broke in between is no length: what comes behind counts from another zero.
     """
     length, faults = values[:, LENGTH], values[:, STATUS].astype(np.int64)
     if (faults == ReadingFault.BEAM_BROKEN).any():
         return ReducedWindow(reason=phrase("{0} while the table passed", phrase(BEAM_BROKEN)))
     used = good = np.flatnonzero(faults == ReadingFault.NONE)
-    sequence = values[:, SEQUENCE]
-    sent = int(sequence_steps(sequence[-1:], sequence[0])[0]) + 1
+    least = max(settings.min_used_share * (len(length) + missing), CUBIC + 2)
     for _ in range(SIFTED):
-        if len(used) < max(settings.min_used_share * sent, CUBIC + 2):
-            lost = _lost(stamps, sequence) if sent > len(length) else None
+        if len(used) < least:
+            lost = f"{missing} readings lost while the table passed" if missing else None
             return ReducedWindow(reason=lost or too_few_usable(faults, length, settings))
         curve = Curve.through(ahead[used], length[used], CUBIC)
         spikes = good[beyond(np.abs(length[good] - curve.at(ahead[good])), settings)]
