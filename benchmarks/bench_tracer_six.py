@@ -16,9 +16,9 @@ from six_scene import LENGTH_STD, TARGET_STD, scene
 
 from rotcal_ros.adjust.fit import fitted
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.model import lengths_of, model_of
 from rotcal_ros.methods.tracer_six.solver.poses import find_start, rotation_vector
 from rotcal_ros.methods.tracer_six.solver.problem import lay_out
+from rotcal_ros.methods.tracer_six.solver.solve import lengths_of, model_of
 
 FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
 """With its own tolerance lsmr stops early, and least_squares takes four times as long."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING
 
-from rotcal_ros.foundation.settings import Declaration
+from rotcal_ros.foundation.settings import Declaration, all_constants
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.methods.settings_reference import (
     Section,
+    all_sections,
     default_in_words,
     first_settings,
     goal_sections,
@@ -57,6 +58,15 @@ These need no change in ordinary use: thresholds, waits and rates, what a simula
 like and what goes wrong in it. In a file they stand in their groups, like all others.
 """
 
+CONSTANTS = """## No longer settings
+
+Earlier versions let these be set. They are constants now, for the reason given. A file or a bag
+that states this value is read; one that states another is refused: leave it out.
+
+| name | value | why |
+| --- | --- | --- |
+"""
+
 
 def page() -> str:
     """Return the text: what comes first, what all methods share, each method, for experts."""
@@ -73,7 +83,17 @@ def page() -> str:
     for name in method_names():
         parts.append(f"## For experts: `method: {name}`\n")
         parts += map(_experts, own_sections(name))
-    return "\n".join(filter(None, parts))
+    return "\n".join(filter(None, [*parts, CONSTANTS + "\n".join(_constants())])) + "\n"
+
+
+def _constants() -> list[str]:
+    """Return a row for what was a setting once, each only once."""
+    rows = (
+        _row(_code(f"{section.group or 'goal'}.{name}"), str(constant.value), constant.reason)
+        for section in all_sections()
+        for name, constant in all_constants(section.cls)
+    )
+    return list(dict.fromkeys(rows))
 
 
 def _first(method: str) -> str:

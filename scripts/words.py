@@ -29,6 +29,7 @@ from rotcal_ros.evaluation.budget import WHOLE
 from rotcal_ros.foundation.identity import Instruments
 from rotcal_ros.foundation.language import FOLDER, folders, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
+from rotcal_ros.foundation.plugins import METHODS, provider
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.methods.angle_comparison.model import INSTRUMENT, MOVED, REFERENCE, WORDS
@@ -46,6 +47,7 @@ MARKED = re.compile(rf"\b(?:{'|'.join(MARKS)})\(")
 SHOWN_BY = (
     "Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title", "Words",
     "Disturbing", "Grouping", "KnownBeforehand", "with_prior", "scattering", "Otherwise",
+    "AttemptRejectedError",
 )  # fmt: skip
 """Calls whose texts of several words come onto a page, or are arguments of codes."""
 UNIT = re.compile("_(deg|mm|um|arcsec)$")
@@ -81,7 +83,8 @@ def used() -> dict[str, str]:
     for name, message in marked(PACKAGE):
         found.setdefault(message, name)
     shown = shown_on_pages(PACKAGE)
-    titles = [find_method(name).title for name in method_names()]
+    ours = [name for name in method_names() if not provider(name, METHODS)]
+    titles = [find_method(name).title for name in ours]
     data = (*DATA, WHOLE, *ALL_EFFECTS, *get_args(Treatment), *titles, *REASONS.values(),
             *STATES.values(), *INSTRUCTIONS.values())  # fmt: skip
     of_calls = [(where, tuple(texts)) for where, texts in shown_texts().items()]

@@ -65,7 +65,12 @@ def test_what_is_for_experts_stands_at_the_end_of_the_page_and_nothing_else_does
     for name in ("capture.window_samples", "solver.way", "simulation.seed", *of_goals[0]):
         assert f"`{name}`" in begin
         assert f"`{name}`" not in end
-    for name in ("capture.spike_limit", "solver.significance", "simulation.hold_s", *of_goals[1]):
+    for name in (
+        "capture.spike_floor_m",
+        "solver.uneven_drift_std_arcsec",
+        "simulation.hold_s",
+        *of_goals[1],
+    ):
         assert f"`{name}`" not in begin
         assert f"`{name}`" in end
 

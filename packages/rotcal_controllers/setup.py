@@ -5,10 +5,15 @@ from setuptools import find_packages, setup
 NAME = "rotcal_controllers"
 VERSION = "0.1.0"
 CONTROLLERS = {
+    "acs": "Acs",
+    "aerotech": "Aerotech",
+    "centroid": "Centroid",
+    "encoder_lut": "EncoderLut",
     "fagor": "Fagor",
     "fanuc": "Fanuc",
     "heidenhain": "Heidenhain",
     "kflop": "Kflop",
+    "mach4": "Mach4",
     "pmac": "Pmac",
     "sinumerik": "Sinumerik",
     "smoothieware": "Smoothieware",

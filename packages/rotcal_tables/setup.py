@@ -21,13 +21,18 @@ setup(
     python_requires=">=3.10",
     install_requires=[
         "click",
+        "numpy",
         "python-calamine",
         "PyYAML",
         f"rotcal_ros=={VERSION}",
+        "scipy",
         "starlette",
         "uvicorn",
     ],
     entry_points={
+        "rotcal_ros.methods": [f"deviations = {NAME}.deviations.method:METHOD"],
+        "rotcal_ros.method_settings": [f"deviations = {NAME}.deviations.settings:SETTINGS"],
+        f"{NAME}.readers": [f"renishaw = {NAME}.renishaw:read"],
         "rotcal_ros.tables": [f"any = {NAME}.sheets.reading:READER"],
         "rotcal_ros.verbs": [f"web = {NAME}:VERB"],
         "rotcal_ros.translations": [f"{NAME} = {NAME}"],

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.protection import Effect, Protection
 
-MEANT_OTHERWISE: Final = noted("it looks as if {0} ({1:.1g} : 1): put it right, and solve again")
+MEANT_OTHERWISE: Final = noted("it looks as if {0} ({1:.1g} : 1): correct it, and solve again")
 
 EXCLUDED: Final = np.log(20.0)
 """ln of how many times as probable readings are as they were taken, where they exclude others."""
@@ -183,12 +183,10 @@ def protections(every: Sequence[WeighedAlternative]) -> Iterator[Protection]:
             yield Protection(effect, "tested", phrase("it was found that {0}", what))
             continue
         if unseen := [other for other in mine if other.gain > -EXCLUDED]:
-            why = phrase("what was read does not exclude that {0}", _any_of(unseen))
+            why = phrase("the readings do not exclude that {0}", _any_of(unseen))
             yield Protection(effect, "not protected", why)
             continue
         why = phrase("that {0} cannot be: such readings are refused", what)
         if np.isfinite(gain):
-            why = phrase(
-                "what was read speaks against it that {0} ({1:.1g} : 1)", what, _odds(-gain)
-            )
+            why = phrase("the readings contradict that {0} ({1:.1g} : 1)", what, _odds(-gain))
         yield Protection(effect, "tested", why)

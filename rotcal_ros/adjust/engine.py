@@ -63,12 +63,12 @@ NOT_ASKED: Final = noted(
 MANY_LOST: Final = noted("{0} of {1} {2} were left out, more than {3:g} % is suspicious")
 UNCONTRADICTED: Final = noted("no {0} are left to check the others: nothing could contradict")
 RIVALLED: Final = noted(
-    "that {0} explains what was read, but others do so nearly as well (in brackets their "
-    "likelihood): {1}; the uncertainty covers them all"
+    "that {0} explains what was read, but others explain it nearly as well (likelihood in "
+    "brackets): {1}; the uncertainty covers them all"
 )
 TAKEN_OFF: Final = noted(
-    "it looks as if {0}: that was taken off, and the uncertainty holds it; find out why, and "
-    "measure again"
+    "it looks as if {0}: it was corrected for, and the uncertainty includes it; find the cause, "
+    "and measure again"
 )
 ENLARGED: Final = noted(
     "the residuals are {0:.2g} times what their standard deviations allow (chi-squared test): "
@@ -590,7 +590,7 @@ def _open(found: Adjusted) -> Iterator[Phrase]:
         if test.probability < limits.of_each_effect(found.model) and effect.effect not in named:
             yield phrase(
                 "it looks as if {0} (p = {1:.2g}), by residuals and by what does not close: it "
-                "was not taken off; find out why, and measure again", phrase(effect.what),
+                "was not corrected for; find the cause, and measure again", phrase(effect.what),
                 test.probability
             )  # fmt: skip
 
@@ -622,7 +622,7 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
             yield Protection(
                 name,
                 "estimated",
-                phrase("it was found that {0}, and taken off", phrase(effect.what)),
+                phrase("it was found that {0}; it was corrected for", phrase(effect.what)),
             )
     for name, (hides, effect) in worst.items():
         silent = phrase("leaves no residual")

@@ -168,9 +168,9 @@ def _counted(
             continue
         if row.lost and row.lost > binomial_quantile(1.0 - each, row.whole, rejected_share):
             yield phrase(
-                "{0} of the {1} {2} of {3} were rejected, which is no chance: something is wrong "
-                "with all of it; measure it again", row.lost, row.whole, phrase(words.elements),
-                row.name
+                "{0} of the {1} {2} of {3} were rejected, more than by chance: something "
+                "affected all of it; measure it again", row.lost, row.whole,
+                phrase(words.elements), row.name
             )  # fmt: skip
         elif row.test.probability < each:
             root = float(np.sqrt(row.test.squares / max(row.test.rank, 1)))

@@ -17,9 +17,9 @@ import numpy as np
 
 from rotcal_ros.adjust.designs import Derivatives, dense
 from rotcal_ros.adjust.gathering import Words
-from rotcal_ros.adjust.model import Disturbing, Model, Unit
+from rotcal_ros.adjust.model import Disturbing, Grouping, Model, Unit
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 
 IN_NOISE: Final = Unit("standard deviations", 1.0)
 """In which people read the observations of several instruments."""
@@ -71,16 +71,11 @@ def stacked(
     rows = places_of([m.size[0] for m in parts])
     own = places_of([m.size[1] - width for m in parts], width)
     n, p = rows[-1].stop, own[-1].stop
-    blocks = dict(shared)
-    for name, model in models.items():
-        its_own = list(model.blocks.items())[len(shared) :]
-        blocks |= {phrase("{0} of {1}", phrase(block), name): size for block, size in its_own}
-
     columns = [np.append(np.arange(width), np.arange(u.start, u.stop)) for u in own]
     every = list(zip(models.items(), rows, columns, strict=True))
     begins = np.cumsum([0, *(len(m.components) for m in parts[:-1])]).tolist()
     return Model(
-        blocks=blocks,
+        blocks=_blocks(models, shared),
         observed=np.concatenate([m.observed for m in parts]),
         std=np.ones(n),
         equations=_together(parts, rows, columns, p),
@@ -89,21 +84,15 @@ def stacked(
         unit=IN_NOISE,
         start=np.concatenate([np.zeros(width), *(m.first[width:] for m in parts)]),
         further={
-            phrase("{0} of {1}", phrase(what), name): _spread(np.asarray(further), mine, p)
+            _of(name, what): _spread(np.asarray(further), mine, p)
             for (name, model), _, mine in every
             for what, further in model.further.items()
         },
-        components=[
-            phrase("{0} of {1}", phrase(c), name)
-            for name, m in models.items()
-            for c in m.components
-        ],
+        components=[_of(name, c) for name, m in models.items() for c in m.components],
         component=np.concatenate([m.of_component + k for m, k in zip(parts, begins, strict=True)]),
         judged=np.concatenate([m.rejectable for m in parts]),
         groupings=[
-            grouping._replace(kind=phrase("{0}, {1}", name, phrase(grouping.kind))).with_others(
-                n - at.stop, at.start
-            )
+            _grouping(name, grouping, at, n)
             for (name, model), at, _ in every
             for grouping in model.groupings
         ],
@@ -126,6 +115,19 @@ def stacked(
         unstated=any(m.unstated for m in parts),
         least=max(m.least for m in parts),
     )
+
+
+def _of(name: str, what: str) -> Phrase:
+    return phrase("{0} of {1}", phrase(what), name)
+
+
+def _blocks(models: Mapping[str, Model], shared: Mapping[str, int]) -> dict[str, int]:
+    """Return the ``shared`` blocks of unknowns, then those that each model has for itself."""
+    blocks = dict(shared)
+    for name, model in models.items():
+        its_own = list(model.blocks.items())[len(shared) :]
+        blocks |= {_of(name, block): size for block, size in its_own}
+    return blocks
 
 
 def _definitions(
@@ -173,6 +175,12 @@ def _spread(rows: Floats, columns: Floats, unknowns: int) -> Floats:
     found = np.zeros((len(rows), unknowns))
     found[:, columns] = rows
     return found
+
+
+def _grouping(name: str, grouping: Grouping, at: slice, n: int) -> Grouping:
+    """Return the grouping of the rows ``at`` of n, which says in whose observations it is."""
+    kind = phrase("{0}, {1}", name, phrase(grouping.kind))
+    return grouping._replace(kind=kind).with_others(n - at.stop, at.start)
 
 
 def _disturbing(name: str, effect: Disturbing, at: slice, n: int) -> Disturbing:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import check_ros_name, expert, group, of_changes, setting
@@ -53,12 +53,12 @@ class RecorderSettings:
         doc="number of this run of an interrupted session; 0 begins a session, later runs "
         "continue its bag in a new file",
     )
-    queue_bytes: int = expert(
-        67_108_864,
-        doc="bytes, largest amount that waits for the disk; beyond that messages are lost and "
-        "counted",
-        minimum=65_536,
-    )
+    queue_bytes: ClassVar[
+        Annotated[
+            int,
+            "minutes of all streams; a disk that is so far behind does not catch up",
+        ]
+    ] = 67_108_864
     silence_s: float = expert(
         30.0,
         minimum=0.1,

@@ -113,7 +113,7 @@ class FileVerdict:
         if self.lost:
             lost = phrase("{0} messages lost", self.lost)
         elif self.proves_loss:
-            lost = phrase("messages lost, it is not known how many")
+            lost = phrase("an unknown number of messages lost")
         at = phrase("{0} at byte {1}: {2}", phrase(self.state), first.offset, phrase(first.what))
         more = [] if self.lost_exactly else [phrase("more may be missing")]
         return listed([at, lost, *more])

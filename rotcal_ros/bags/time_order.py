@@ -35,10 +35,10 @@ from rotcal_ros.bags.storage_scan import Scan, StorageContents
 from rotcal_ros.foundation.arrays import Bools, Ints
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 
-READ_BY: Final = noted("the bag is not in the order of time ({0}): its messages were read by {1}")
+READ_BY: Final = noted("the bag is not in time order ({0}): its messages were read by {1}")
 GOES_BACK: Final = noted(
-    "log times go back {0} times, by up to {1:.1f} s: the recorder's clock was set, or somebody "
-    "exchanged parts of the file; the messages were read in the order of the file"
+    "log times go back {0} times, by up to {1:.1f} s: the recorder's clock was set, or parts of "
+    "the file were exchanged; the messages were read in file order"
 )
 
 LEAST_NS: Final = 1_000_000_000
@@ -90,8 +90,8 @@ class TimeOrder:
         if self.doubtful:
             return (
                 phrase(
-                    "the bag is not in the order of time, and not all of its streams have times "
-                    "that are true: its messages were read in the order of the file"
+                    "the bag is not in time order, and not all of its streams have valid times: "
+                    "its messages were read in file order"
                 ),
             )
         if self.back:

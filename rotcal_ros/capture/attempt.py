@@ -15,6 +15,7 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream
 from rotcal_ros.capture.window import ReducedWindow, TracerStream
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import NOTHING, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind, ProbeSample
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.planning.plan import Plan, Step
@@ -23,7 +24,12 @@ UNKNOWN_AIR: Final = ObservedAir()
 
 
 class AttemptRejectedError(DataError):
-    """An attempt cannot become a measured value; the text is the reason in the observation."""
+    """An attempt cannot become a measured value, for this ``reason`` in the observation."""
+
+    def __init__(self, reason: str, *parts: object) -> None:
+        """Set the reason, a template and what fills its places, or a phrase."""
+        self.reason = phrase(reason, *parts)
+        super().__init__(self.reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +197,7 @@ class Attempt:
             n_samples=n_samples,
             n_used=reduced.n_used,
             accepted=not reduced.reason,
-            reason=reduced.reason or "",
+            reason=reduced.reason or NOTHING,
             table_angle_measured=table_angle_measured,
             temperature_c=air.temperature_c,
             pressure_pa=air.pressure_pa,
@@ -204,7 +210,7 @@ class Attempt:
 
     def rejection(self, error: AttemptRejectedError) -> Observation:
         """Return the observation of an attempt that never got a window."""
-        return self.observation(ReducedWindow(reason=str(error)))
+        return self.observation(ReducedWindow(reason=error.reason))
 
 
 def belated_stamps(stream: Stream, settling_ns: int) -> tuple[int, int]:

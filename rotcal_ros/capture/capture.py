@@ -37,7 +37,7 @@ from rotcal_ros.capture.table import (
 )
 from rotcal_ros.capture.window import Beam, TracerStream
 from rotcal_ros.foundation.arrays import Stamps
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import NOTHING, Phrase, phrase
 from rotcal_ros.foundation.observations import (
     Command,
     Observation,
@@ -367,7 +367,7 @@ class Capture:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)
             raise AttemptRejectedError(
-                f"probe stamps go backwards: {back:.3g} s before the previous sample"
+                "probe stamps go backwards: {0:.3g} s before the previous sample", back
             )
         fast = (stream.latest for stream in self._streams.fast)
         behind_ns = max((at for at in fast if at is not None), default=0) - sample.stamp_ns
@@ -375,32 +375,33 @@ class Capture:
         if behind_ns > nanoseconds(allowed_s):
             self._probe.backwards += 1
             raise AttemptRejectedError(
-                f"the probe is stamped {seconds(behind_ns):.3g} s behind the other streams, "
-                f"allowed {allowed_s:g} s: another clock, or one of them was set"
-            )
+                "the probe is stamped {0:.3g} s behind the other streams, allowed {1:g} s: "
+                "another clock, or one of them was set", seconds(behind_ns), allowed_s
+            )  # fmt: skip
 
     def _refuse_off_plan(self, step: Step, sample: ProbeSample) -> None:
         if not all(map(isfinite, sample.position)):
             self._probe.non_finite += 1
-            raise AttemptRejectedError(f"probe position is not finite: {sample.position}")
+            raise AttemptRejectedError("probe position is not finite: {0}", sample.position)
         if (sample.kind, sample.target) != (step.kind, step.target):
             self._probe.off_plan += 1
             raise AttemptRejectedError(
-                f"probe reports {sample.kind.name} at target {sample.target}, "
-                f"the plan says {step.kind.name} at target {step.target}"
-            )
+                "probe reports {0} at target {1}, the plan says {2} at target {3}",
+                sample.kind.name, sample.target, step.kind.name, step.target
+            )  # fmt: skip
         if sample.station != step.station:
             self._probe.off_plan += 1
             raise AttemptRejectedError(
-                f"probe reports station {sample.station}, the plan says station {step.station}"
-            )
+                "probe reports station {0}, the plan says station {1}", sample.station,
+                step.station
+            )  # fmt: skip
         away = dist(sample.position, step.position)
         if step.kind == PointKind.REFLECTOR and away > self._settings.probe_tolerance_m:
             self._probe.implausible += 1
             raise AttemptRejectedError(
-                f"probe is {away:.6g} m from target {step.target}: reported {sample.position}, "
-                f"planned {step.position}, allowed {self._settings.probe_tolerance_m:g} m"
-            )
+                "probe is {0:.6g} m from target {1}: reported {2}, planned {3}, allowed {4:g} m",
+                away, step.target, sample.position, step.position, self._settings.probe_tolerance_m
+            )  # fmt: skip
 
     def _decide(self) -> Observations:
         """Admit what is staged and decide as many attempts as possible, the oldest first."""
@@ -440,9 +441,9 @@ class Capture:
         self._set_backs = count
         stream = max(fast, key=lambda s: s.counts.set_back)
         error = AttemptRejectedError(
-            f"the stamps of the {self._name(stream)} went back by "
-            f"{seconds(stream.set_back_ns):.3g} s: their clock was set"
-        )
+            "the stamps of the {0} went back by {1:.3g} s: their clock was set",
+            self._name(stream), seconds(stream.set_back_ns)
+        )  # fmt: skip
         for attempt in self._pending:
             attempt.rejected = attempt.rejected or error
         self._streams.begin_anew(_SETTLED_NS)
@@ -469,12 +470,14 @@ class Capture:
             if wait.stream.single_shot:
                 raise single_shot_missing(attempt, wait, lag_ns)
             raise AttemptRejectedError(
-                f"{self._name(wait.stream)} are {seconds(lag_ns):.3g} s behind the other "
-                f"streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or stamped by "
-                f"another clock{self._never_came(wait.stream)}"
-            )
+                "{0} are {1:.3g} s behind the other streams, allowed {2:g} s: silent, or "
+                "stamped by another clock{3}", self._name(wait.stream), seconds(lag_ns),
+                self._settings.clock_tolerance_s, self._never_came(wait.stream)
+            )  # fmt: skip
         if len(self._pending) > _MAX_PENDING:
-            raise AttemptRejectedError(f"undecided while {_MAX_PENDING} later attempts were begun")
+            raise AttemptRejectedError(
+                "undecided while {0} later attempts were begun", _MAX_PENDING
+            )
 
     def _judge(self, attempt: Attempt) -> Observation | Wait:
         """Judge an attempt by the streams, without an air quantity that is too far behind."""
@@ -498,10 +501,8 @@ class Capture:
         missing = [q.name for q in self._required if getattr(observation, q.column) is None]
         if missing:
             raise AttemptRejectedError(
-                phrase(
-                    "no {0} of the air came in time: the index of refraction is unknown",
-                    ", ".join(missing),
-                )
+                "no {0} of the air arrived in time: the index of refraction is unknown",
+                ", ".join(missing),
             )
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
@@ -520,12 +521,13 @@ class Capture:
         name = next(n for n, candidate in self._streams.by_name().items() if candidate is stream)
         return _WORDS.get(name, f"{name} readings")
 
-    def _never_came(self, stream: Stream) -> str:
+    def _never_came(self, stream: Stream) -> Phrase:
         """Return a clause for a stream that has delivered nothing so far."""
         if stream.latest is not None or stream.counts.received:
-            return ""
-        of_table = ": does cell.joint name a joint of the feedback?"
-        return f"; none has come yet{of_table if stream is self._streams.table else ''}"
+            return NOTHING
+        if stream is not self._streams.table:
+            return phrase("; none has come yet")
+        return phrase("; none has come yet: does cell.joint name a joint of the feedback?")
 
     def _not_in_plan(self, step: int) -> str:
         last = len(self._plan.steps) - 1

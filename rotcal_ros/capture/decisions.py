@@ -44,7 +44,7 @@ CLOCK_JUMP_S: Final = 0.5
 """A pause this long between readings in a row is a jump of their clock, if it is also"""
 LONG_PAUSE: Final = 10.0
 """so many times as long as they usually are apart."""
-_MEMORY: Final = (
+_MEMORY: Final = phrase(
     "samples of that time are no longer in memory: one stream is far behind the others"
 )
 
@@ -54,10 +54,11 @@ def decide_length(
 ) -> Observation | Wait:
     """Return the observation of a tracer step, or what is needed to decide.
 
-    Of a table that turns: :func:`~.passage.decide_passage`. At rest the window is the first ``window_samples`` readings stamped at least ``settle_time_s`` after
-    the table came to rest in position (not before the probe reached its target). If the table
-    leaves its position before the window ends, the next rest counts. The window must end before
-    the deadline of the attempt; raises AttemptRejectedError if there is none.
+    Of a table that turns: :func:`~.passage.decide_passage`. At rest the window is the first
+    ``window_samples`` readings stamped at least ``settle_time_s`` after the table came to rest in
+    position (not before the probe reached its target). If the table leaves its position before the
+    window ends, the next rest counts. The window must end before the deadline of the attempt;
+    raises AttemptRejectedError if there is none.
     """
     if attempt.step.turn is not None:
         return decide_passage(attempt, streams, settings)
@@ -85,7 +86,7 @@ def _start(
     """Return the stamp of the table's arrival."""
     table, angle = streams.table, attempt.step.table_angle
     if forgotten(table, attempt.search_ns):
-        raise AttemptRejectedError(f"table feedback: {_MEMORY}")
+        raise AttemptRejectedError("table feedback: {0}", _MEMORY)
     start = arrival(table, attempt.search_ns, angle, settings)
     if start is not None and start <= deadline:
         return start
@@ -105,7 +106,7 @@ def _window(
     """Return the indices of the first and the last reading of the window."""
     begin = start + nanoseconds(settings.settle_time_s)
     if forgotten(tracer, begin):
-        raise AttemptRejectedError(f"tracer readings: {_MEMORY}")
+        raise AttemptRejectedError("tracer readings: {0}", _MEMORY)
     first = tracer.index(begin)
     last = first + settings.window_samples - 1
     if last < len(tracer.stamps) and tracer.stamps[last] <= deadline:
@@ -178,11 +179,11 @@ def _refuse_clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> None:
     at = np.flatnonzero((steps == 1) & (pauses > limit))
     if len(at):
         raise AttemptRejectedError(
-            "the stamps of the tracer readings jump ahead by "
-            f"{pauses[at[0]] * NANOSECOND:.3g} s from {int(number[at[0]])} to "
-            f"{int(number[at[0] + 1])}: their clock was set, "
-            "or the instrument stood still (one that always does: topics.length_single_shot)"
-        )
+            "the stamps of the tracer readings jump ahead by {0:.3g} s from {1} to {2}: "
+            "their clock was set, or the instrument stood still (one that always does: "
+            "topics.length_single_shot)", pauses[at[0]] * NANOSECOND, int(number[at[0]]),
+            int(number[at[0] + 1])
+        )  # fmt: skip
 
 
 def single_shot_missing(attempt: Attempt, wait: Wait, lag_ns: int) -> AttemptRejectedError:
@@ -227,13 +228,9 @@ def decide_points(
         return Wait(table, patience)
     if len(samples) < wanted or samples[-1].stamp_ns > deadline:
         raise AttemptRejectedError(
-            phrase(
-                "only {0} of {1} probe points within {2:.3g} s",
-                len(samples),
-                wanted,
-                seconds(deadline - attempt.begin_ns),
-            )
-        )
+            "only {0} of {1} probe points within {2:.3g} s", len(samples), wanted,
+            seconds(deadline - attempt.begin_ns)
+        )  # fmt: skip
     begin_ns, end_ns = samples[0].stamp_ns, samples[-1].stamp_ns
     if not table.knows(end_ns):
         return Wait(table, end_ns)

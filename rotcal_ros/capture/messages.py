@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any, Final, TypeVar
 
+from rotcal_ros.foundation.language import Phrase, phrase, phrase_of
 from rotcal_ros.foundation.observations import (
     Approach,
     Command,
@@ -145,7 +146,7 @@ def observation(message: Any) -> Observation:
         n_samples=message.n_samples,
         n_used=message.n_used,
         accepted=bool(message.accepted),
-        reason=message.reason,
+        reason=words(message.reason, getattr(message, "reason_code", None)),
         table_angle_measured=message.table_angle_measured,
         temperature_c=_number(message.temperature),
         window_start_ns=stamp_ns(message.window_start),
@@ -155,6 +156,11 @@ def observation(message: Any) -> Observation:
         pressure_pa=_number(message.pressure),
         humidity=_number(message.humidity),
     )
+
+
+def words(text: str, code: Any) -> Phrase:
+    """Return a text with its rotcal_msgs/TextCode; None: a bag from before there were codes."""
+    return phrase(text) if code is None else phrase_of(text, code.code, code.arguments)
 
 
 def static_frames(message: Any) -> tuple[StaticFrame, ...]:

@@ -37,7 +37,7 @@ from rotcal_ros.capture.window import (
     too_few_usable,
 )
 from rotcal_ros.foundation.arrays import Floats, Stamps
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import NOTHING, Phrase, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind, Turn
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND, TURN
 from rotcal_ros.planning.plan import Step
@@ -129,26 +129,27 @@ class Passage:
         """The even motion that is nearest to it, over seconds."""
         return Curve.through((self.stamps - self.stamps[0]) * NANOSECOND, self.ahead)
 
-    def fault(self, turn: Turn, settings: CaptureSettings) -> str | None:
+    def fault(self, turn: Turn, settings: CaptureSettings) -> Phrase | None:
         """Return what is wrong with it, so that no reading counts."""
         speed, ordered = self.motion.slope, abs(turn.speed)
         pause = seconds(int(np.diff(self.stamps).max()))
         if pause > settings.table_silence_s:
-            return (
-                f"the table's feedback paused for {pause:.3g} s while it passed, allowed "
-                f"{settings.table_silence_s:g} s (capture.table_silence_s)"
-            )
+            return phrase(
+                "the table's feedback paused for {0:.3g} s while it passed, allowed {1:g} s "
+                "(capture.table_silence_s)", pause, settings.table_silence_s
+            )  # fmt: skip
         if abs(speed - ordered) > settings.speed_tolerance * ordered:
-            return (
-                f"the table passed at {speed / DEGREE:.4g} deg/s, ordered {ordered / DEGREE:g}, "
-                f"allowed {settings.speed_tolerance:.2%} off (capture.speed_tolerance): is "
-                "plan.run_up_deg long enough to reach that speed?"
-            )
+            return phrase(
+                "the table passed at {0:.4g} deg/s, ordered {1:g}, allowed {2:.2%} off: is "
+                "plan.run_up_deg long enough to reach that speed?", speed / DEGREE,
+                ordered / DEGREE, settings.speed_tolerance
+            )  # fmt: skip
         if (off := self.motion.farthest) > settings.position_tolerance_arcsec * ARCSEC:
-            return (
-                f"the table passed up to {off / ARCSEC:.3g} arcsec off even motion, allowed "
-                f"{settings.position_tolerance_arcsec:g} (capture.position_tolerance_arcsec)"
-            )
+            return phrase(
+                "the table passed up to {0:.3g} arcsec off even motion, allowed {1:g} "
+                "(capture.position_tolerance_arcsec)", off / ARCSEC,
+                settings.position_tolerance_arcsec
+            )  # fmt: skip
         return None
 
 
@@ -182,10 +183,11 @@ def decide_passage(
     back = replace(step, turn=replace(_turn(step), speed=-_turn(step).speed))
     reversed_ = first_passage(table, since_ns, deadline, back) is not None
     raise AttemptRejectedError(
-        f"the table did not pass {step.table_angle / DEGREE:.4f} deg at about "
-        f"{_turn(step).speed / DEGREE:g} deg/s within {settings.step_timeout_s:g} s of when it "
-        f"was due (capture.step_timeout_s){_THE_OTHER_WAY if reversed_ else ''}"
-    )
+        "the table did not pass {0:.4f} deg at about {1:g} deg/s within {2:g} s of when it was "
+        "due (capture.step_timeout_s){3}", step.table_angle / DEGREE,
+        _turn(step).speed / DEGREE, settings.step_timeout_s,
+        _THE_OTHER_WAY if reversed_ else NOTHING
+    )  # fmt: skip
 
 
 def _half_turn_ns(step: Step) -> int:
@@ -197,7 +199,7 @@ def _readings(streams: AttemptStreams, step: Step) -> Stream:
     return streams.tracer if step.kind == PointKind.REFLECTOR else streams.nest
 
 
-_THE_OTHER_WAY: Final = (
+_THE_OTHER_WAY: Final = phrase(
     "; it passed it the other way: is a sign wrong? Positive is counter-clockwise seen from above"
 )
 
@@ -303,17 +305,16 @@ def _observe(
     )
 
 
-def _few(ahead: Floats, step: Step, settings: CaptureSettings) -> str | None:
+def _few(ahead: Floats, step: Step, settings: CaptureSettings) -> Phrase | None:
     """Return that one side of the angle has not enough readings."""
     sides = int(np.count_nonzero(ahead < 0.0)), int(np.count_nonzero(ahead > 0.0))
     if min(sides) >= settings.passing_samples:
         return None
-    return (
-        f"{sides[0]} readings before {step.table_angle / DEGREE:.4f} deg and {sides[1]} behind "
-        f"it, expected {settings.passing_samples} on each side within "
-        f"{step.passing / DEGREE:g} deg (capture.passing_samples): turn slower, read faster, or "
-        "raise plan.passing_deg"
-    )
+    return phrase(
+        "{0} readings before {1:.4f} deg and {2} behind it, expected {3} on each side within "
+        "{4:g} deg: turn slower, read faster, or raise plan.passing_deg", sides[0],
+        step.table_angle / DEGREE, sides[1], settings.passing_samples, step.passing / DEGREE
+    )  # fmt: skip
 
 
 def _reduced(
@@ -321,7 +322,7 @@ def _reduced(
 ) -> ReducedWindow:
     """Return the lines through readings, ``values`` (n, 4), at the angle, or what is wrong."""
     if not np.isfinite(values).all():
-        return ReducedWindow(reason="a reading is not a finite number")
+        return ReducedWindow(reason=phrase("a reading is not a finite number"))
     return _of_curves(
         [Curve.through(ahead, column) for column in values[:, 1:].T],
         _lost(stamps, values[:, 0]),
@@ -358,7 +359,7 @@ def reduced_length(
     least = max(settings.min_used_share * (len(length) + missing), CUBIC + 2)
     for _ in range(SIFTED):
         if len(used) < least:
-            lost = f"{missing} readings lost while the table passed" if missing else None
+            lost = phrase("{0} readings lost while the table passed", missing) if missing else None
             return ReducedWindow(reason=lost or too_few_usable(faults, length, settings))
         curve = Curve.through(ahead[used], length[used], CUBIC)
         spikes = good[beyond(np.abs(length[good] - curve.at(ahead[good])), settings)]
@@ -370,7 +371,7 @@ def reduced_length(
 
 
 def _of_curves(
-    curves: list[Curve], lost: str | None, settings: CaptureSettings
+    curves: list[Curve], lost: Phrase | None, settings: CaptureSettings
 ) -> ReducedWindow:
     """Return what curves through readings say at the angle, rejected if readings are ``lost``."""
     return ReducedWindow(
@@ -382,24 +383,28 @@ def _of_curves(
     )
 
 
-def _unsteady(curves: list[Curve], settings: CaptureSettings) -> str | None:
+def _unsteady(curves: list[Curve], settings: CaptureSettings) -> Phrase | None:
     """Return that readings scatter too much about their curves."""
     scatter = max(curve.scatter for curve in curves)
     if scatter <= settings.max_std_m:
         return None
-    return (
-        f"unstable: readings scatter by {scatter / MICROMETRE:.3g} um about their curve, allowed "
-        f"{settings.max_std_m / MICROMETRE:g} um (capture.max_std_m)"
-    )
+    return phrase(
+        "unstable: readings scatter by {0:.3g} um about their curve, allowed {1:g} um "
+        "(capture.max_std_m)", scatter / MICROMETRE, settings.max_std_m / MICROMETRE
+    )  # fmt: skip
 
 
-def _lost(stamps: Stamps, sequence: Floats) -> str | None:
+def _lost(stamps: Stamps, sequence: Floats) -> Phrase | None:
     """Return which readings are missing, by their numbers or, without numbers, by a pause."""
     missed = int((sequence_steps(sequence[1:], sequence[0]) - 1).sum())
     if missed:
-        return f"{missed} readings lost while the table passed ({sequence[0]:.0f} and following)"
+        return phrase(
+            "{0} readings lost while the table passed ({1:.0f} and following)", missed, sequence[0]
+        )
     pauses = np.diff(stamps)
     if pauses.max() > LONG_PAUSE * np.median(pauses):
         longest, usual = seconds(int(pauses.max())), seconds(int(np.median(pauses)))
-        return f"readings lost: a pause of {longest:.3g} s, usually they are {usual:.3g} s apart"
+        return phrase(
+            "readings lost: a pause of {0:.3g} s, usually they are {1:.3g} s apart", longest, usual
+        )
     return None

@@ -22,7 +22,13 @@ _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 def kind_of(reason: str) -> str:
-    """Return a reason without its numbers: equal for attempts that fail in the same way."""
+    """Return what is equal for attempts that fail in the same way: the code, and names in it.
+
+    Of mere words, as in bags of before, it is all but the numbers.
+    """
+    if isinstance(reason, Phrase) and reason.parts:
+        names = (kind_of(part) for part in reason.parts if isinstance(part, str))
+        return ", ".join([reason.template, *names])
     return _NUMBER.sub("#", reason)
 
 
@@ -123,7 +129,7 @@ class FailedSteps:
         hidden = [
             step
             for step, reasons in self._steps
-            if all(BEAM_BROKEN in reason for reason in reasons)
+            if all(isinstance(r, Phrase) and r.has(BEAM_BROKEN) for r in reasons)
         ]
         failed = len(self._steps)
         if not self.limit or max(failed - len(hidden), failed / HIDDEN) < self.limit:

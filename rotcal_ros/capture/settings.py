@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import expert, setting
@@ -30,18 +31,19 @@ class CaptureSettings:
         maximum=10.0,
         doc="deg/s, largest speed at which the table counts as at rest",
     )
-    speed_tolerance: float = expert(
-        0.01,
-        minimum=1e-6,
-        maximum=1.0,
-        doc="largest share by which a table that turns on passes an angle too fast or too slowly",
-    )
-    passing_samples: int = expert(
-        3,
-        minimum=2,
-        maximum=MAX_WINDOW_SAMPLES,
-        doc="least number of readings on each side of an angle that the table passes",
-    )
+    speed_tolerance: ClassVar[
+        Annotated[
+            float,
+            "a rotary drive in order keeps its speed far better; what is off by more is not "
+            "turning evenly",
+        ]
+    ] = 0.01
+    passing_samples: ClassVar[
+        Annotated[
+            int,
+            "fewer readings on a side show no curvature and no scatter of the passing",
+        ]
+    ] = 3
     table_silence_s: float = expert(
         1.0,
         minimum=1e-3,
@@ -69,31 +71,30 @@ class CaptureSettings:
     min_used_share: float = expert(
         0.8, doc="smallest share of usable readings in a window", minimum=0.01, maximum=1.0
     )
-    spike_limit: float = expert(
-        6.0,
-        minimum=2.0,
-        maximum=1000.0,
-        doc="a reading is a spike beyond this many robust standard deviations from the median",
-    )
+    spike_limit: ClassVar[
+        Annotated[
+            float,
+            "normal noise goes beyond six robust standard deviations once in 5e8 readings",
+        ]
+    ] = 6.0
     spike_floor_m: float = expert(
         0.1e-6, doc="m, a reading this close to the median is never a spike", minimum=0.0
     )
     max_length_m: float = expert(
         20.0, doc="m, largest plausible reading, of either sign", minimum=1e-3, maximum=1000.0
     )
-    max_length_speed_m_s: float = expert(
-        10.0,
-        minimum=1e-3,
-        maximum=1e6,
-        doc="m/s, largest plausible change of the length with time; a faster one means that the "
-        "tracer has lost its zero: a new segment begins",
-    )
-    max_silence_s: float = expert(
-        1.0,
-        minimum=1e-3,
-        maximum=3600.0,
-        doc="s, longest gap in the tracer readings; after a longer one a new segment begins",
-    )
+    max_length_speed_m_s: ClassVar[
+        Annotated[
+            float,
+            "no machine moves a reflector so fast; a faster length has lost its zero",
+        ]
+    ] = 10.0
+    max_silence_s: ClassVar[
+        Annotated[
+            float,
+            "instruments send many readings a second; after a longer gap the zero may be another",
+        ]
+    ] = 1.0
     probe_tolerance_m: float = setting(
         1e-3, doc="m, largest distance of the probe from its target", minimum=1e-9, maximum=10.0
     )

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import NANOSECOND
 
@@ -88,21 +89,21 @@ class StampOffsets:
             self._keep(stream, bucket, int(ahead.max()))
             self._keep_event(stream, bucket, int(ahead[0]))
 
-    def reason_to_reject(self) -> str | None:
+    def reason_to_reject(self) -> Phrase | None:
         """Return which stream differs from the table's by how much, if by more than allowed."""
         if far := self._far(self.limits.at_once_s, _BUCKETS, _BUCKETS):
-            return (
-                f"{_OPENING}{_constantly(far, 1)}, allowed {self.limits.at_once_s:g} s "
-                f"(capture.stamp_offset_s): two clocks, synchronise them{self._advice(*far)}"
-            )
+            return phrase(
+                "by the times of arrival the stamps of {0}, allowed {1:g} s "
+                "(capture.stamp_offset_s): two clocks, synchronise them{2}",
+                _constantly(far, 1), self.limits.at_once_s, self._advice(*far)
+            )  # fmt: skip
         if far := self._lengths_ahead():
-            return (
-                f"{_OPENING}{_constantly(far, 2)}, and stay so: more than the "
-                f"{self.limits.ahead_s:g} s of settling (capture.settle_time_s), so a length may "
-                "be from the motion before; two clocks, or feedback that comes late (a longer "
-                "time "
-                f"outlasts it){self._advice(*far)}"
-            )
+            return phrase(
+                "by the times of arrival the stamps of {0}, and stay so: more than the {1:g} s of "
+                "settling (capture.settle_time_s), so a length may be from the motion before; two "
+                "clocks, or feedback that comes late (a longer time outlasts it){2}",
+                _constantly(far, 2), self.limits.ahead_s, self._advice(*far)
+            )  # fmt: skip
         return None
 
     def doubt(self) -> str | None:
@@ -212,7 +213,7 @@ class StampOffsets:
         return _agreed([known[bucket] for bucket in wanted])
 
 
-def rejected_for(reason: str | None, observation: Observation) -> Observation:
+def rejected_for(reason: Phrase | None, observation: Observation) -> Observation:
     """Return an observation, rejected for a ``reason``; a reason of its own stays."""
     if not reason or not observation.accepted:
         return observation

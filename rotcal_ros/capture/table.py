@@ -173,7 +173,7 @@ def off_in_words(
     if isnan(velocity) and had_velocity:
         return phrase(
             "the last feedback is {0:.4g} arcsec off the commanded {1:.4f} deg (allowed {2:g}), "
-            "and its driver does not take it for rest: it has not begun to move as ordered",
+            "and its driver does not report it at rest: the ordered motion has not begun",
             off / ARCSEC, commanded / DEGREE, settings.position_tolerance_arcsec
         )  # fmt: skip
     fault = _feedback_fault(angle, velocity, commanded)

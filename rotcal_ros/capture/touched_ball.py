@@ -12,7 +12,7 @@ from rotcal_ros.capture.decisions import mean_point
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.window import ReducedWindow
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import ProbeSample
 from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
 from rotcal_ros.geometry.sphere import Spheres, fit_spheres
@@ -48,7 +48,9 @@ def fitted_centre(
     """
     tips = sorted({sample.tip_radius for sample in samples})
     if len(tips) > 1 or not tips[0] >= 0.0:
-        return ReducedWindow(reason=f"the touch points name the tip radii {tips} m; expected one")
+        return ReducedWindow(
+            reason=phrase("the touch points name the tip radii {0} m; expected one", tips)
+        )
     points = np.array([[sample.position for sample in samples]])
     spheres = fit_spheres(points, radius=0.5 * step.ball_diameter, tip_radius=tips[0])
     n_used = int(spheres.used.sum())
@@ -83,7 +85,7 @@ def in_place(reduced: ReducedWindow, step: Step, settings: CaptureSettings) -> R
 
 def _doubt(
     points: Floats, spheres: Spheres, step: Step, tip_radius: float, settings: CaptureSettings
-) -> str | None:
+) -> Phrase | None:
     """Say what speaks against a fitted ball, if anything does."""
     radius = 0.5 * step.ball_diameter
     free = fit_spheres(points, radius=None, tip_radius=tip_radius, used=spheres.used, reject=False)
@@ -96,9 +98,9 @@ def _doubt(
         )  # fmt: skip
     below = float(points[0, spheres.used[0], 2].mean() - spheres.centres[0, 2])
     if below < -LOWER * (radius + tip_radius):
-        return (
-            "the touch points lie below the centre of the ball: a plate on a table is touched "
-            "from above, so z of the probe has the wrong sign, or points down"
+        return phrase(
+            "the touch points lie below the centre of the ball: a plate on a table is "
+            "touched from above, so z of the probe has the wrong sign, or points down"
         )
     count, n_used = points.shape[1], int(spheres.used.sum())
     if n_used < settings.min_used_share * count:

@@ -70,7 +70,7 @@ class ReducedWindow:
     std: tuple[float, ...] = ()
     scatter: tuple[float, ...] = ()
     n_used: int = 0
-    reason: str | None = None
+    reason: Phrase | None = None
 
 
 class TracerStream(Stream):

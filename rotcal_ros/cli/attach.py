@@ -23,7 +23,7 @@ def command(folder: Path | None, stop: bool, as_json: bool) -> int:
     """Show the calibration that runs in FOLDER, as 'rotcal run' does; default: the one in out/.
 
     Enter confirms that a person's work is done. The exit code is that of 'rotcal run',
-    or 0 once --stop has stopped it. Ctrl-C only leaves: the calibration goes on.
+    or 0 once --stop has stopped it. Ctrl-C only leaves: the calibration continues.
     """
     from rotcal_ros.foundation.errors import RotcalError
     from rotcal_ros.report.terminal.console import say
@@ -33,7 +33,7 @@ def command(folder: Path | None, stop: bool, as_json: bool) -> int:
     try:
         ended = watch(session, stop=stop)
     except KeyboardInterrupt:
-        say("left; the calibration goes on")
+        say("left; the calibration continues")
         say(f"to see it again: rotcal attach {session.path}")
         say(f"to stop it:      rotcal attach {session.path} --stop")
         return INTERRUPTED

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import installed, setup_options
+from rotcal_ros.cli.options import installed, reference_option, setup_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.terminal.console import say, tell, understood
 
 if TYPE_CHECKING:
@@ -36,9 +37,9 @@ AXIS: Final = "axis"
 )
 @click.option(
     "--what",
-    type=click.Choice(["table", AXIS]),
+    type=click.Choice(["table", AXIS, VOLUMETRIC]),
     default="table",
-    help="Compensation table, or where the axes are.",
+    help="Compensation table, where the axes are, or all six deviations.",
 )
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
 @click.option(
@@ -56,6 +57,7 @@ AXIS: Final = "axis"
     metavar="BAG|TABLE|RESULT",
     help="Measurement in the other direction.",
 )
+@reference_option
 @click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics instead of a spline.")
 @click.option(
     "--revolutions", metavar="FIRST:LAST", help="Travel, for controllers that do not wrap."
@@ -95,6 +97,7 @@ def command(
     targets: Path | None,
     reverse: Path | None,
     settings: tuple[str, ...],
+    reference_std: float | None,
     what: str,
     **options: Any,
 ) -> int:
@@ -107,26 +110,37 @@ def command(
     serial number must be those of the machine, and the measurement must be younger than --max-age
     (default: 30 days): a contradiction is refused unless --accept allows it.
 
+    A table of deviations, actual - commanded, needs no set-up: one or both directions, repeated
+    runs, with its uncertainty in a column, by --reference-u, or from the repeats. Whether the
+    numbers are deviations or corrections is asked, where the table does not show it.
+
     The settings of the joint come from --machine-ini; a copy of that file, which uses the table,
     is written beside the table. The option is the same as --set machine_ini=FILE.
 
     --what axis writes where the axes are instead, as the parameters of the controller's
-    kinematics, from a result of table_balls.
+    kinematics, from a result of table_balls. --what volumetric writes all deviations, EXC to ECC,
+    in the controller's own form; --to volumetric in a neutral one.
     """
+    from rotcal_ros.compensation.axis_location import prepare_location
     from rotcal_ros.compensation.request import ExportRequest, write_export
+    from rotcal_ros.compensation.volumetric import prepare_volumetric
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import read_source
 
     changes = tuple(filter(_is_of_configuration, settings))
-    asked = ExportRequest(settings=tuple(s for s in settings if s not in changes), **options)
+    if setup is None:
+        changes += _of_a_table_alone(source, options["axis"], reference_std)
+    own = tuple(s for s in settings if not _is_of_configuration(s))
+    asked = ExportRequest(settings=own, **options)
 
     def read(path: Path) -> ResultSource:
         return read_source(path, Input(path, setup, targets, changes, announce=understood))
 
     forward = read(source)
-    if what == AXIS:
-        _refuse(_of_tables(asked, reverse), "--what axis, which writes no table")
-        _write_location(forward, asked, as_json)
+    if what == AXIS or (what == VOLUMETRIC and asked.controller != VOLUMETRIC):
+        _refuse(_of_tables(asked, reverse), f"--what {what}, which writes no table")
+        _write_prepared(prepare_volumetric if what == VOLUMETRIC else prepare_location,
+                        forward, asked, as_json)  # fmt: skip
     elif asked.controller == VOLUMETRIC:
         unused = _of_tables(asked, reverse) | _of_controllers(asked)
         _refuse(unused, "a volumetric table, which holds the deviations as measured")
@@ -136,6 +150,19 @@ def command(
         export, paths = write_export(forward, asked, backward)
         _show_written(export.files, paths, as_json, export.describe())
     return 0
+
+
+def _of_a_table_alone(
+    source: Path, axis: str | None, reference_std: float | None
+) -> tuple[str, ...]:
+    """Return what the options say of a table of deviations, which has no set-up."""
+    from rotcal_ros.foundation.tables import is_table
+
+    stated = () if reference_std is None else (f"solver.u_arcsec={reference_std / ARCSEC!r}",)
+    if not is_table(source):
+        _refuse({"--reference-u": reference_std}, "what is no table of deviations")
+        return ()
+    return (*stated, *([f"cell.axis={axis}"] if axis else []))
 
 
 def _of_tables(asked: ExportRequest, reverse: Path | None) -> dict[str, Any]:
@@ -185,13 +212,17 @@ def _write_volumetric(forward: ResultSource, asked: ExportRequest) -> tuple[Path
     return write_files(volumetric_files(result, name, letter), asked.out)
 
 
-def _write_location(forward: ResultSource, asked: ExportRequest, as_json: bool) -> None:
-    """Write where the axes are, and say what the controller cannot hold."""
-    from rotcal_ros.compensation.axis_location import prepare_location
+def _write_prepared(
+    prepare: Callable[..., tuple[dict[str, str], tuple[str, ...]]],
+    forward: ResultSource,
+    asked: ExportRequest,
+    as_json: bool,
+) -> None:
+    """Write where the axes are, or all deviations, and say what the controller cannot hold."""
     from rotcal_ros.compensation.controllers import make_controller
     from rotcal_ros.compensation.writing import write_files
 
-    files, words = prepare_location(
+    files, words = prepare(
         forward.result,
         asked.controller,
         make_controller(asked.controller, asked.controller_settings()),

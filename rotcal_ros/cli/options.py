@@ -114,11 +114,12 @@ def announcer(*, explain: bool, remembers: bool = False) -> Callable[[Reading], 
 
     ``remembers``: what was stated of the table is kept beside it.
     """
-    from rotcal_ros.foundation.table_columns import AS_IT_STANDS
-    from rotcal_ros.foundation.table_forms import remember
     from rotcal_ros.report.terminal.console import say, tell, understood
 
     def announce(reading: Reading) -> None:
+        from rotcal_ros.foundation.table_columns import AS_IT_STANDS
+        from rotcal_ros.foundation.table_forms import remember
+
         if explain:
             tell(*reading.lines())
         else:

@@ -83,17 +83,24 @@ def prepare_location(
         "controller_title": controller.facts.title,
         "settings": asdict(controller),
         "source": located.source,
+        **origin_of(result),
+        "axes": {line.letter: _facts_of(line) for line in result.axes},
+        "values": dict(located.values),
+        "notes": list(notes),
+    }
+    return with_side(located.files, name, side), (*head, *notes)
+
+
+def origin_of(result: Result) -> dict[str, Any]:
+    """Return what a side file says of the ``result`` that its numbers come from."""
+    return {
         "method": result.method,
         "simulated": result.simulated,
         "item": result.circumstances.identity.title,
         "serial": result.circumstances.identity.serial,
         "verdict": result.verdict,
         "verdict_line": result.verdict_line,
-        "axes": {line.letter: _facts_of(line) for line in result.axes},
-        "values": dict(located.values),
-        "notes": list(notes),
     }
-    return with_side(located.files, name, side), (*head, *notes)
 
 
 def _facts_of(line: AxisLine) -> dict[str, Any]:

@@ -8,10 +8,10 @@ verifies a file before it counts as written. How to add one: ``docs/controllers.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Final, Protocol
+from typing import ClassVar, Final, NamedTuple, Protocol
 
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
@@ -27,13 +27,17 @@ EVERY_TURN: Final = (-TURN, 2.0 * TURN)
 
 @dataclass(frozen=True)
 class Facts:
-    """A controller in words, for people; every export repeats it."""
+    """A controller in words, for people; every export repeats it.
+
+    ``verified_on``: what files and rule were tried on.
+    """
 
     title: str
     sign: str
     wrap: str
     unit: str
     source: str
+    verified_on: str = "page only"
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,55 @@ class Located:
     unverified: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class ComponentErrors:
+    """All measured deviations of a rotary axis over one turn, for volumetric compensation.
+
+    ``angles`` (n,) rad ascend within a turn; ``deviations`` (n,) are actual - commanded by their
+    ISO 230-1 names, EXC .. ECC, metres and radians, and repeat in every turn.
+    """
+
+    angles: Floats
+    deviations: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Volumetric:
+    """Files of a volumetric compensation by name, ``notes`` on what they leave, as in Located."""
+
+    files: Mapping[str, str]
+    source: str
+    notes: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
+
+
+class OwnSetting(NamedTuple):
+    """What a control does with an axis beside its table, as every export of the table repeats it.
+
+    ``name`` is the setting's in the control, ``effect`` what it does to the table, ``handled``
+    what the export does about it, and what a person has to. Without a ``source`` it is from
+    memory.
+    """
+
+    name: str
+    effect: str
+    handled: str
+    source: str
+
+    def describe(self) -> str:
+        """Return it in one line."""
+        doubt = "" if self.source else " (not confirmed by a page)"
+        return f"{self.name}: {self.effect}{doubt}; {self.handled}"
+
+
+class Comment(NamedTuple):
+    """Where a file of a controller takes comments: its ending, the line, and how one looks."""
+
+    suffix: str
+    place: int
+    form: str
+
+
 class Rule(Protocol):
     """A table as a control has loaded it."""
 
@@ -78,9 +131,13 @@ class Controller(ABC):
     ``position_resolution`` (rad) is the step of the positions in a file, ``staircase`` says that
     the control does not interpolate between them. ``suffixes`` are the endings of the names of its
     files; without them files that were copied by hand are not recognised before the first change.
+    ``own_settings`` are what else the control does with the axis; ``comment`` is None if the files
+    have no comments.
     """
 
     facts: ClassVar[Facts]
+    own_settings: ClassVar[tuple[OwnSetting, ...]] = ()
+    comment: ClassVar[Comment | None] = None
     suffixes: ClassVar[tuple[str, ...]] = ()
     position_resolution: ClassVar[float] = 0.0
     staircase: ClassVar[bool] = False
@@ -101,13 +158,19 @@ class Controller(ABC):
     def resolution(self, table: CompensationTable) -> float:
         """Return the step (rad) of the values in the files of ``table``."""
 
-    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return ``files`` with the line ``text`` as a comment, if their form has comments.
+    def commented(self, files: Mapping[str, str], lines: Iterable[str]) -> dict[str, str]:
+        """Return ``files`` with ``lines`` as comments, if their form has comments.
 
         Reading them gives the same as before.
         """
-        del text
-        return dict(files)
+        if self.comment is None:
+            return dict(files)
+        suffix, place, form = self.comment
+        return with_lines(files, suffix, place, [form.format(line) for line in lines])
+
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return ``files`` with the mark ``text``, where whoever looks at the table sees it."""
+        return self.commented(files, [text])
 
     def for_axis(self, axis: str) -> Controller:
         """Return the controller with the values for ``axis`` from the machine's own files.
@@ -160,10 +223,33 @@ class Controller(ABC):
             "it for people"
         )
 
+    def write_components(
+        self, errors: ComponentErrors, stem: str, head: Sequence[str]
+    ) -> Volumetric:
+        """Return the files of a volumetric compensation by ``errors``.
+
+        Names of files begin with ``stem``; comments repeat ``head``. Raises ConfigurationError
+        when no public form is known.
+        """
+        del errors, stem, head
+        raise ConfigurationError(
+            f"{self.facts.title}: no public form of its volumetric compensation is known; "
+            "--to volumetric writes all deviations as CSV and JSON"
+        )
+
+    def read_components(self, files: Mapping[str, str]) -> ComponentErrors:
+        """Return what the control makes of its volumetric ``files``; BagError for damage."""
+        raise NotImplementedError(f"{self.facts.title} reads no {', '.join(files)}")
+
     @property
     def travel(self) -> tuple[float, float]:
         """First and last angle (rad) for which the files hold."""
         return EVERY_TURN
+
+    @property
+    def row_spacings_deg(self) -> tuple[float, ...]:
+        """Distances of rows that the control asks for; empty: whatever divides a turn."""
+        return ()
 
     @property
     def one_direction(self) -> bool:
@@ -176,9 +262,25 @@ class Controller(ABC):
         return ()
 
     @property
+    def switch_on(self) -> str:
+        """What switches the table on at this control, in words; empty if nothing has to."""
+        return ""
+
+    @property
     def busy_command(self) -> tuple[str, ...]:
         """Command that reports whether the machine is at work; see :mod:`.feed`; empty: none."""
         return ()
+
+
+def with_lines(
+    files: Mapping[str, str], suffix: str, place: int, added: Sequence[str]
+) -> dict[str, str]:
+    """Return ``files`` with the lines ``added`` at ``place`` in those that end with ``suffix``."""
+    texts = dict(files)
+    for name in (name for name in files if name.endswith(suffix)):
+        lines = files[name].splitlines(keepends=True)
+        texts[name] = "".join([*lines[:place], *(f"{x}\n" for x in added), *lines[place:]])
+    return texts
 
 
 @dataclass(frozen=True)

@@ -49,13 +49,22 @@ def fixed(value: float, decimals: int) -> str:
     return text.lstrip("-") if float(text) == 0.0 else text
 
 
-def with_line(files: Mapping[str, str], suffix: str, place: int, line: str) -> dict[str, str]:
-    """Return ``files`` with a further ``line`` at ``place`` in those that end with ``suffix``."""
-    texts = dict(files)
-    for name in (name for name in files if name.endswith(suffix)):
-        lines = files[name].splitlines(keepends=True)
-        texts[name] = "".join([*lines[:place], f"{line}\n", *lines[place:]])
-    return texts
+def backlash_note(about: str, amount: float, table: CompensationTable) -> str:
+    """Say what becomes of a backlash ``amount`` (rad) that the control takes off from above.
+
+    ``about`` names it; the files of ``table`` put it out of force.
+    """
+    if not amount:
+        return ""
+    if table.adds_to:
+        return (
+            f"{about} is not added, since a table was in force in the measurement: if that table "
+            "had one column for both directions, measure without a table"
+        )
+    return (
+        f"{about} is in the table: {-amount / ARCSEC:+.6g} arcsec in the reverse column, because "
+        "it acted in the measurement. If it was another one then, state it"
+    )
 
 
 def every_turn(first: int, turns: int, angles: Floats, *values: Floats) -> tuple[Floats, ...]:
@@ -224,3 +233,45 @@ class PeriodicTable:
         """Return the radians that the control adds to the command at ``angle`` (rad)."""
         column = self.forward if approach is Approach.POSITIVE else self.reverse
         return periodic(angle, self.rows_deg, column) * self.unit
+
+
+@dataclass(frozen=True, eq=False)
+class UnrolledTable:
+    """Numbers (n,) at rows (n,), degrees, of a control that does not wrap; beyond, ends are held.
+
+    The correction is ``unit`` (rad) times the number of the direction.
+    """
+
+    rows_deg: Floats
+    forward: Floats
+    reverse: Floats
+    unit: float
+
+    @classmethod
+    def evenly(
+        cls,
+        file: str,
+        even: tuple[float, float],
+        columns: tuple[Floats, Floats],
+        travel: tuple[float, float],
+        unit: float,
+    ) -> UnrolledTable:
+        """Return the table of rows that are ``even``: first one and distance, degrees.
+
+        Raises BagError unless they cover ``travel`` (rad) exactly.
+        """
+        (begin, spacing), count = even, len(columns[0])
+        first, last = (end / DEGREE for end in travel)
+        if count < 3 or begin != first or abs(begin + spacing * (count - 1) - last) > 1e-3:
+            raise BagError(
+                f"{file}: {count} points every {spacing:g} deg from {begin:g}, expected "
+                f"{first:g} .. {last:g} deg"
+            )
+        rows = begin + spacing * np.arange(count, dtype=np.float64)
+        return cls(np.asarray(rows, dtype=np.float64), *columns, unit)
+
+    def correction(self, angle: Floats, approach: Approach) -> Floats:
+        """Return the radians that are added to the command at ``angle`` (rad, not wrapped)."""
+        column = self.forward if approach is Approach.POSITIVE else self.reverse
+        at = np.asarray(angle) / DEGREE
+        return np.asarray(np.interp(at, self.rows_deg, column) * self.unit, dtype=np.float64)

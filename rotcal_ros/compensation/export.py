@@ -71,9 +71,14 @@ class ExportFiles:
     controller: Controller
 
     def describe(self) -> list[str]:
-        """Return what the files do to the table in force, what they leave, and the warnings."""
+        """Return what the files do to the table in force, what they leave, and the warnings.
+
+        At last what else the control does with the axis, and what switches the table on.
+        """
         warnings = (f"warning: {warning}" for warning in self.warnings)
-        return [standing(self.table), self.residual.describe(), *warnings]
+        return [
+            standing(self.table), self.residual.describe(), *warnings, *beside(self.controller)
+        ]  # fmt: skip
 
     def with_machine_files(self) -> dict[str, str]:
         """Return the files, and copies of the machine's own files that use them.
@@ -122,7 +127,7 @@ def prepare_export(
     measured = resample(table, reference_angle=reference_angle)
     shifted = _completed(measured, controller)
     rows = chosen_rows(shifted, controller) if spacing is None else resample(shifted, spacing)
-    files = controller.write(rows, name)
+    files = controller.commented(controller.write(rows, name), beside(controller))
     if table.simulated:
         files = controller.marked(files, NOTHING_MEASURED)
     rule = controller.read(files)
@@ -152,6 +157,12 @@ def prepare_export(
         confirmation=confirmation,
         controller=controller,
     )
+
+
+def beside(controller: Controller) -> list[str]:
+    """Return what else the control does with the axis, and what switches a table on."""
+    last = [f"switch on: {controller.switch_on}"] if controller.switch_on else []
+    return [*(own.describe() for own in controller.own_settings), *last]
 
 
 def _completed(table: CompensationTable, controller: Controller) -> CompensationTable:
@@ -284,7 +295,13 @@ def utc(time_ns: int) -> str:
 
 def _controller_facts(controller: Controller) -> dict[str, Any]:
     words = asdict(controller.facts)
-    return {"controller_title": words.pop("title"), "settings": asdict(controller), **words}
+    return {
+        "controller_title": words.pop("title"),
+        "settings": asdict(controller),
+        "own_settings": [own._asdict() for own in controller.own_settings],
+        "switch_on": controller.switch_on,
+        **words,
+    }
 
 
 def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str, Any]:
@@ -399,7 +416,8 @@ def chosen_rows(table: CompensationTable, controller: Controller) -> Compensatio
     when the controller takes none at all.
     """
     best, least, refused = None, np.inf, None
-    for spacing in (None, *(degrees * DEGREE for degrees in SPACINGS_DEG)):
+    asked = controller.row_spacings_deg or SPACINGS_DEG
+    for spacing in (None, *(degrees * DEGREE for degrees in asked)):
         try:
             rows = resample(table, spacing)
             controller.write(rows, "x")

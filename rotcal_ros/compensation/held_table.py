@@ -158,7 +158,7 @@ class Effect:
         for (low, high), cause in zip(WRONG, CAUSES, strict=True):
             if sure and low <= self.factor < high:
                 return phrase(
-                    "the table in force does not do what it should: {0}; {1}", phrase(cause),
+                    "the table in force does not act as it should: {0}; {1}", phrase(cause),
                     self.describe()
                 )  # fmt: skip
         return None

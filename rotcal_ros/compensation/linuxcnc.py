@@ -23,14 +23,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.compensation.controller import EveryTurnController, Facts, Lag, Located, Rule
+from rotcal_ros.compensation.controller import (
+    Comment,
+    EveryTurnController,
+    Facts,
+    Lag,
+    Located,
+    OwnSetting,
+    Rule,
+)
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     every_turn,
     fixed,
     only_file,
     require_at_most,
-    with_line,
 )
 from rotcal_ros.compensation.linuxcnc_kinematics import KINEMATICS, machine_of, pins
 from rotcal_ros.compensation.linuxcnc_machine import (
@@ -95,14 +102,31 @@ class LinuxCnc(EveryTurnController):
     """LinuxCNC: the rows are written for every turn of the travel."""
 
     suffixes = (".comp", ".ini")
+    comment = Comment(".ini", 0, "# {}")
     facts = Facts(
         title="LinuxCNC",
         sign="type 1: trim = -(actual - commanded), added to the motor; type 0: the actual angle",
         wrap="none: rows repeated for each turn, beyond them the end row is held",
         unit="degrees, 9 decimals; held in single precision",
         source="LinuxCNC 2.9 source (usrmotintf.cc, command.c, control.c) and runs of the program",
+        verified_on="the real program",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    own_settings = (
+        OwnSetting(
+            "[JOINT_n] BACKLASH",
+            "is ignored once the joint has a table",
+            "its halves are put into both columns: read from machine_ini, or stated by "
+            "backlash_deg; the line may stay",
+            "LinuxCNC 2.9, control.c",
+        ),
+        OwnSetting(
+            "[JOINT_n] COMP_FILE_TYPE",
+            "is 0 if it is missing, and a table of trims is then read as positions",
+            "both ini lines are written; put them in together",
+            "LinuxCNC 2.9, inijoint.cc",
+        ),
+    )
 
     file_type: int = setting(1, doc="0: actual angles, 1: trims", minimum=0, maximum=1)
     joint: int = setting(0, doc="number in [JOINT_n]", minimum=0, maximum=15)
@@ -163,7 +187,7 @@ class LinuxCnc(EveryTurnController):
 
     def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
         """Return the files with a comment after the numbers of a row, where LinuxCNC stops."""
-        texts = with_line(files, ".ini", 0, f"# {text}")
+        texts = self.commented(files, [text])
         return {
             name: file.replace("\n", f" # {text}\n", 1) if name.endswith(".comp") else file
             for name, file in texts.items()
@@ -291,6 +315,14 @@ class LinuxCnc(EveryTurnController):
         )
         angles, up, down = every_turn(self.first_turn, self.turns, *columns)
         return angles, up, down
+
+    @property
+    def switch_on(self) -> str:
+        """The two lines of the joint, and a restart."""
+        return (
+            f"COMP_FILE and COMP_FILE_TYPE = {self.file_type} in [JOINT_{self.joint}], then "
+            "restart LinuxCNC; no trim acts before the first move"
+        )
 
     @property
     def busy_command(self) -> tuple[str, ...]:

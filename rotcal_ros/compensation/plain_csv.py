@@ -67,6 +67,7 @@ class PlainCsv(Controller):
         wrap="0 .. 360 deg, the last row equals the first",
         unit="degrees and arcseconds",
         source="this project",
+        verified_on="this project",
     )
     position_resolution = 10.0**-ANGLE_DECIMALS * DEGREE
 

@@ -1,4 +1,4 @@
-"""All measured deviations, EXC .. ECC, for volumetric compensation, as neutral CSV and JSON.
+"""All measured deviations, EXC .. ECC, for volumetric compensation: neutral, or for a controller.
 
 Deviations, not corrections: actual - commanded, metres and radians, ISO 230-1 names. An absent
 component has no column; one that was measured from both sides has three: the mean, forward and
@@ -8,22 +8,34 @@ reverse. Every number is written so that it is read back to the last bit.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import datetime
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.compensation import controller_files
+from rotcal_ros.compensation.agreement import require_verified
+from rotcal_ros.compensation.axis_location import origin_of
+from rotcal_ros.compensation.controller import ComponentErrors, Controller
 from rotcal_ros.compensation.table import check_verdict
-from rotcal_ros.compensation.writing import check_stem
+from rotcal_ros.compensation.writing import check_stem, side_facts, stem_of, with_side
 from rotcal_ros.foundation.arrays import Floats, std_of
+from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
 from rotcal_ros.foundation.curves.directional import refuse_lost_reversal
-from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.curves.interpolation import curve_through
+from rotcal_ros.foundation.curves.measured import measured_curve
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import describe, known_hash
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import TURN
 
 SIGN: Final = "deviation = actual - commanded; angles counter-clockwise about +z"
 KIND: Final = "rotcal_volumetric"
+LAST_DECIMAL: Final = 1e-10
+"""A value (m, rad) may be rounded by this much in a file."""
 
 
 def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, str]:
@@ -75,6 +87,97 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         if not same:
             raise BagError(f"{stem}.{file}: read back, it differs from what was measured")
     return {f"{stem}.csv": table, f"{stem}.json": facts}
+
+
+def prepare_volumetric(
+    result: Result,
+    controller_name: str,
+    controller: Controller,
+    *,
+    now: datetime,
+    axis: str = "C",
+    stem: str | None = None,
+    accept_unverified: bool = False,
+    sources: Mapping[str, str] | None = None,
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return the files that feed all measured deviations to a ``controller``, and what to know.
+
+    They are read back, and applied as the control does, before they are returned. ``stem`` is the
+    file name without extension (else axis, controller, "volumetric"), ``sources`` maps what the
+    numbers come from to its SHA-256. Raises DataError unless the verdict is ok and the angles go
+    round, ConfigurationError for a controller without a known form, for an axis other than C, and
+    for what is not verified, unless ``accept_unverified``. Writes nothing.
+    """
+    check_verdict(result)
+    refuse_lost_reversal(result)
+    if known_hash(result.measured_on):
+        raise DataError(
+            f"{describe(result.measured_on)}: a volumetric compensation would replace what that "
+            "table corrects; measure without a table"
+        )
+    if not axis.startswith("C"):
+        raise ConfigurationError(
+            f"axis {axis}: the deviations are those of an axis about Z, EXC .. ECC, and are not "
+            "turned to the names of another one: give the table as axis C"
+        )
+    names = [name for name in COMPONENTS if name in result.deviations]
+    curves = {name: measured_curve(result, name) for name in names}
+    if not all(curve.period for curve in curves.values()):
+        raise DataError("a volumetric compensation repeats every turn: measure the full circle")
+    angles = next(iter(curves.values())).angles
+    errors = ComponentErrors(angles, {name: curve.deviation for name, curve in curves.items()})
+    usual = f"{check_axis(axis)}_{controller_name}_volumetric"
+    name = stem_of(stem, usual, simulated=result.simulated)
+    head = [SIGN, *([NOTHING_MEASURED] if result.simulated else [])]
+    written = controller.write_components(errors, name, head)
+    if not accept_unverified:
+        require_verified(controller.facts.title, written.unverified)
+    left = _left_between(errors, controller.read_components(written.files))
+    absent = [name for name in COMPONENTS if name not in names]
+    notes = [
+        *(f"{n}: the control's lines leave up to {_shown(n, x)}" for n, x in left.items()),
+        *([f"not measured, so 0 in the file: {', '.join(absent)}"] if absent else []),
+        *_one_sided(result, names),
+        *(f"{n} has both directions, the file their mean" for n in result.directions),
+        *written.notes,
+        *(f"not verified: {text}" for text in written.unverified),
+    ]
+    side = {
+        **side_facts(written.files, now, sources),
+        "kind": KIND,
+        "controller": controller_name,
+        "controller_title": controller.facts.title,
+        "settings": asdict(controller),
+        "source": written.source,
+        **origin_of(result),
+        "sign": SIGN,
+        "measured_on": result.measured_on,
+        "rows": len(angles),
+        "left": left,
+        "notes": notes,
+    }
+    return with_side(written.files, name, side), tuple(notes)
+
+
+def _left_between(errors: ComponentErrors, back: ComponentErrors) -> dict[str, float]:
+    """Return how far lines through what was read are from the smooth curves (m, rad) at most.
+
+    Raises BagError for a value that is not the measured one, to the last decimals of a file.
+    """
+    grid, left = np.linspace(0.0, TURN, 3600, endpoint=False), {}
+    for name, values in errors.deviations.items():
+        found = back.deviations[name]
+        if len(found) != len(values) or np.max(np.abs(found - values)) > LAST_DECIMAL:
+            raise BagError(f"{name}: read back, it differs from what was measured")
+        smooth = curve_through(errors.angles, values, TURN)(grid)
+        lines = np.interp(grid, back.angles, found, period=TURN)
+        left[name] = float(np.max(np.abs(lines - smooth)))
+    return left
+
+
+def _shown(name: str, value: float) -> str:
+    scale, unit = unit_of(name)
+    return f"{value / scale:.2g} {unit}"
 
 
 def _columns(result: Result, names: list[str]) -> tuple[dict[str, Floats], dict[str, Floats]]:

@@ -138,21 +138,16 @@ def compare(
     normalised = _normalised(difference, std)
     p_value = 0.0 if exact and np.any(normalised) else chi2_sf(chi2, dof)
     agree = _agree(normalised, p_value)
-    why = mirrored = None
-    if not agree:
-        if second.period:
-            mirrored = -interpolation_matrix(second.angles, -angles, TURN) @ second.deviation
-        why = suspicion(both.first, both.second, mirrored)
+    least = chi2
     if both.shared is None and not exact:
         bare = pair(of_observations_alone(first), of_observations_alone(second), names)
         least = _align(raw, _of_difference(bare), basis)[2]
-    else:
-        least = chi2
     doubts = [
         phrase(OFFSETS_OFF if curve.open_zeros else "{0}: {1}", name, curve.verdict_line)
         for name, curve in zip(names, (first, second), strict=True)
         if curve.verdict_line not in ("", "ok")
     ]
+    why = None if agree else _suspicion(both, second)
     alike = [phrase("{0} (chi2/dof {1:.2f})", phrase(TOO_ALIKE), least / dof)] * (
         not exact and too_alike(least, dof)
     )
@@ -211,6 +206,14 @@ def compare_all(
     }
 
 
+def _suspicion(both: PairedCurves, second: MeasuredCurve) -> Phrase | None:
+    """Return what may be wrong with one of two curves, the second one mirrored, too."""
+    mirrored = None
+    if second.period:
+        mirrored = -interpolation_matrix(second.angles, -both.angles, TURN) @ second.deviation
+    return suspicion(both.first, both.second, mirrored)
+
+
 def _agree(normalised: Floats, p_value: float) -> bool:
     """Return whether |E_n| exceeds 1 no more often than by chance, singly and together."""
     above = int(np.sum(np.abs(normalised) > 1.0))
@@ -244,7 +247,7 @@ def _notes(both: PairedCurves, why: Phrase | None, exact: bool) -> list[Phrase]:
             phrase("both rest in part on the same observations, which is taken into account")
         )
     if exact:
-        notes.append(phrase("neither curve states an uncertainty: E_n says nothing"))
+        notes.append(phrase("neither curve states an uncertainty: E_n means nothing"))
     if why:
         notes.append(why)
     return notes

@@ -30,13 +30,12 @@ from rotcal_ros.foundation.tables import Header, Row, Table, require_header
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
-_EXPANDED: Final = "expanded_rad"
 _EITHER: Final = "uncertainty_rad"
+UNCERTAINTIES: Final = {"u_rad": 1.0, "expanded_rad": 0.5, _EITHER: 1.0}
+"""Columns of a standard uncertainty, an expanded one, one that may be either -> the factor."""
 _WITHOUT: Final[Header] = ("angle_rad", "deviation_rad")
-_HEADERS: Final[tuple[Header, ...]] = (
-    (*_WITHOUT, "u_rad"), (*_WITHOUT, _EXPANDED), (*_WITHOUT, _EITHER), _WITHOUT
-)  # fmt: skip
-"""Other forms, with a standard uncertainty, an expanded one, one that may be either, or none."""
+_HEADERS: Final[tuple[Header, ...]] = (*((*_WITHOUT, u) for u in UNCERTAINTIES), _WITHOUT)
+"""Other forms than ours."""
 _CAPITAL: Final = re.compile(r"U\b")
 """The heading of an expanded uncertainty, in the notation of the GUM."""
 
@@ -53,12 +52,11 @@ def read_deviations(
     ``announce`` is given how it was understood. ``std`` and errors as of :func:`read_reference`.
     """
     reading = read_any(source, _HEADERS, sheet)
-    sheet = reading.stated
     stated = reading.table.header[2:]
-    if stated and not any(entry.startswith(("u=", "expanded=")) for entry in sheet.columns):
-        _require_known_factor(reading)
+    if stated:
+        require_known_factor(reading)
     announce(reading)
-    factor = 0.5 if stated == (_EXPANDED,) else 1.0
+    factor = UNCERTAINTIES[stated[0]] if stated else 1.0
     rows = []
     for row in reading.table.rows():
         angle, deviation, *u = _numbers(row)
@@ -67,9 +65,11 @@ def read_deviations(
     return _curve(rows, name, stated=bool(stated) or std is not None)
 
 
-def _require_known_factor(reading: Reading) -> None:
-    """Raise DataError for an uncertainty that is not said to be standard or expanded."""
-    named = reading.table.header[2]
+def require_known_factor(reading: Reading) -> None:
+    """Raise DataError for an uncertainty, last of the columns, that is of no known factor."""
+    if reading.stated.named().keys() & {"u", "expanded"}:
+        return
+    named = reading.table.header[-1]
     use = reading.uses.get(TableColumn.of(named).name)
     text = named if use is None else use.text
     if named == _EITHER or (named == "u_rad" and _CAPITAL.match(text)):

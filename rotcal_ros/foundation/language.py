@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
@@ -58,6 +58,11 @@ class Phrase(str):
     def text(self) -> str:
         """The English words alone."""
         return str.__str__(self)
+
+    def has(self, code: str) -> bool:
+        """Return whether it is the text with this code, or one of its parts is."""
+        parts = (part for part in self.parts if isinstance(part, Phrase))
+        return self.template == code or any(part.has(code) for part in parts)
 
     @property
     def shown(self) -> list[str]:
@@ -113,6 +118,35 @@ def listed(texts: Sequence[str], between: str = "; ") -> Phrase:
     """Return texts one after the other; phrases among them stay phrases."""
     places = between.join(f"{{{place}}}" for place in range(len(texts)))
     return phrase(texts[0]) if len(texts) == 1 else phrase(places, *texts)
+
+
+def code_of(text: str) -> tuple[str, list[str]]:
+    """Return code and arguments of a text for a message, which has the words beside them.
+
+    Arguments are in JSON; a text without a code has neither.
+
+    >>> code_of(phrase("table position {0}, {1}", 5, phrase("off by {0:.1f} mm", 0.25)))[1]
+    ['5', '{"text": "off by 0.2 mm", "code": "off by {0:.1f} mm", "arguments": [0.25]}']
+    """
+    if not isinstance(text, Phrase):
+        return "", []
+    return text.template, [json.dumps(argument) for argument in text.coded.get("arguments", ())]
+
+
+def phrase_of(text: str, code: str, arguments: Sequence[str]) -> Phrase:
+    """Return the text of a message that has these, as :func:`code_of` gives them.
+
+    Words without a code, as in bags of before, and such as it does not give, are their own code.
+    """
+    with suppress(ValueError, RecursionError):
+        given = [json.loads(argument) for argument in arguments]
+        if given and (found := _read({"text": text, "code": code, "arguments": given})):
+            return found
+    return phrase(text)
+
+
+NOTHING: Final = listed(())
+"""The text without words: no reason."""
 
 
 def codes_of(texts: Any) -> list[dict[str, Any]]:

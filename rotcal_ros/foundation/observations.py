@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 
 
 class LengthStatus(IntEnum):
@@ -225,7 +225,7 @@ class Observation:
     n_samples: int
     n_used: int
     accepted: bool
-    reason: str
+    reason: Phrase
     table_angle_measured: float
     temperature_c: float | None
     window_start_ns: int

@@ -10,7 +10,8 @@ import difflib
 import json
 import sys
 from collections.abc import Collection
-from functools import cache
+from functools import cache, cached_property
+from importlib import import_module
 from importlib.metadata import EntryPoint, distribution, entry_points
 from pathlib import Path
 from traceback import walk_tb
@@ -131,6 +132,33 @@ def load(group: str, name: str, what: str) -> Any:
         raise ConfigurationError(
             f"the {what} {name!r} ({_package(point)}) cannot be loaded: {why}"
         ) from error
+
+
+class _Later:
+    """What stands at a ``place``, loaded when it is first called or asked for something."""
+
+    def __init__(self, place: str) -> None:
+        self._place = place
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        return self._found(*given, **named)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._found, name)
+
+    @cached_property
+    def _found(self) -> Any:
+        module, _, name = self._place.partition(":")
+        return getattr(import_module(module), name)
+
+
+def later(place: str) -> Any:
+    """Return what "module:name" names, loaded when it is used: most of a plug-in seldom is.
+
+    >>> later("math:floor")(2.5)
+    2
+    """
+    return _Later(place)
 
 
 def extension(group: str, name: str, what: str) -> Any:

@@ -2,6 +2,9 @@
 
 One declaration serves everybody: the YAML reader checks against it, the ROS nodes declare their
 parameters from it (description, unit, range), and the page of settings is made of it.
+
+What was a setting once and is a constant now stays in its class with the reason, as
+``NAME: ClassVar[Annotated[float, "why"]] = 6.0``: a file that states this value is still read.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from functools import cache, partial
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
@@ -69,6 +72,14 @@ class Declaration:
     optional: bool
     default: Any
     info: SettingInfo
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """What a setting of earlier versions always is now, and why nobody has to state it."""
+
+    value: Any
+    reason: str
 
 
 def setting(
@@ -127,7 +138,8 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
 
     ``where`` names the place in error texts, e.g. ``demo.yaml: plan``. Raises
     ConfigurationError for unknown names (with the nearest known one), missing required
-    settings, wrong types, values out of range, and URLs that carry a secret.
+    settings, wrong types, values out of range, URLs that carry a secret, and for a constant that
+    is stated with another value.
     """
     values = {} if values is None else values
     for place in secrets_in(values, where):
@@ -139,10 +151,8 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
         )
     hints = _hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    for name in values:
-        if name not in fields:
-            hint = nearest(str(name), fields)
-            raise ConfigurationError(f"{where}: unknown setting {name!r:.80}{hint}")
+    if not values.keys() <= fields.keys():
+        _check_others(cls, values, fields, where)
     loaded: dict[str, Any] = {}
     for name, field in fields.items():
         if name in values:
@@ -159,6 +169,18 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
         return cls(**loaded)
     except ConfigurationError as error:  # settings that do not go together
         raise ConfigurationError(f"{where}: {error}") from error
+
+
+def _check_others(
+    cls: type[Any], values: Mapping[str, Any], fields: Mapping[str, Any], where: str
+) -> None:
+    """Raise ConfigurationError unless what is no setting is a constant, with its value."""
+    fixed = constants(cls)
+    for name in (n for n in values if n not in fields):
+        if name not in fixed:
+            hint = nearest(str(name), fields)
+            raise ConfigurationError(f"{where}: unknown setting {name!r:.80}{hint}")
+        _check_constant(values[name], fixed[name], f"{where}.{name}")
 
 
 def of_changes(
@@ -201,6 +223,33 @@ def declarations(cls: type[Any], prefix: str = "") -> Iterator[Declaration]:
             yield from map(_for_experts, nested) if field.metadata.get("expert") else nested
         else:
             yield _declaration(field, hints[field.name], prefix)
+
+
+def constants(cls: type[Any]) -> dict[str, Constant]:
+    """Return what ``cls`` declared as a setting in earlier versions, by name."""
+    found = {}
+    for name, hint in typing.get_type_hints(cls, include_extras=True).items():
+        inner = typing.get_args(hint)[0] if typing.get_origin(hint) is ClassVar else None
+        if typing.get_origin(inner) is Annotated:
+            found[name] = Constant(getattr(cls, name), typing.get_args(inner)[1])
+    return found
+
+
+def all_constants(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, Constant]]:
+    """Yield (dotted name, constant) of ``cls`` and of its nested groups."""
+    yield from ((f"{prefix}{name}", constant) for name, constant in constants(cls).items())
+    for name, hint in _hints(cls).items():
+        if dataclasses.is_dataclass(hint):
+            yield from all_constants(typing.cast(type, hint), f"{prefix}{name}.")
+
+
+def _check_constant(value: Any, constant: Constant, place: str) -> None:
+    number = float(value) if isinstance(value, str) and _EXPONENT.fullmatch(value) else value
+    if number != constant.value:
+        raise ConfigurationError(
+            f"{place}: {value!r:.80} is stated, but this is no longer a setting: it is always "
+            f"{constant.value!r} ({constant.reason}); leave it out"
+        )
 
 
 def _declaration(field: dataclasses.Field[Any], hint: Any, prefix: str = "") -> Declaration:

@@ -78,8 +78,9 @@ class SheetSettings:
         choices=("", "table", "plan"),
     )  # fmt: skip
     values: str = expert(
-        "", doc="what stands beside commanded angles: deviations, or positions (actual angles)",
-        choices=("", "deviations", "positions"),
+        "", doc="what stands beside commanded angles: deviations (actual - commanded), "
+        "corrections (commanded - actual), or positions (actual angles)",
+        choices=("", "deviations", "corrections", "positions"),
     )  # fmt: skip
     up: str = expert("", doc="direction in which the table angle grows, as the table calls it")
     time_unit: str = expert(

@@ -13,6 +13,7 @@ from scipy.special import stdtrit
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import GeometryError
+from rotcal_ros.foundation.language import Phrase, phrase
 
 MAX_STEPS = 50
 CONVERGED = 1e-12
@@ -48,7 +49,7 @@ class Spheres:
     residuals: Floats
     used: Bools
     form_deviation: Floats
-    reason: tuple[str | None, ...]
+    reason: tuple[Phrase | None, ...]
 
     @property
     def covariance(self) -> Floats:
@@ -122,12 +123,14 @@ def _checked(points: Floats, used: Bools | None) -> tuple[Floats, Bools]:
     return np.where(finite[:, :, None], points, 0.0), finite
 
 
-def _too_few(mask: Bools, unknowns: int) -> list[str | None]:
+def _too_few(mask: Bools, unknowns: int) -> list[Phrase | None]:
     """Return the reason for balls with too few points to check the fit."""
     return [
         None
         if count > unknowns
-        else f"{count} usable touch points, at least {unknowns + 1} are needed (one to check)"
+        else phrase(
+            "{0} usable touch points, at least {1} are needed (one to check)", count, unknowns + 1
+        )
         for count in mask.sum(axis=1)
     ]
 
@@ -237,19 +240,21 @@ def _worst(
 
 
 def _badly_spread(
-    reason: list[str | None], spread: Floats, inverse: Floats, centres: Floats, free: bool
-) -> list[str | None]:
+    reason: list[Phrase | None], spread: Floats, inverse: Floats, centres: Floats, free: bool
+) -> list[Phrase | None]:
     """Add the reason for balls whose points hardly determine the centre."""
     weakest = np.sqrt(np.maximum(np.linalg.eigvalsh(inverse[:, :3, :3])[:, -1], 0.0))
     found = []
     for ball, why in enumerate(reason):
         if not why and not np.isfinite(centres[ball]).all():
-            why = "the fit does not converge: the points do not lie on a sphere"
+            why = phrase("the fit does not converge: the points do not lie on a sphere")
         if not why and (spread[ball] < 1e-9 or weakest[ball] > WEAKEST):
-            remedy = "spread the points over half the ball" + (", or state its radius" * free)
-            why = (
-                "badly spread touch points: they lie nearly in one plane or patch, the centre's "
-                f"uncertainty is {weakest[ball]:.0f} times that of a point; {remedy}"
-            )
+            remedy = phrase("spread the points over half the ball")
+            if free:
+                remedy = phrase("spread the points over half the ball, or state its radius")
+            why = phrase(
+                "badly spread touch points: they lie nearly in one plane or patch, the "
+                "centre's uncertainty is {0:.0f} times that of a point; {1}", weakest[ball], remedy
+            )  # fmt: skip
         found.append(why)
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 from rotcal_ros.foundation.settings import expert, setting
 
@@ -24,9 +24,12 @@ class AirSettings:
     vacuum_wavelength_nm: float = setting(
         632.991, doc="nm, wavelength of the light in vacuum", minimum=300.0, maximum=1700.0
     )
-    co2_ppm: float = expert(
-        450.0, doc="umol/mol, carbon dioxide in the air", minimum=0.0, maximum=2000.0
-    )
+    co2_ppm: ClassVar[
+        Annotated[
+            float,
+            "another 100 umol/mol, as between a hall and a full office, change a length by 1.5e-8",
+        ]
+    ] = 450.0
     dead_path_m: float = setting(
         0.0, minimum=0.0, maximum=100.0,
         doc="m, optical path at which a length reads zero; the air in it is corrected, too",

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.adjust.model import CurveModel, block_rows
-from rotcal_ros.adjust.stacking import reparametrised
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.language import phrase
@@ -169,6 +168,8 @@ def mean_of_arrivals(
     to = np.eye(size, size + sum(means.values()))
     model = found.model
     if means:
+        from rotcal_ros.adjust.stacking import reparametrised
+
         model = reparametrised(model, to, {**model.blocks, **means})
     every = {c: rows @ to for c, rows in found.curves.items()}
     curves = {c: arrivals.averaging() @ rows for c, rows in every.items()}

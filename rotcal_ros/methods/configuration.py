@@ -52,10 +52,10 @@ from rotcal_ros.planning.settings import (
     TableAdapterSettings,
 )
 
-EXTENSION_GROUPS: Final[Mapping[str, type[Any]]] = {
+PACKAGE_GROUPS: Final[Mapping[str, type[Any]]] = {
     name: plugins.load(plugins.SETTINGS, name, "group") for name in plugins.names(plugins.SETTINGS)
 }
-"""Groups that extensions declare, by their entry points."""
+"""Groups that packages beside the core declare, by their entry points."""
 SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "cell": CellSettings,
     "capture": CaptureSettings,
@@ -65,7 +65,7 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "health": HealthSettings,
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
-    **EXTENSION_GROUPS,
+    **PACKAGE_GROUPS,
     "topics": TopicSettings,
     "identity": Identity,
     "sheet": SheetSettings,
@@ -76,7 +76,7 @@ _ORDER: Final = (
     "identity", "sheet", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
     "recorder", "bridge", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
-"""How a configuration is written, with the groups of extensions that may be installed."""
+"""How a configuration is written, with the groups of packages that may be installed."""
 _KNOWN: Final = {*SHARED_GROUPS, "plan", "solver", "simulation"}
 GROUPS: Final = (*(name for name in _ORDER if name in _KNOWN), *sorted(_KNOWN.difference(_ORDER)))
 """All groups, in the order in which a configuration is written; those of others come last."""
@@ -104,7 +104,7 @@ class Configuration:
     the names of the groups that the text has, and of their settings as ``group.setting``; all
     others are at their defaults. ``simulated``: the cell is a simulated one, the text has a group
     ``simulation``. ``use_sim_time``: its nodes follow ``/clock``. ``text`` is the YAML as given,
-    ``source`` names it in error texts. ``extensions``: the groups of extensions, by name.
+    ``source`` names it in error texts. ``of_packages``: the groups of packages beside the core.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -133,11 +133,11 @@ class Configuration:
     text: str
     source: str
     use_sim_time: bool = False
-    extensions: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    of_packages: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def group(self, name: str) -> Any:
-        """Return the settings of a group, of this package or of an extension."""
-        return self.extensions[name] if name in self.extensions else getattr(self, name)
+        """Return the settings of a group, of the core or of a package."""
+        return self.of_packages[name] if name in self.of_packages else getattr(self, name)
 
     def __repr__(self) -> str:
         cell = "simulated cell" if self.simulated else "cell"
@@ -198,7 +198,7 @@ def parse_configuration(
         group: load(cls, values[group] if group in given else None, f"{source}: {group}")
         for group, cls in settings_classes(method).items()
     }
-    extensions = {group: loaded.pop(group) for group in EXTENSION_GROUPS}
+    of_packages = {group: loaded.pop(group) for group in PACKAGE_GROUPS}
     settings = (f"{group}.{setting}" for group in given for setting in values[group] or ())
     return Configuration(
         method=method,
@@ -208,7 +208,7 @@ def parse_configuration(
         text=text,
         source=source,
         use_sim_time=use_sim_time,
-        extensions=extensions,
+        of_packages=of_packages,
     )
 
 

@@ -198,9 +198,7 @@ class DryRun:
     def _prospects(self) -> Iterator[CheckLine]:
         """Yield what the plan cannot show, and what one more would bring, where that is quick."""
         turning = self._ordered[-1].turn is not None
-        if not turning and (
-            self.calibration.method.one_more is None or len(self._steps) > QUICK
-        ):
+        if not turning and (self.calibration.method.one_more is None or len(self._steps) > QUICK):
             return
         before, *more = prospects(self.calibration)
         yield CheckLine(PART, "result", "note", before.describe(before))

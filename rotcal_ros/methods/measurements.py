@@ -135,6 +135,7 @@ def read_measurements(
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")
+    reader.require(reading)
     return reader.read(configuration, reading.table, aimed_at)
 
 

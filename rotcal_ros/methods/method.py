@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.foundation.results import Result
+    from rotcal_ros.foundation.table_reading import Reading
     from rotcal_ros.foundation.tables import Header, Table
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.continuation import Continuation
@@ -92,7 +93,8 @@ class TableReader:
     header of a table of targets; empty where there is none. ``runs`` is the setting of the plan
     that counts how often it goes through the table angles; empty: once only. A plan that does so
     again, or in both directions, has the settings ``again`` too. Tables with one of the headers
-    ``with_angles`` state the table angles themselves.
+    ``with_angles`` state the table angles themselves. ``require`` raises a question where a table
+    that was read leaves something open. Tables that state everything ``needs_setup`` not.
     """
 
     headers: tuple[Header, ...]
@@ -102,6 +104,8 @@ class TableReader:
     runs: str = ""
     again: Mapping[str, str] = field(default_factory=dict)
     with_angles: tuple[Header, ...] = ()
+    require: Callable[[Reading], object] = bool
+    needs_setup: bool = True
 
 
 DEFAULT: Final = "tracer_multistation"

@@ -1,4 +1,4 @@
-"""Plans of a table that turns past its angles: can they be carried out?"""
+"""Plans of a table that turns past its angles: whether they can be carried out."""
 
 from __future__ import annotations
 

@@ -421,7 +421,7 @@ def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
     """Return the large line; ``offer`` is a table that waits for a person."""
     if heard.silent:
         detail = _sentence(heard.error) or phrase("Nothing moves.")
-        return Now("failed", phrase("The planner fell silent"), detail)
+        return Now("failed", phrase("The planner no longer answers"), detail)
     here = heard.planner.state is not State.UNKNOWN
     if here and heard.calibrating:
         return _calibrating(heard)
@@ -457,7 +457,7 @@ def _asked(heard: HeardPlanner) -> tuple[str, str]:
     if task is not None and heard.doing is Why.WORK:
         place = (phrase(task.what), task.number, task.count)
         if task.again:
-            return phrase("Not right yet: {0} at place {1} of {2}", *place), heard.instruction
+            return phrase("Not in place yet: {0} at place {1} of {2}", *place), heard.instruction
         put = phrase("Fix the {0} at place {1} of {2} on the table", *place)
         return (put if task.rides else phrase("Put the {0} at place {1} of {2}", *place), PRESS)
     for reason in heard.planner.reasons:

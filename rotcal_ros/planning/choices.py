@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
 
 
@@ -30,7 +31,7 @@ class Choice:
     """The next ``step`` of the plan and the ``reason`` for it; None: nothing more is measured."""
 
     step: int | None
-    reason: str
+    reason: Phrase
     standing: Standing
 
     def same_as(self, other: Choice) -> bool:
@@ -78,8 +79,8 @@ class AsListed:
     def choose(self) -> Choice:
         """Return the next step of the list."""
         if not self._left:
-            return Choice(None, "all steps of the list are done", Standing(0))
-        return Choice(self._left[0], "next of the list", Standing(len(self._left)))
+            return Choice(None, phrase("all steps of the list are done"), Standing(0))
+        return Choice(self._left[0], phrase("next of the list"), Standing(len(self._left)))
 
     def note(self, outcome: StepOutcome) -> None:
         """Remove the step from the list if it is the next one."""

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Final
 
 from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.language import NOTHING
 from rotcal_ros.foundation.observations import (
     Approach,
     Command,
@@ -93,7 +94,7 @@ class Step:
             n_samples=1,
             n_used=1,
             accepted=True,
-            reason="",
+            reason=NOTHING,
             table_angle_measured=self.table_angle,
             temperature_c=None,
             window_start_ns=0,

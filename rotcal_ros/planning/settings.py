@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -35,17 +35,18 @@ class CellSettings:
     tracer_frame: str = expert(
         "tracer", doc="frame of the tracer in tf, with the table at angle 0"
     )
-    frame_tolerance_m: float = expert(
-        0.01,
-        doc="m, largest difference between places in tf and in the solution without a warning",
-        minimum=1e-9,
-    )
-    frame_tolerance_deg: float = expert(
-        1.0,
-        minimum=1e-9,
-        maximum=180.0,
-        doc="deg, largest angle between the axis in tf and in the solution without a warning",
-    )
+    frame_tolerance_m: ClassVar[
+        Annotated[
+            float,
+            "tf in a cell is good to millimetres; more is another place, not an inaccurate one",
+        ]
+    ] = 0.01
+    frame_tolerance_deg: ClassVar[
+        Annotated[
+            float,
+            "tf in a cell is good to tenths of a degree; more is another direction",
+        ]
+    ] = 1.0
     volume_from_m: tuple[float, ...] = setting(
         (), doc="m, lowest x, y, z that the probe reaches; a dry run compares the plan with it"
     )
@@ -75,13 +76,12 @@ def _check_volume(low: tuple[float, ...], high: tuple[float, ...]) -> None:
 class HealthSettings:
     """How late a sign of life may be; a process that is gone is lost at once."""
 
-    slow_after_s: float = expert(
-        1.5,
-        minimum=0.6,
-        maximum=3600.0,
-        doc="s, time without a sign of life after which a node counts as slow: the measurement "
-        "waits at the next safe place and continues by itself",
-    )
+    slow_after_s: ClassVar[
+        Annotated[
+            float,
+            "nodes beat five times a second; a loaded computer delays a beat by less",
+        ]
+    ] = 1.5
     lost_after_s: float = expert(
         300.0,
         minimum=1.0,
@@ -179,12 +179,12 @@ class PlannerSettings:
     step_timeout_s: float = setting(
         60.0, doc="s, longest time from an order to its observation", minimum=0.1, maximum=86_400.0
     )
-    receipt_timeout_s: float = expert(
-        10.0,
-        minimum=0.1,
-        maximum=3600.0,
-        doc="s, longest time from an observation to the recorder's receipt that it is on disk",
-    )
+    receipt_timeout_s: ClassVar[
+        Annotated[
+            float,
+            "the recorder writes every 0.5 s; a disk that takes longer has failed",
+        ]
+    ] = 10.0
     stream_timeout_s: float = expert(
         2.0,
         minimum=0.1,
@@ -199,9 +199,13 @@ class PlannerSettings:
         doc="finished steps that a resumed plan measures again, to find the new zero of the "
         "lengths",
     )
-    solve_timeout_s: float = expert(
-        120.0, doc="s, longest time for the final solution", minimum=1.0, maximum=86_400.0
-    )
+    solve_timeout_s: ClassVar[
+        Annotated[
+            float,
+            "solving takes seconds; a solver that takes longer has failed, and the bag solves "
+            "again",
+        ]
+    ] = 120.0
 
 
 Interface = Literal["auto", "goals", "trajectory", "positions"]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rotcal_ros.bags.reader import Progress, bag_files
 from rotcal_ros.bags.settings import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import is_table
 from rotcal_ros.methods.configuration import (
     OFFLINE_GROUPS,
@@ -17,11 +17,13 @@ from rotcal_ros.methods.configuration import (
     changed,
     read_configuration,
 )
-from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.recorded_setup import find_configuration
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics, of_one_cell
+
+if TYPE_CHECKING:
+    from rotcal_ros.foundation.table_reading import Reading
 
 
 @dataclass(frozen=True)
@@ -51,20 +53,23 @@ class Input:
         """Return what was measured, ready to be solved.
 
         Raises BagError for a path that is neither a bag nor a table, ConfigurationError for a
-        table without set-up and for impossible changes, DataError for contradictory content.
+        table that needs a set-up and has none, and for impossible changes, DataError for
+        contradictory content.
         """
         of_reading = tuple(change for change in self.changes if is_limit(change))
         if is_table(self.path):
-            if self.setup is None:
-                raise ConfigurationError(
-                    f"{self.path} is a table, and a table needs its set-up: give --setup "
-                    "SETUP.yaml (rotcal new writes one)"
-                )
             if of_reading:
                 raise ConfigurationError(
                     f"--set {of_reading[0]}: {self.path} is not a bag; leave it out"
                 )
-            stated = changed(read_configuration(self.setup), self.changes)
+            from rotcal_ros.methods.fitting import setup_of_its_own
+            from rotcal_ros.methods.measurements import read_measurements
+
+            stated = (
+                setup_of_its_own(self.path, self.changes)
+                if self.setup is None
+                else changed(read_configuration(self.setup), self.changes)
+            )
             return read_measurements(self.path, stated, self.targets, self.announce)
         if self.targets is not None:
             raise ConfigurationError(

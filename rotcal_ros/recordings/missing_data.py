@@ -22,7 +22,7 @@ from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation
 
-IN_VAIN: Final = noted("{0} of {1} steps were tried in vain, {2}")
+IN_VAIN: Final = noted("{0} of {1} steps failed in every attempt, {2}")
 
 _SENTENCES: Final = 20
 """Largest number of sentences; more of them would say nothing new."""
@@ -223,7 +223,7 @@ def doubtful(
 
 
 def _failed_steps(observations: Sequence[Observation]) -> Phrase | None:
-    """Return how many steps were tried in vain, and why; None for few, as after a blocked beam."""
+    """Return how many steps failed in every attempt, and why; None for few (a blocked beam)."""
     done = {o.step for o in observations if o.accepted}
     failed = [o for o in observations if o.step not in done]
     most_frequent = MostFrequentReason.of(o.reason for o in failed)

@@ -18,6 +18,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import Scan
+from rotcal_ros.capture.messages import words
 from rotcal_ros.capture.publishers import run_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
@@ -177,7 +178,9 @@ class RecordedChoice:
         """Return what a rotcal_msgs/StepChoice says."""
         standing = Standing(message.left, message.uncertainty, message.goal)
         step = None if message.stop else message.step
-        choice = Choice(step, message.reason, standing)
+        choice = Choice(
+            step, words(message.reason, getattr(message, "reason_code", None)), standing
+        )
         return cls(message.run, message.number, message.attempt, choice)
 
 

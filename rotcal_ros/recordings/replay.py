@@ -255,34 +255,35 @@ def read_recording(
     """
     files = bag_files(path)
     require_one_session(files, limits)
-
-    def read(topics: Topics) -> Recording:
-        return _recording(path, files, source, configuration, topics, progress, limits)
-
-    return of_one_cell(read, topics or Topics(), files, limits)
+    asked = _Asked(path, files, source, configuration, progress, limits)
+    return of_one_cell(partial(_recording, asked), topics or Topics(), files, limits)
 
 
-def _recording(
-    path: Path,
-    files: tuple[Path, ...],
-    source: Source,
-    configuration: Configuration | None,
-    topics: Topics,
-    progress: Progress | None,
-    limits: ReadingLimits,
-    left_out: frozenset[str] = frozenset(),
-) -> Recording:
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked of the ``files`` of a bag; ``configuration`` None: the one in the bag."""
+
+    path: Path
+    files: tuple[Path, ...]
+    source: Source
+    configuration: Configuration | None
+    progress: Progress | None
+    limits: ReadingLimits
+
+
+def _recording(asked: _Asked, topics: Topics, left_out: frozenset[str] = frozenset()) -> Recording:
     """Do as :func:`read_recording`; raise SeveralCells if it is not clear which one is meant.
 
     ``left_out`` are the runs of plans that are known to be a stranger's.
     """
-    given = configuration is not None
-    if configuration is None:
-        configuration = recorded_setup.find_configuration(files, topics, limits, left_out)
+    path, files, source, limits = asked.path, asked.files, asked.source, asked.limits
+    configuration = asked.configuration or recorded_setup.find_configuration(
+        files, topics, limits, left_out
+    )
     topics.follow(configuration.topics.renamed())
     calibration = methods.prepare(configuration)
     make = partial(_feeder, calibration, configuration)
-    passes = partial(read_blocks, files, progress, limits)
+    passes = partial(read_blocks, files, asked.progress, limits)
     contents, feeder, order = _read_in_order(
         passes, topics, make, source, _allowed_disorder_ns(configuration)
     )
@@ -294,28 +295,22 @@ def _recording(
     differ = len(attached.union(text for _, text in contents.planned)) > 1
     foreign = strangers(files, contents.planned, attached, limits) if differ else frozenset()
     planned = [text for run, text in contents.planned if run not in foreign]
-    of_strangers = {text for run, text in contents.planned if run in foreign - left_out}
-    if not given and configuration.text in of_strangers.difference(attached, planned):
-        return _recording(path, files, source, None, topics, progress, limits, foreign)
-    if not given:
+    if asked.configuration is None:
+        of_strangers = {text for run, text in contents.planned if run in foreign - left_out}
+        if configuration.text in of_strangers.difference(attached, planned):
+            return _recording(asked, topics, foreign)
         recorded_setup.require_one_configuration(contents.scans, planned, path)
     attachments = {n: a.data for scan in contents.scans for n, a in scan.attachments.items()}
     texts = (attachments.get(names.CONFIGURATION, b"").decode(errors="replace"), *planned)
     set_ups = tuple(recorded_setup.recorded_configurations(texts))
     recorded_setup.require_its_method(configuration, set_ups, path)
-    judged_live = contents.recorded if same_limit(configuration, set_ups[:1]) else ()
-    captured = judged_as_live(feeder.observations, feeder.offsets, judged_live)
-    captured = known_to_later_runs(captured, contents.recorded, contents.scans)
-    broken = {c.topic: d.broken for c, d in contents.decoders.items() if d.broken}
-    topics.unreadable.update({
-        c.topic: d.unreadable for c, d in contents.decoders.items() if d.unreadable
-    })  # fmt: skip
-    note_unread((*topics.unreadable.values(), *_undecoded(broken)))
+    captured = _captured(feeder, contents, configuration, set_ups)
+    broken = _unread(contents, topics)
     subjects = tuple(recorded_setup.recorded_subjects(texts, contents.scans))
+    as_recorded = recorded_setup.as_recorded(configuration, subjects)
+    clocks = filter(None, [feeder.offset or feeder.doubt])
     return Recording(
-        calibration=replace(
-            calibration, configuration=recorded_setup.as_recorded(configuration, subjects)
-        ),
+        calibration=replace(calibration, configuration=as_recorded),
         source=source,
         observations=captured if source == "streams" else tuple(contents.recorded),
         recorded=tuple(contents.recorded),
@@ -326,20 +321,36 @@ def _recording(
         attachments=attachments,
         choices=tuple(contents.choices),
         announced=frozenset(of_axis(contents.announced, configuration.cell.axis)),
-        other_axes=tuple(
-            sorted({a for a, _ in contents.announced} - {"", configuration.cell.axis})
-        ),
+        other_axes=contents.other_axes(configuration.cell.axis),
         frames=tuple(contents.frames.values()),
         unreadable=dict(topics.unreadable),
-        clock=(
-            *clock_in_words(contents.scans, order),
-            *filter(None, [feeder.offset or feeder.doubt]),
-        ),
+        clock=(*clock_in_words(contents.scans, order), *clocks),
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
         foreign_plans=len(foreign),
         stream_faults=tuple(feeder.joints.faults()) if source == "streams" else (),
     )
+
+
+def _captured(
+    feeder: StreamFeeder,
+    contents: _BagContents,
+    configuration: Configuration,
+    set_ups: Sequence[Configuration],
+) -> tuple[Observation, ...]:
+    """Return what was captured again, with what only the live capture knew of the clocks."""
+    judged_live = contents.recorded if same_limit(configuration, set_ups[:1]) else ()
+    captured = judged_as_live(feeder.observations, feeder.offsets, judged_live)
+    return known_to_later_runs(captured, contents.recorded, contents.scans)
+
+
+def _unread(contents: _BagContents, topics: Topics) -> dict[str, int]:
+    """Note what could not be read; return how many messages of each topic were not decoded."""
+    decoders = contents.decoders.items()
+    topics.unreadable.update({c.topic: d.unreadable for c, d in decoders if d.unreadable})
+    broken = {c.topic: d.broken for c, d in decoders if d.broken}
+    note_unread((*topics.unreadable.values(), *_undecoded(broken)))
+    return broken
 
 
 def _undecoded(broken: Mapping[str, int]) -> list[str]:
@@ -414,6 +425,10 @@ class _BagContents:
     order: TimeOrders = field(default_factory=TimeOrders)
     decoders: recorded_setup.Decoders = field(default_factory=dict)
 
+    def other_axes(self, axis: str) -> tuple[str, ...]:
+        """Return for which axes beside ``axis`` tables were announced."""
+        return tuple(sorted({a for a, _ in self.announced} - {"", axis}))
+
     def add(self, part: RoleMessages, block: Block) -> None:
         """Add the messages of a part that is not a stream."""
         if part.role == names.OBSERVATION:
@@ -483,7 +498,7 @@ def _read(
 
 def judged_as_live(
     observations: Iterable[Observation],
-    estimates: Sequence[str | None],
+    estimates: Sequence[Phrase | None],
     recorded: Iterable[Observation],
 ) -> tuple[Observation, ...]:
     """Return the observations, rejected if the clocks of their streams differ.

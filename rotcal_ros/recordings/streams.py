@@ -27,7 +27,7 @@ from rotcal_ros.capture.messages import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.planning.table_feedback import without_joint, without_velocity
 from rotcal_ros.recordings.topics import RoleMessages
@@ -150,9 +150,9 @@ class StreamFeeder:
     ) -> None:
         self._clocks = StampOffsets(limits or OffsetLimits())
         self.observations: list[Observation] = []
-        self.offset: str | None = None
+        self.offset: Phrase | None = None
         self.doubt: str | None = None
-        self.offsets = list[str | None]()
+        self.offsets = list[Phrase | None]()
         self._make = make
         self._captures = [make(0)]
         self._joint = joint

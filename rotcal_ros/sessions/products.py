@@ -78,7 +78,7 @@ def write_products(
 def _place_in_history(session: Session) -> tuple[str, str]:
     """Return the database of a configuration with a history, and the axis."""
     configuration = session.configuration
-    return configuration.extensions[_HISTORY].database, configuration.cell.axis
+    return configuration.of_packages[_HISTORY].database, configuration.cell.axis
 
 
 def _since_last_time(session: Session) -> Sequence[tuple[str, str]]:

@@ -45,6 +45,22 @@ def test_a_light_name_stays_light(name):
     assert not set(HEAVY) & set(loaded)
 
 
+def test_a_solve_of_a_bag_loads_no_simulation_no_figures_and_no_reader_of_tables():
+    loaded = in_fresh_process(
+        "import sys; from pathlib import Path; from rotcal_ros.recordings.inputs import Input; "
+        "Input(Path('examples/data/ball_plate_bag')).read().solve(); print(*sys.modules)"
+    )
+    assert "rotcal_ros.methods.ball_plate.method" in loaded
+    unused = (
+        "simulation.table",
+        "ball_plate.simulation",
+        "figures",
+        "measurements",
+        "disturbance",
+    )
+    assert not {f"rotcal_ros.methods.{name}" for name in unused} & set(loaded)
+
+
 @pytest.mark.parametrize("name", [name for name in rc.__all__ if name != "ros"])
 def test_every_name_is_there_and_says_what_it_is(name):
     value = getattr(rc, name)

@@ -15,6 +15,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.foundation.language import code_of
 from rotcal_ros.foundation.observations import (
     Command,
     Observation,
@@ -146,6 +147,12 @@ def _command(r: Command) -> list[tuple[str, bytes]]:
     return [(names.TABLE_ANGLE, table), (names.PROBE_TARGET, probe)]
 
 
+def text_code(text: str) -> Any:
+    """Return a rotcal_msgs/TextCode."""
+    code, arguments = code_of(text)
+    return STORE.types["rotcal_msgs/msg/TextCode"](code=code, arguments=arguments)
+
+
 def number(value: float | None) -> float:
     """Return a number of a message, NaN where there is none."""
     return float("nan") if value is None else value
@@ -160,6 +167,7 @@ def _observation(r: Observation) -> list[tuple[str, bytes]]:
         probe_position=floats(r.probe_position),
         temperature=number(r.temperature_c),
         n_samples=r.n_samples, n_used=r.n_used, accepted=r.accepted, reason=r.reason,
+        reason_code=text_code(r.reason),
         window_start=time_message(r.window_start_ns), window_end=time_message(r.window_end_ns),
         run=r.run, segment=r.segment, pressure=number(r.pressure_pa), humidity=number(r.humidity),
     )  # fmt: skip

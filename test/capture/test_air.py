@@ -79,7 +79,7 @@ def test_what_is_useless_without_its_pressure_is_measured_again():
     found = [o for record in scene.by_stamp() for o in capture.feed(record)]
     assert found
     assert not any(o.accepted for o in found)
-    assert all(o.reason.startswith("no pressure of the air came in time") for o in found)
+    assert all(o.reason.startswith("no pressure of the air arrived in time") for o in found)
     pressure, _ = slow_streams(scene)
     capture = Capture(PLAN, impatient, RULES, 0, {"pressure"})
     records = sorted([*scene.by_stamp(), *pressure], key=lambda r: r.stamp_ns)

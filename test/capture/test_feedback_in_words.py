@@ -33,7 +33,7 @@ def test_a_velocity_that_a_driver_withholds_is_not_called_missing():
     scene.edit("table", lambda r: replace(r, velocity=nan), SECOND, 2 * SECOND)
     first, second = replay(PLAN, scene.by_stamp())
     assert first.accepted
-    assert "has not begun to move as ordered" in second.reason
+    assert "the ordered motion has not begun" in second.reason
     assert "no velocity" not in second.reason
 
 

@@ -175,8 +175,8 @@ def test_what_arrives_late_or_in_pieces_changes_no_bit():
     stamps, angles, velocities = (np.array(c) for c in zip(*(
         (s.stamp_ns, s.angle, s.velocity) for s in table), strict=True))  # fmt: skip
     found += capture.feed_table(stamps, angles, velocities)
-    stamps, numbers, lengths, status = (np.array(c) for c in zip(*(
-        (s.stamp_ns, s.sequence, s.length, int(s.status)) for s in tracer), strict=True))  # fmt: skip
+    rows = [(s.stamp_ns, s.sequence, s.length, int(s.status)) for s in tracer]
+    stamps, numbers, lengths, status = (np.array(c) for c in zip(*rows, strict=True))
     for piece in np.array_split(np.arange(len(stamps)), 3):
         found += capture.feed_tracer(stamps[piece], numbers[piece], lengths[piece], status[piece])
     assert found == usual
@@ -190,9 +190,7 @@ def test_a_turn_that_is_broken_off_and_made_again_says_nothing_of_what_it_did_no
     def later(each):
         return replace(each, stamp_ns=each.stamp_ns + again_ns)
 
-    stopped = [
-        TableSample(START + k * 10 * MS, table[-1].angle, 0.0) for k in range(100, 500)
-    ]
+    stopped = [TableSample(START + k * 10 * MS, table[-1].angle, 0.0) for k in range(100, 500)]
     second = [list(map(later, stream)) for stream in scene(plan)[1:]]
     number = len(tracer)
     second[1] = [replace(each, sequence=each.sequence + number) for each in second[1]]

@@ -12,6 +12,8 @@ from rotcal_ros.capture.rejections import (
     TooManyFailedError,
     kind_of,
 )
+from rotcal_ros.capture.window import BEAM_BROKEN
+from rotcal_ros.foundation.language import phrase
 
 ACCEPTED = make_plan().steps[0].observed((0.1,))
 
@@ -35,6 +37,14 @@ def rejected(reason, step=0, attempt=0):
 def test_a_kind_is_a_reason_without_its_numbers(one, other):
     assert kind_of(one) == kind_of(other)
     assert kind_of(one) != kind_of("the table moved")
+
+
+def test_a_kind_is_a_code_with_the_names_in_it():
+    def off(target, why, far):
+        return phrase("{0} at target {1}, {2:.3g} m off", phrase(why), target, far)
+
+    assert kind_of(off(1, "gone", 0.1)) == kind_of(off(22, "gone", 3.0))
+    assert kind_of(off(1, "gone", 0.1)) != kind_of(off(1, "turned", 0.1))
 
 
 def test_the_commonest_reason_with_its_latest_example():
@@ -105,7 +115,8 @@ def test_a_captured_step_between_them_begins_the_count_anew_and_0_is_for_ever():
 
 
 def test_a_fixture_in_the_beam_may_hide_ten_times_as_many():
-    hidden = ("only 0 of 20 readings usable: 20 beam broken; expected at least 80%",)
+    broken = phrase("{0} {1}", 20, phrase(BEAM_BROKEN))
+    hidden = (phrase("only {0} of {1} readings usable: {2}", 0, 20, broken),)
     assert given_up_at(3, [hidden] * 29) is None
     assert given_up_at(3, [hidden] * 40)[0] == 29
     assert given_up_at(3, [hidden, hidden, ("a",), hidden, ("a",), ("a",)])[0] == 5

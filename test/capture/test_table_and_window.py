@@ -192,7 +192,7 @@ def test_drift_up_to_its_limit(share, sign):
 
 @pytest.mark.parametrize(("share", "used"), [(1.0, 51), (0.999, 50)])
 def test_the_floor_of_spikes_itself_is_no_spike(share, used):
-    found = reduced(np.append(np.zeros(50), BIT), spike_floor_m=share * BIT, spike_limit=2.0)
+    found = reduced(np.append(np.zeros(50), BIT), spike_floor_m=share * BIT)
     assert found.n_used == used
 
 

@@ -10,7 +10,7 @@ from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.window import ReadingFault, classify, reduce_window
 from rotcal_ros.foundation.observations import LengthStatus
 
-LOOSE = CaptureSettings(max_std_m=1.0, max_drift_m=1.0, spike_limit=6.0, spike_floor_m=0.0)
+LOOSE = CaptureSettings(max_std_m=1.0, max_drift_m=1.0, spike_floor_m=0.0)
 
 
 def window(lengths):

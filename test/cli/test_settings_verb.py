@@ -61,20 +61,20 @@ def words(line):
 def test_those_for_experts_are_told_to_who_asks():
     told = run("capture").stdout
     assert "capture.window_samples" in told
-    assert "capture.spike_limit" not in told
-    assert told.endswith("\nand 12 for experts: rotcal settings capture --expert\n\n")
+    assert "capture.spike_floor_m" not in told
+    assert told.endswith("\nand 7 for experts: rotcal settings capture --expert\n\n")
     whole = run("capture", "--expert").stdout
     usual, experts = whole.split("\nfor experts\n")
     assert "capture.window_samples" in usual
     assert "capture.window_samples" not in experts
-    assert "capture.spike_limit" in experts
-    assert len(re.findall(r"^  capture\.", experts, re.MULTILINE)) == 12
+    assert "capture.spike_floor_m" in experts
+    assert len(re.findall(r"^  capture\.", experts, re.MULTILINE)) == 7
     assert run("capture", "--all").stdout == whole
     solver = run("plane_mirror", "solver").stdout
     assert "for experts: rotcal settings plane_mirror solver --expert\n" in solver
     (group,) = json.loads(run("capture", "--json").stdout)["groups"]
     marked = {s["name"]: s["expert"] for s in group["settings"]}
-    assert marked["capture.spike_limit"] is True
+    assert marked["capture.spike_floor_m"] is True
     assert marked["capture.window_samples"] is False
 
 

@@ -15,7 +15,7 @@ def test_docs_say_what_the_program_says(name):
     controller = make_controller(name)
     facts = controller.facts
     assert f"## {facts.title} (`{name}`)" in text
-    for fact in (facts.sign, facts.wrap, facts.unit, facts.source):
+    for fact in (facts.sign, facts.wrap, facts.unit, facts.source, facts.verified_on):
         assert fact in text
     section = text.split(f"(`{name}`)")[1].split(" ## ")[0]
     for declared in declarations(type(controller)):

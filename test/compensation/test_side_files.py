@@ -65,6 +65,7 @@ def test_the_side_file_holds_what_the_page_promises(name):
     done = prepare_export(table, name, now=NOW, spacing=5.0 * DEGREE, accept_unverified=True)
     side = side_of(done)
     facts = make_controller(name).facts
+    beside = [own._asdict() for own in make_controller(name).own_settings]
     confirmation = side.pop("confirmation_sha256")
     decided = json.dumps({k: v for k, v in side.items() if k != "written"}, sort_keys=True)
     assert confirmation == done.confirmation == hashlib.sha256(decided.encode()).hexdigest()
@@ -96,10 +97,13 @@ def test_the_side_file_holds_what_the_page_promises(name):
         "table_sha256": table.table_hash,
         "controller": name,
         "controller_title": facts.title,
+        "own_settings": beside,
+        "switch_on": make_controller(name).switch_on,
         "sign": facts.sign,
         "wrap": facts.wrap,
         "unit": facts.unit,
         "source": facts.source,
+        "verified_on": facts.verified_on,
     }
     assert {k: side[k] for k in FACTS_OF_A_TABLE} == FACTS_OF_A_TABLE
 

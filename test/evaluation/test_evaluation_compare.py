@@ -137,7 +137,7 @@ def test_wrong_unit_or_sense_is_named(change, text):
 
 def test_without_uncertainties_nothing_is_claimed():
     result = compare(curve(12, 0.0), curve(12, 0.0, offset=1.0))
-    assert "E_n says nothing" in result.notes[0]
+    assert "E_n means nothing" in result.notes[0]
     assert result.agree
     assert not compare(curve(12, 0.0), curve(12, 0.0, shape=lambda t: 2 * truth(t))).agree
 

@@ -1,5 +1,5 @@
 from dataclasses import MISSING, dataclass
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import pytest
 from hypothesis import given
@@ -7,7 +7,16 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.settings import declarations, expert, group, load, setting, to_mapping
+from rotcal_ros.foundation.settings import (
+    Constant,
+    all_constants,
+    declarations,
+    expert,
+    group,
+    load,
+    setting,
+    to_mapping,
+)
 
 
 @dataclass(frozen=True)
@@ -52,6 +61,41 @@ def test_a_setting_for_experts_is_marked_by_itself_or_with_its_group() -> None:
     assert (loaded.wait_s, loaded.usual.rate_hz, loaded.faults.rate_hz) == (3.0, 10.0, 7.0)
     with pytest.raises(ConfigurationError, match=r"here.wait_s: -1.0 is out of range 0.0 to inf"):
         load(Marked, {"wait_s": -1}, "here")
+
+
+@dataclass(frozen=True)
+class WithConstants:
+    rate_hz: float = setting(10.0, doc="Hz, rate")
+    limit: ClassVar[Annotated[float, "nobody knows better"]] = 1e-7
+    places: ClassVar[tuple[int, ...]] = (1, 2)
+
+
+@dataclass(frozen=True)
+class Around:
+    inner: WithConstants = group(WithConstants)
+
+
+@pytest.mark.parametrize("stated", [1e-7, "1e-7"])
+def test_what_is_no_longer_a_setting_may_be_stated_with_the_value_that_it_has(stated) -> None:
+    loaded = load(Around, {"inner": {"limit": stated, "rate_hz": 5}}, "here")
+    assert loaded.inner == WithConstants(rate_hz=5.0)
+    assert (loaded.inner.limit, to_mapping(loaded)) == (1e-7, {"inner": {"rate_hz": 5.0}})
+    assert dict(all_constants(Around)) == {"inner.limit": Constant(1e-7, "nobody knows better")}
+
+
+@pytest.mark.parametrize("stated", [2e-7, "2e-7", None, "much", [1e-7]])
+def test_another_value_of_it_is_refused_in_one_line_that_says_what_to_do(stated) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load(Around, {"inner": {"limit": stated}}, "here")
+    assert str(caught.value) == (
+        f"here.inner.limit: {stated!r} is stated, but this is no longer a setting: it is always "
+        "1e-07 (nobody knows better); leave it out"
+    )
+
+
+def test_another_constant_of_a_class_was_never_a_setting() -> None:
+    with pytest.raises(ConfigurationError, match="here: unknown setting 'places'"):
+        load(WithConstants, {"places": [1, 2]}, "here")
 
 
 def test_defaults_and_whole_numbers_for_floats() -> None:

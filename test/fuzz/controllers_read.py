@@ -58,8 +58,27 @@ def _exports() -> Mapping[str, Mapping[str, str]]:
     return found
 
 
+@cache
+def _volumetric() -> Mapping[str, Mapping[str, str]]:
+    """Return the volumetric files of every controller that has a form for them."""
+    from datetime import datetime, timezone
+
+    from rotcal_ros.compensation.controllers import controller_names, make_controller
+    from rotcal_ros.compensation.volumetric import prepare_volumetric
+    from rotcal_ros.recordings.result_sources import read_source
+
+    result = read_source(DATA / "result_ball_plate.json").result
+    now, found = datetime(2026, 1, 1, tzinfo=timezone.utc), {}
+    for name in controller_names():
+        with suppress_rotcal():
+            found[name], _ = prepare_volumetric(
+                result, name, make_controller(name), now=now, accept_unverified=True
+            )
+    return found
+
+
 def controller_files() -> Iterable[bytes]:
-    for files in _exports().values():
+    for files in (*_exports().values(), *_volumetric().values()):
         for name, text in files.items():
             if not name.endswith(".provenance.json"):
                 yield text.encode("latin-1")
@@ -76,6 +95,10 @@ def read_controller_file(path: Path) -> None:
         for file in own:
             with suppress_rotcal():
                 make_controller(name).read({**own, file: text})
+    for name, files in _volumetric().items():
+        own = of_the_controller(files)
+        with suppress_rotcal():
+            make_controller(name).read_components({n: text for n in own if n.endswith(".csv")})
 
 
 def side_files() -> Iterable[bytes]:

@@ -9,8 +9,8 @@ import pytest
 import rotcal_ros as rc
 from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.methods import prepare
+from rotcal_ros.methods.calibration import frame_conflicts
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.methods.frame_conflicts import frame_conflicts
 
 CONFIG = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
@@ -51,7 +51,7 @@ def test_a_table_that_tf_has_elsewhere_is_told_with_the_distance(solved):
     (text,) = conflicts(solved, base(0.03, 0.04, 0.2))
     assert "tf has table_base in machine at (0.0300, 0.0400, 0.2000) m, 50." in text
     assert "mm from the axis of the solution" in text
-    assert conflicts(solved, base(0.03, 0.04, 0.2), frame_tolerance_m=0.06) == ()
+    assert conflicts(solved, base(0.003, 0.004, 0.2)) == ()
 
 
 def test_an_axis_that_tf_has_in_another_direction_is_told_with_the_angle(solved):

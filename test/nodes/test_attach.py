@@ -146,10 +146,10 @@ def test_viewers_come_and_go_and_one_of_them_stops_it(tmp_path, terminal):
     stuck.process.send_signal(signal.SIGSTOP)
     leaving.press(CTRL_C)
     assert leaving.process.wait(load_scaled_timeout(DEADLINE_S)) == 130
-    leaving.wait_for("left; the calibration goes on")
+    leaving.wait_for("left; the calibration continues")
     leaving.wait_for(f"rotcal attach {folder} --stop")
     steps = run.text.count("/60")
-    wait_until(lambda: run.text.count("/60") > steps + 20, "the calibration goes on")
+    wait_until(lambda: run.text.count("/60") > steps + 20, "the calibration continues")
 
     rotcal("attach", folder, "--stop")
     assert run.process.wait(load_scaled_timeout(DEADLINE_S)) == 130

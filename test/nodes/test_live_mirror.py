@@ -53,7 +53,7 @@ def resume(live):
 
 @pytest.mark.long  # test_mirror_*.py solve such plans
 def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
-    """Asked as often as there are attempts, then the calibration goes on and says what it saw."""
+    """Asked as often as there are attempts; then the calibration continues and says so."""
     live, client = cell(
         "planner.max_attempts=2",
         "simulation.tracker.displaced_nest=2",
@@ -72,7 +72,7 @@ def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
 
 @pytest.mark.long  # as is the displaced nest above
 def test_a_station_at_which_the_tracker_drifts_is_measured_again(cell):
-    """A drift without end: asked once, then the calibration goes on and says what it saw."""
+    """A drift without end: asked once, then the calibration continues and says what it saw."""
     live, client = cell(
         "planner.max_attempts=2",
         "plan.drift_limit_arcsec=4.0",
@@ -106,7 +106,7 @@ def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     resume(live)  # while the first station is measured
     answer = client.wait_for("resumed")
     assert not answer["success"]
-    assert "nothing waits for resume: the planner is calibrating" in answer["reason"]
+    assert "nothing is waiting for resume: the planner is calibrating" in answer["reason"]
     assert paused(client).startswith("put the tracker at place 2")
     client.cancel()
     outcome = client.result()

@@ -1,4 +1,4 @@
-"""Lengths while the table turns, live: a beam that breaks, an end in mid-turn, and on from there."""
+"""Lengths while the table turns, live: a beam that breaks, and a goal that ends in mid-turn."""
 
 from pathlib import Path
 

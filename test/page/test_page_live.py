@@ -78,7 +78,7 @@ def test_resume_is_refused_in_words_when_nothing_waits(cell):
     viewer.wait_for("ready")
     status, answer = viewer.post("resume", instruction="put it there")
     assert status == 409
-    assert "nothing waits for resume" in english(answer["message"])
+    assert "nothing is waiting for resume" in english(answer["message"])
 
 
 @pytest.mark.long

@@ -85,7 +85,7 @@ def test_work_that_was_not_done_well_says_what_is_wrong(shown):
     wrong = "not right yet: the tracer is 3 mm off; correct it (fix the tracer)"
     again = Task(SECOND.what, 2, 3, 1, SECOND.at, rides=True, again=True)
     page = shown(pause(again, 90.0, wrong))
-    expect(page.locator("#headline")).to_have_text("Not right yet: tracer at place 2 of 3")
+    expect(page.locator("#headline")).to_have_text("Not in place yet: tracer at place 2 of 3")
     expect(page.locator("#detail")).to_have_text(re.compile("the tracer is 3 mm off"))
 
 

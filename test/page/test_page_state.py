@@ -54,7 +54,7 @@ def asking(code, instruction):
         (HeardPlanner(ended=True, verdict="ok"),
          "done", "Finished, measurement ok", False, False),
         (replace(CALIBRATING, silent=True),
-         "failed", "The planner fell silent", False, False),
+         "failed", "The planner no longer answers", False, False),
     ],
 )  # fmt: skip
 def test_the_large_line(heard, kind, headline, resume, stop):

@@ -155,7 +155,7 @@ def test_steps_without_an_observation_are_told(every, told, tmp_path):
         if n % every or "tracer" not in m.topic
     ]
     words = read_recording(write_mcap(tmp_path / "a.mcap", kept)).warnings()[0]
-    assert words.startswith("6 of 32 steps were tried in vain, ") == told
+    assert words.startswith("6 of 32 steps failed in every attempt, ") == told
 
 
 def quarters(run, order):
@@ -230,6 +230,4 @@ def test_streams_without_any_true_time_are_told(tmp_path):
         for m in run_messages()
     ]
     path = write_mcap(tmp_path / "a.mcap", of_the_writer(by_topic(bare), published=False))
-    assert "not all of its streams have times that are true" in " ".join(
-        read_recording(path).warnings()
-    )
+    assert "not all of its streams have valid times" in " ".join(read_recording(path).warnings())

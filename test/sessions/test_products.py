@@ -14,13 +14,13 @@ from rotcal_ros.sessions.products import write_products
 def session_with(folder, result, **groups):
     """A session as far as its products look at it: a real cell whose result is there.
 
-    ``groups``: those of extensions in its configuration.
+    ``groups``: those of packages in its configuration.
     """
     place = SessionFolder(folder)
     place.result.write_text(result.to_json())
     cell = SimpleNamespace(axis="C")
     configuration = SimpleNamespace(
-        simulated=False, cell=cell, given=frozenset(groups), extensions=groups
+        simulated=False, cell=cell, given=frozenset(groups), of_packages=groups
     )
     return SimpleNamespace(folder=place, configuration=configuration)
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.controller import Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
     columns_deg,
@@ -46,6 +46,14 @@ class Fagor(Controller):
         source="CNC 8055 Installation Manual V02.2x, section 7.5.7, p. 328",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    own_settings = (
+        OwnSetting(
+            "BACKLASH (P14)",
+            "acts at every reversal; the manual does not say that a table ends this",
+            "leave it as it was during the measurement: nothing of it is in the table",
+            "CNC 8055 Installation Manual V02.2x, section 7.5.6, p. 327",
+        ),
+    )
     unverified = (
         "the text form of the file: the manual shows the table on the screen only",
         "that 'amount of error' is actual - commanded",
@@ -54,6 +62,11 @@ class Fagor(Controller):
     max_points: int = setting(
         MAX_ROWS, doc="NPOINTS (P16) of the axis", minimum=2, maximum=MAX_ROWS
     )
+
+    @property
+    def switch_on(self) -> str:
+        """The parameter of the axis."""
+        return "LSCRWCOM (P15) = ON and NPOINTS (P16) of the axis"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table; ConfigurationError for too many points or a hidden reverse column."""

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.controller import Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
     even_interval_deg,
@@ -94,8 +94,30 @@ class Fanuc(Controller):
         "sum zero, slot(reference) = last",
         unit="detection unit x magnification, whole numbers -7 .. +7",
         source="B-63980EN/01 p. 100, A-77810E, B-63522EN/02 p. 222, B-63330EN/03 p. 25",
+        verified_on="the maker's example of a rotary axis",
     )
     staircase = True
+    own_settings = (
+        OwnSetting(
+            "1851, 1852 (1800#4)",
+            "add their backlash at every reversal, first at one against the direction of the "
+            "reference return",
+            "leave them as they were during the measurement: nothing of them is in the slots",
+            "B-64120EN/01 p. 116",
+        ),
+        OwnSetting(
+            "3605#0",
+            "adds a second set of slots, from 3626 on, for the way back",
+            "has to be 0 for directions: mean, and 1 for directions: each; set by hand",
+            "A-77810E",
+        ),
+        OwnSetting(
+            "8135#0 (0i-D)",
+            "switches pitch error compensation off while it is 1",
+            "set it to 0",
+            "",
+        ),
+    )
 
     detection_unit_deg: float = setting(
         0.001, doc="deg, 0.001 (IS-B) or 0.0001 (IS-C)", minimum=1e-6, maximum=0.1
@@ -133,6 +155,14 @@ class Fanuc(Controller):
                 f"fanuc: reference_slot {self.reference_slot} is none of the {self.slots} slots "
                 f"0 .. {self.slots - 1}"
             )
+
+    @property
+    def switch_on(self) -> str:
+        """Parameter, power and reference."""
+        return (
+            f"3605#0 = {0 if self.one_direction else 1}, then power off and on, and a reference "
+            "return"
+        )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the punched parameters and pitch data of one axis.

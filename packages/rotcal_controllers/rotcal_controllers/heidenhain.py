@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.axis_location import millimetres
-from rotcal_ros.compensation.controller import Controller, Facts, Located
+from rotcal_ros.compensation.controller import Controller, Facts, Located, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
     columns_deg,
@@ -62,6 +62,32 @@ class Heidenhain(Controller):
         source="Technical Manual MANUALplus 620 pp. 716-718; TNC 407/415/425 pp. 4-26 .. 4-31",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    own_settings = (
+        OwnSetting(
+            "MP730 (bit of the axis)",
+            "selects the linear compensation, and no table, while it is 0",
+            "set the bit of the axis to 1",
+            "TNC 407/415/425 pp. 4-26, 4-28",
+        ),
+        OwnSetting(
+            "MP710 (newer: MP_backLash)",
+            "is added to the position at every reversal, beside the table",
+            "leave it as it was during the measurement: nothing of it is in the table",
+            "TNC 426/430 p. 6-36; MANUALplus 620 p. 708",
+        ),
+        OwnSetting(
+            "MP750 (newer: MP_posCtrlRevErr)",
+            "is added at every reversal, beside the table",
+            "leave it as it was during the measurement",
+            "iTNC 530 HSCI p. 650; MANUALplus 620 p. 707",
+        ),
+        OwnSetting(
+            "MP_refPosition",
+            "is what AXISPOS counts from, not the datum of the work",
+            "measure with the datum of the machine",
+            "MANUALplus 620 p. 716",
+        ),
+    )
     backlash: str = setting(
         ABSOLUTE,
         doc="BACKLASH holds errors, or differences to the other direction",
@@ -84,6 +110,14 @@ class Heidenhain(Controller):
             at = line.point
         text = "\n".join([*(f"; {line}" for line in head), "KEY       AXIS COORD", *rows])
         return Located({f"{stem}.txt": text + "\n"}, values, CHAIN_SOURCE, (LEANS,), CHAIN_OPEN)
+
+    @property
+    def switch_on(self) -> str:
+        """The line of the .CMA table."""
+        return (
+            "copy the line into the active .CMA table (config.cma), its * in the column ACTIVE; "
+            "older controls: MP730, and the line by soft key or PLC module 9095"
+        )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the .COM table and its .CMA table; ConfigurationError above 256 rows."""

@@ -14,8 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import EveryTurnController, Facts
+from rotcal_ros.compensation.controller import EveryTurnController, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
+    UnrolledTable,
     columns_deg,
     even_interval_deg,
     every_turn,
@@ -27,31 +28,11 @@ from rotcal_ros.compensation.controller_files import (
     only_file,
 )
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
 
 DECIMALS: Final = 9
 PLACES: Final = 6
-
-
-@dataclass(frozen=True, eq=False)
-class CommandedTable:
-    """Angles (n,) where the axis is to be, and those that get it there, in degrees."""
-
-    angles_deg: Floats
-    commanded_deg: Floats
-
-    def correction(self, angle: Floats, approach: Approach) -> Floats:
-        """Return the radians that are added to the command at ``angle`` (rad, not wrapped).
-
-        The same in both directions. Beyond the table the end row is held here; what the control
-        does there is not documented, and nothing is proven there.
-        """
-        added = self.commanded_deg - self.angles_deg
-        at = np.asarray(angle) / DEGREE
-        return np.asarray(np.interp(at, self.angles_deg, added) * DEGREE, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -65,13 +46,27 @@ class Kflop(EveryTurnController):
         wrap="none: rows repeated for each turn",
         unit="degrees, 9 decimals",
         source="Dynomotion Wiki, Linear Table Correction (06/2024); Dynomotion Forum, topic 1870",
+        verified_on="the maker's example",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    own_settings = (
+        OwnSetting(
+            "BacklashMode, BacklashAmount",
+            "of the axis channel act beside the table",
+            "leave them as they were during the measurement",
+            "",
+        ),
+    )
     one_direction = True
     unverified = (
         "the two columns of a point: read off a user's table in the maker's forum",
         "what the control does beyond the table: keep the travel inside",
     )
+
+    @property
+    def switch_on(self) -> str:
+        """The screen that takes the file."""
+        return "Linear Table Correction of the axis in KMotionCNC, with the name of the file"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table; ConfigurationError for an arc or uneven rows."""
@@ -83,7 +78,7 @@ class Kflop(EveryTurnController):
         lines = [f"{k},{fixed(value, DECIMALS)}" for k, value in enumerate(angles + added)]
         return {f"{stem}.txt": "\n".join([*head, *lines]) + "\n"}
 
-    def read(self, files: Mapping[str, str]) -> CommandedTable:
+    def read(self, files: Mapping[str, str]) -> UnrolledTable:
         """Read the table back; BagError unless it has all points, and covers the travel."""
         name, text = only_file(files, ".txt")
         head, lines = text.splitlines()[:3], text.splitlines()[3:]
@@ -94,13 +89,8 @@ class Kflop(EveryTurnController):
         index, commanded = numbers(name, lines, 2, ",").T
         if count != len(lines) or not np.array_equal(index, np.arange(count)):
             raise BagError(f"{name}: {len(lines)} points, expected {count}: 0, 1, .. {count - 1}")
-        first, last = (end / DEGREE for end in self.travel)
-        if begin != first or abs(begin + spacing * (count - 1) - last) > 1e-3:
-            raise BagError(
-                f"{name}: {count} points every {spacing:g} deg from {begin:g}, expected "
-                f"{first:g} .. {last:g} deg"
-            )
-        return CommandedTable(begin + spacing * index, commanded)
+        added = commanded - (begin + spacing * index)
+        return UnrolledTable.evenly(name, (begin, spacing), (added, added), self.travel, DEGREE)
 
     def resolution(self, table: CompensationTable) -> float:
         """Return the last decimal, in rad."""

@@ -11,32 +11,39 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.controller import Comment, Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
+    backlash_note,
     columns_deg,
     even_interval_deg,
     integer,
     mean_deg,
     only_file,
     require_zero_at_start,
-    with_line,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.untrusted import read_bytes, reading
 
 FRACTION: Final = 16
 LARGEST: Final = 8_388_607
 """The largest value of Ixx85 and Ixx86."""
 BLCOMP: Final = "blcomp"
+NOT_KNOWN: Final = (
+    "during the measurement is not known: the file overwrites it, and what it corrected is then "
+    "missing (setting backlash_sixteenths, 0 for none, or machine_file)"
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,7 @@ class Pmac(Controller):
     """Delta Tau PMAC and Turbo PMAC."""
 
     suffixes = (".pmc",)
+    comment = Comment(".pmc", 0, "; {}")
     facts = Facts(
         title="Delta Tau PMAC",
         sign="entry = -(actual - commanded), added to the desired position",
@@ -51,6 +59,27 @@ class Pmac(Controller):
         unit="whole numbers of 1/16 count",
         source="Turbo PMAC User Manual pp. 189-192; Turbo PMAC Software Reference pp. 148, 303; "
         "PMAC Software Reference pp. 207-211",
+        verified_on="the maker's example",
+    )
+    own_settings = (
+        OwnSetting(
+            "Ixx86, Ixx85",
+            "are overwritten by the way back: a backlash in force would be lost",
+            "Ixx86 goes into the table: read from machine_file, or stated by backlash_sixteenths",
+            "Turbo PMAC User Manual p. 191; PMAC Software Reference pp. 120, 207",
+        ),
+        OwnSetting(
+            "I51",
+            "switches on the tables of all motors, those of others too",
+            "look first which other motors have tables",
+            "PMAC Software Reference p. 207",
+        ),
+        OwnSetting(
+            "Ixx87 (Turbo)",
+            "a reversal shorter than this counts as none",
+            "keep it below the reversals of the work",
+            "Turbo PMAC Software Reference p. 148",
+        ),
     )
 
     motor: int = setting(1, doc="number of the motor", minimum=1, maximum=32)
@@ -69,10 +98,63 @@ class Pmac(Controller):
         doc="Ixx85, 1/16 count per background cycle; 0 would switch the way back off",
     )
 
+    backlash_sixteenths: int | None = setting(
+        None,
+        minimum=0,
+        maximum=LARGEST,
+        doc="1/16 count, Ixx86 of the motor during a measurement without table; none: that of "
+        "machine_file",
+    )
+    machine_file: str = setting(
+        "", doc="text file with the variables of the motor, in lines such as I186=120"
+    )
+
     @property
     def one_direction(self) -> bool:
         """Whether COMP alone is written."""
         return self.reversal != BLCOMP
+
+    def for_axis(self, axis: str) -> Pmac:
+        """Return the controller with Ixx86 from the machine's file; 0 where Ixx85 is 0.
+
+        Raises ConfigurationError when the file cannot be read or does not state both.
+        """
+        if not self.machine_file or self.backlash_sixteenths is not None:
+            return self
+        path = Path(self.machine_file)
+        with reading(path, ConfigurationError, "the variables of the motor "):
+            text = read_bytes(path).decode("latin-1")
+        rate, home = (
+            re.search(rf"^\s*I{self.motor}{n}\s*=\s*(\d+)\s*$", text, re.MULTILINE)
+            for n in (85, 86)
+        )
+        if rate is None or home is None:
+            raise ConfigurationError(
+                f"{path}: expected lines I{self.motor}85=... and I{self.motor}86=...; add them, "
+                "or state backlash_sixteenths"
+            )
+        return replace(self, backlash_sixteenths=int(home[1]) if int(rate[1]) else 0)
+
+    def without_table(self, approach: Approach) -> float:
+        """Return Ixx86 taken off from above, if the file overwrites it."""
+        if approach is Approach.POSITIVE or self.one_direction:
+            return 0.0
+        return -(self.backlash_sixteenths or 0) * self._unit_deg * DEGREE
+
+    def replaced(self, table: CompensationTable) -> str:
+        """Say what became of Ixx86, which the file overwrites if the directions differ."""
+        if self.one_direction:
+            return ""
+        if self.backlash_sixteenths is None:
+            return f"I{self.motor}86 {NOT_KNOWN}" if table.directional else ""
+        amount = -self.without_table(Approach.NEGATIVE)
+        about = f"I{self.motor}86 = {self.backlash_sixteenths}, which the file overwrites,"
+        return backlash_note(about, amount, table)
+
+    @property
+    def switch_on(self) -> str:
+        """The variable of all tables; it is in the file."""
+        return "I51=1 (in the file), then home the motor"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the on-line commands; ConfigurationError unless zero stays zero.
@@ -95,10 +177,6 @@ class Pmac(Controller):
         if both:
             lines += self._way_back(comp - back, n)
         return {f"{stem}.pmc": "\n".join([*lines, "I51=1"]) + "\n"}
-
-    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return the files with a comment, which the host takes out."""
-        return with_line(files, ".pmc", 0, f"; {text}")
 
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read the commands back; BagError unless both tables are complete and end with zero."""

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.axis_location import millimetres
-from rotcal_ros.compensation.controller import Controller, Facts, Located
+from rotcal_ros.compensation.controller import Comment, Controller, Facts, Located, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
     columns_deg,
@@ -29,7 +29,6 @@ from rotcal_ros.compensation.controller_files import (
     number,
     only_file,
     require_at_most,
-    with_line,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
@@ -55,6 +54,7 @@ class Sinumerik(Controller):
     """Siemens SINUMERIK with one ENC_COMP table, or two CEC tables for two directions."""
 
     suffixes = (".ini",)
+    comment = Comment(".ini", 2, "; {}")
     facts = Facts(
         title="Siemens SINUMERIK",
         sign="ENC_COMP value = actual - commanded (positive moves the axis in negative direction)",
@@ -64,6 +64,44 @@ class Sinumerik(Controller):
         "808D Function Manual (01/2017) pp. 106-109",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
+    own_settings = (
+        OwnSetting(
+            "MD32450 BACKLASH",
+            "adds to the table, for each measuring system, once the axis is referenced",
+            "leave it as it was during the measurement: nothing of it is in the table",
+            "6FC5397-1BP40-3BA1 (03/2013) p. 234; 6FC5397-8EP40-0BA0 (08/2013) p. 228",
+        ),
+        OwnSetting(
+            "MD32700 ENC_COMP_ENABLE",
+            "locks ENC_COMP against writing while it is 1",
+            "set it to 0 before the file is loaded, and to 1 after it",
+            "6FC5397-1BP40-3BA1 (03/2013) pp. 237-264",
+        ),
+        OwnSetting(
+            "measuring system of the axis",
+            "a table acts only with the measuring system that it is for",
+            "state the active one: measuring_system",
+            "6FC5397-1BP40-3BA1 (03/2013) p. 238",
+        ),
+        OwnSetting(
+            "MD32710 CEC_ENABLE, SD41300",
+            "switch a CEC table off while either is 0",
+            "set both to 1 for tables: cec",
+            "6FC5397-1BP40-3BA1 (03/2013) p. 245",
+        ),
+        OwnSetting(
+            "SD41310 CEC_TABLE_WEIGHT",
+            "multiplies the values of a CEC table",
+            "set it to 1 for tables: cec",
+            "",
+        ),
+        OwnSetting(
+            "MD32720 CEC_MAX_SUM",
+            "limits the sum of all CEC tables of the axis",
+            "keep it above the largest value in the file",
+            "",
+        ),
+    )
 
     tables: str = setting(
         ENC_COMP,
@@ -96,6 +134,16 @@ class Sinumerik(Controller):
             "the sign of $AN_CEC: the manual's pages at hand do not state it; test with one point",
         )
 
+    @property
+    def switch_on(self) -> str:
+        """What has to be set, and that the axis has to be referenced."""
+        if self.tables == ENC_COMP:
+            return "MD32700 ENC_COMP_ENABLE = 1 of the measuring system, then reference the axis"
+        return (
+            "SD41300 $SN_CEC_TABLE_ENABLE of both tables = 1, MD32710 CEC_ENABLE of the axis = 1, "
+            "then reference the axis"
+        )
+
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return one archive file; raises ConfigurationError when the points are too many."""
         spacing = even_interval_deg(table, "SINUMERIK", STEP_DEG)
@@ -117,10 +165,6 @@ class Sinumerik(Controller):
             lines += _cec(self.first_cec_table, axis, self._cec_sign * up, spacing, 1)
             lines += _cec(self.first_cec_table + 1, axis, self._cec_sign * down, spacing, -1)
         return {f"{stem}.ini": "\n".join([*lines, "M17"]) + "\n"}
-
-    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return the files with a comment below the head."""
-        return with_line(files, ".ini", 2, f"; {text}")
 
     def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
         """Return machine data of a five-axis transformation with a swivel table (type 40).

@@ -84,6 +84,7 @@ class Smoothieware(EveryTurnController):
         unit="single precision, about 0.1 arcsec up to 512 deg",
         source="Carvera_Community_Firmware, proposal 221 (02/2026): PitchCompensation.cpp, "
         "Robot.cpp",
+        verified_on="the source of the firmware",
     )
     one_direction = True
     unverified = (
@@ -94,6 +95,11 @@ class Smoothieware(EveryTurnController):
     letter: str = setting(
         "X", doc="axis of the control that drives the table", choices=("X", "Y", "Z")
     )
+
+    @property
+    def switch_on(self) -> str:
+        """Where the points go, and the command that loads them."""
+        return "copy the points to /sd/pitch_compensation.dat, then M381.3"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the points; ConfigurationError unless the table is zero at 0 and holds 0."""

@@ -7,30 +7,43 @@ modulo list the first and the last entry are the same: it ends with the row at 3
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_controllers import isg_volumetric
+from rotcal_ros.compensation.controller import (
+    Comment,
+    ComponentErrors,
+    Controller,
+    Facts,
+    OwnSetting,
+    Volumetric,
+)
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
+    backlash_note,
     columns_deg,
     even_interval_deg,
     integer,
     matches,
     only_file,
     require_at_most,
-    with_line,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
 
 UNIT_DEG: Final = 1e-4
 TURN_UNITS: Final = 3_600_000
+NOT_KNOWN: Final = (
+    "P-AXIS-00103 during the measurement is not known: whether a backlash compensation acts "
+    "beside a list of both directions is not documented (setting backlash_deg, 0 for none)"
+)
 
 
 @dataclass(frozen=True)
@@ -38,12 +51,34 @@ class TwinCat(Controller):
     """Beckhoff TwinCAT CNC and the ISG kernel."""
 
     suffixes = (".lis",)
+    comment = Comment(".lis", 0, "# {}")
     facts = Facts(
         title="Beckhoff TwinCAT CNC / ISG",
         sign="value = actual - commanded",
         wrap="kw.ssfk.modulo 1, rows from 0 to 360, the last equal to the first",
         unit="whole numbers of 0.0001 deg (0.36 arcsec)",
         source="Beckhoff TF5200 axis compensation, P-COMP-00017 .. 00025, 00059",
+    )
+    own_settings = (
+        OwnSetting(
+            "P-AXIS-00021, P-AXIS-00103",
+            "are unnecessary beside a list of both directions; whether they still act is not said",
+            "what P-AXIS-00103 was during the measurement goes into such a list, stated by "
+            "backlash_deg; P-AXIS-00021 has to be 0 from then on",
+            "Beckhoff TF5200, 308683659, 308651403",
+        ),
+        OwnSetting(
+            "P-AXIS-00243 n_backlash_cyc",
+            "spreads the jump at a reversal over so many cycles",
+            "let the axis come to rest before it is measured",
+            "Beckhoff TF5200, 308693899",
+        ),
+        OwnSetting(
+            "kw.ssfk.manual_activation",
+            "leaves the table off until the program switches it on",
+            "is not in the list, so that the control switches the table on",
+            "Beckhoff TF5200, 308687883",
+        ),
     )
 
     max_points: int = setting(
@@ -57,6 +92,28 @@ class TwinCat(Controller):
         doc="logical number of the axis, for the list header (kopf.achs_nr); 0: no header, the "
         "System Manager writes it",
     )
+    backlash_deg: float | None = setting(
+        None,
+        minimum=0.0,
+        doc="deg, P-AXIS-00103 during a measurement without table; 0: none, or P-AXIS-00021 is 0",
+    )
+
+    def without_table(self, approach: Approach) -> float:
+        """Return the backlash, taken off from above."""
+        lost = (self.backlash_deg or 0.0) * DEGREE
+        return 0.0 if approach is Approach.POSITIVE else -lost
+
+    def replaced(self, table: CompensationTable) -> str:
+        """Say what became of the backlash compensation beside a list of both directions."""
+        if self.backlash_deg is None:
+            return NOT_KNOWN if table.directional else ""
+        about = f"P-AXIS-00103 = {self.backlash_deg:g} deg (set P-AXIS-00021 to 0)"
+        return backlash_note(about, self.backlash_deg * DEGREE, table)
+
+    @property
+    def switch_on(self) -> str:
+        """The parameter of the axis."""
+        return "P-AXIS-00175 lr_param.ssfk 1, the list named in the start-up list, axis homed"
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the compensation list; raises ConfigurationError above ``max_points``."""
@@ -88,10 +145,6 @@ class TwinCat(Controller):
                 lines.append(f"kw.ssfk.table[{k}].neg {neg[k]}")
         return {f"{stem}.lis": "\n".join(lines) + "\n"}
 
-    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return the files with a comment."""
-        return with_line(files, ".lis", 0, f"# {text}")
-
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read a compensation list; BagError unless it is one turn in units of 0.0001 deg."""
         name, text = only_file(files, ".lis")
@@ -113,6 +166,16 @@ class TwinCat(Controller):
             raise BagError(f"{name}: {error.args[0]} is missing, of {n} points") from error
         up, down = (np.array(column, dtype=np.int64) for column in (pos, neg))
         return PeriodicTable(name, np.linspace(0.0, 360.0, n), up, down, -UNIT_DEG * DEGREE)
+
+    def write_components(
+        self, errors: ComponentErrors, stem: str, head: Sequence[str]
+    ) -> Volumetric:
+        """Return a parameter file of the volumetric compensation."""
+        return isg_volumetric.write(errors, stem, head, self.axis_number)
+
+    def read_components(self, files: Mapping[str, str]) -> ComponentErrors:
+        """Read such a file back."""
+        return isg_volumetric.read(files)
 
     def resolution(self, table: CompensationTable) -> float:
         """Return 0.0001 deg, in rad."""

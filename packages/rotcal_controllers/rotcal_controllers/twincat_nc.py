@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.controller import Comment, Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
     columns_deg,
@@ -24,7 +24,6 @@ from rotcal_ros.compensation.controller_files import (
     mean_deg,
     number,
     only_file,
-    with_line,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
@@ -60,6 +59,7 @@ class TwinCatNc(Controller):
     """Beckhoff TwinCAT NC PTP with Tc2_MC2."""
 
     suffixes = (".st",)
+    comment = Comment(".st", 0, "(* {} *)")
     facts = Facts(
         title="Beckhoff TwinCAT NC",
         sign="compensation = -(actual - commanded), additive",
@@ -70,6 +70,20 @@ class TwinCatNc(Controller):
         "E_WorkDirection; TF50x0: Position Correction",
     )
     position_resolution = 10.0**-PLACES * DEGREE
+    own_settings = (
+        OwnSetting(
+            "MC_BacklashCompensation",
+            "works by the same Position Correction, and both would write it",
+            "add both sums by MC_PositionCorrectionLimiter; leave it as it was in the measurement",
+            "Beckhoff Tc2_MC2, 9760638347",
+        ),
+        OwnSetting(
+            "Backlash Compensation of the axis",
+            "is there for old projects, and acts beside the table",
+            "leave it as it was during the measurement",
+            "Beckhoff Tc2_MC2, 9760638347",
+        ),
+    )
 
     directions: str = setting(
         MEAN,
@@ -92,6 +106,11 @@ class TwinCatNc(Controller):
         """What has not yet been confirmed on a real control."""
         return OPEN if self.one_direction else (*OPEN, TWO_BLOCKS)
 
+    @property
+    def switch_on(self) -> str:
+        """Parameter of the axis and the block."""
+        return "Position Correction of the axis, then Enable of MC_TableBasedPositionCompensation"
+
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the declarations; ConfigurationError for an arc or uneven rows."""
         even_interval_deg(table, "TwinCAT NC", 10.0**-PLACES)
@@ -104,14 +123,10 @@ class TwinCatNc(Controller):
             lines += _declaration(f"{table.axis}_{way}", way, angles, column * self._sign)
         return {f"{stem}.st": "\n".join([*lines, "END_VAR"]) + "\n"}
 
-    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return the files with a comment."""
-        return with_line(files, ".st", 0, f"(* {text} *)")
-
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read the declarations back; BagError unless they are one table, or one for each way."""
         name, text = only_file(files, ".st")
-        body = re.fullmatch(r"(?:\(\*[^*]*\*\)\n)?VAR_GLOBAL\n(.*)END_VAR\n", text, re.DOTALL)
+        body = re.fullmatch(r"(?:\(\*[^*]*\*\)\n)*VAR_GLOBAL\n(.*)END_VAR\n", text, re.DOTALL)
         found = list(TABLE.finditer(body[1])) if body else []
         if body is None or TABLE.sub("", body[1]):
             raise BagError(f"{name}: expected exactly VAR_GLOBAL, parameters and a table, END_VAR")

@@ -75,6 +75,62 @@ def smoothieware(files):
     return lambda at, _: np.interp(at, grid, total) - at
 
 
+def aerotech(files):
+    """Arcseconds from 0 on, every SAMPLEDIST; the program that wrote them negates the error."""
+    text = re.sub("^;.*\n", "", text_of(files, ".cal"), flags=re.MULTILINE)
+    head, *values = text.replace("\n:END\n", "").split("\n")
+    assert head.startswith(":START 1 ")
+    assert "CORUNIT=PRIMARY/3600" in head
+    added = np.array(" ".join(values).split(), dtype=float)
+    at = np.arange(len(added)) * float(re.search(r"SAMPLEDIST=(\S+)", head)[1])
+    return lambda angle, _: np.interp(angle, at, added) / 3600
+
+
+def acs(files):
+    text = text_of(files, ".prg")
+    added = np.array(re.findall(r"^C_CORRECTION\(\d+\)=(\S+)$", text, re.MULTILINE), dtype=float)
+    base, step = map(float, re.search(r"^ERRORMAP1D 0, 0, (\S+), (\S+), ", text, re.M).groups())
+    assert text.endswith("ERRORMAPON 0, 0\nSTOP\n")
+    at = base + step * np.arange(len(added))
+    return lambda angle, _: np.interp(angle, at, added)
+
+
+def mach4(files):
+    at, up, down = np.loadtxt(text_of(files, ".txt").splitlines()[4:]).T
+    return lambda angle, rising: np.interp(angle, at, up if rising else down)
+
+
+def centroid(files):
+    at, up, down = np.loadtxt(text_of(files, ".tab").splitlines()[5:]).T
+    return lambda angle, rising: np.interp(angle, at, up if rising else down)
+
+
+def encoder_lut(files):
+    """The reading less the offset, linear between two of the entries, of 3600000 counts a turn.
+
+    The table stands where the corrected reading is the wanted angle: sought by bisection.
+    """
+    text = text_of(files, ".h").split("{")[1]
+    offset = np.array(re.findall(r"-?\d+", text), dtype=float) * 1e-4
+    n = len(offset)
+
+    def corrected(reading):
+        place = np.mod(reading, 360.0) * n / 360.0
+        low = np.floor(place).astype(int) % n
+        share = place - np.floor(place)
+        return reading - (1.0 - share) * offset[low] - share * offset[(low + 1) % n]
+
+    def correction(at, _):
+        low, high = at - 1.0, at + 1.0
+        for _ in range(50):
+            middle = (low + high) / 2.0
+            beyond = corrected(middle) > at
+            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+        return (low + high) / 2.0 - at
+
+    return correction
+
+
 def heidenhain(files):
     _, angle, backlash, up = np.loadtxt(text_of(files, ".COM").splitlines()[2:-1]).T
     return every_turn(angle, up, backlash, -1.0)
@@ -131,6 +187,12 @@ CONTROLS = {
     "twincat_nc each": Control("twincat_nc", twincat_nc, {"directions": "each"}),
     "kflop": Control("kflop", kflop, {"turns": 2, "first_turn": -1}),
     "smoothieware": Control("smoothieware", smoothieware, {}),
+    "aerotech": Control("aerotech", aerotech, {"turns": 3}),
+    "acs": Control("acs", acs, {"turns": 2, "first_turn": -1}),
+    "mach4": Control("mach4", mach4, {"turns": 2, "first_turn": -1}),
+    "mach4 each": Control("mach4", mach4, {"directions": "each"}),
+    "centroid": Control("centroid", centroid, {"turns": 2, "first_turn": -1}),
+    "encoder_lut": Control("encoder_lut", encoder_lut, {"counts_per_turn": 3_600_000}),
     "heidenhain": Control("heidenhain", heidenhain, {}),
     "fagor": Control("fagor", fagor, {}),
     "pmac": Control("pmac", pmac, {"counts_per_turn": 3_600_000}),

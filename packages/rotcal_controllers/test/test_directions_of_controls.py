@@ -9,7 +9,8 @@ from test_two_directions import RANDOM, remove_curves, remove_play
 
 from rotcal_ros.foundation.errors import ConfigurationError
 
-ONE_COLUMN = ("sinumerik", "fanuc", "twincat_nc", "kflop", "smoothieware")
+ONE_COLUMN = ("sinumerik", "fanuc", "twincat_nc", "kflop", "smoothieware", "aerotech", "acs",
+              "mach4", "encoder_lut")  # fmt: skip
 STAIRCASE = {"fanuc each": 1.1}
 """Steps of 0.36 arcsec leave more than lines between rows."""
 

@@ -81,6 +81,37 @@ FILES = {
         "x.txt": "5\n90.000000\n0.000000\n0,0.000000000\n1,89.995000000\n2,180.003000000\n"
         "3,269.999000000\n4,360.000000000\n",
     }),
+    "aerotech": ({"axis_number": 4}, {
+        "x.cal": ":START 4 SAMPLEDIST=90.000000 POSUNIT=PRIMARY CORUNIT=PRIMARY/3600\n"
+        "0.0000 -18.0000 10.8000 -3.6000 0.0000\n:END\n",
+    }),
+    "acs": ({"axis_number": 2, "zone": 1}, {
+        "x.prg": "GLOBAL REAL C1_CORRECTION(5)\nC1_CORRECTION(0)=0.000000000\n"
+        "C1_CORRECTION(1)=-0.005000000\nC1_CORRECTION(2)=0.003000000\n"
+        "C1_CORRECTION(3)=-0.001000000\nC1_CORRECTION(4)=0.000000000\nERRORUNMAP 2, 1\n"
+        "ERRORMAP1D 2, 1, 0.000000, 90.000000, C1_CORRECTION\nERRORMAPON 2, 1\nSTOP\n",
+    }),
+    "centroid": ({}, {  # a head as in the lathe's cnc-x.tab
+        "x.tab": "CNC10 TAB FILE VERSION 3\nAXIS C1\nUNITS MM\nINTERVAL 90.0000\nENTRIES 5\n"
+        "0.0000\t0.00000\t0.00200\n90.0000\t-0.00500\t-0.00300\n"
+        "180.0000\t0.00300\t0.00500\n270.0000\t-0.00100\t0.00100\n"
+        "360.0000\t0.00000\t0.00200\n",
+    }),
+    "mach4": ({"directions": "each"}, {
+        "x.txt": "Start Point 0.000000\nLength 360.000000\nNumber of Points 5\n"
+        "Position Error positive Error negative\n0.000000 0.000000 0.002000\n"
+        "90.000000 -0.005000 -0.003000\n180.000000 0.003000 0.005000\n"
+        "270.000000 -0.001000 0.001000\n360.000000 0.000000 0.002000\n",
+    }),
+    "encoder_lut": ({"points": 4, "counts_per_turn": 360_000}, {
+        "x.h": "int16_t encoder_lut[4] = {\n0, -5, 3, -1\n};\n",
+    }),
+    "encoder_lut simplefoc": ({"points": 4, "form": "simplefoc"}, {
+        "x.h": "uint16_t calibrationLut[4] = {\n32767, 32766, 32768, 32767\n};\n",
+    }),
+    "encoder_lut servo": ({"points": 4, "form": "servo", "counts_per_turn": 40_000}, {
+        "x.h": "uint16_t FlashCalData[4] = {\n0, 9999, 20000, 30000\n};\n",
+    }),
     "twincat_nc each": ({"directions": "each"}, {
         "x.st": "VAR_GLOBAL\n" + nc_table("Positive", UP) + nc_table("Negative", DOWN)
         + "END_VAR\n",
@@ -253,7 +284,7 @@ def test_the_list_header_of_twincat_names_the_axis():
     np.testing.assert_array_equal(*read)
 
 
-WITH_COMMENTS = {"sinumerik", "twincat", "twincat_nc", "pmac"}
+WITH_COMMENTS = {"sinumerik", "twincat", "twincat_nc", "pmac", "aerotech", "acs", "encoder_lut"}
 
 
 @pytest.mark.parametrize("name", CONTROLS)

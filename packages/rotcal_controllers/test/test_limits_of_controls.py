@@ -39,15 +39,16 @@ def test_the_limit_itself_fits_and_one_more_does_not(name, settings, most, words
 def test_travel_and_columns(name):
     """docs/compensation.md: controls that wrap by themselves are proven from -360 to 720 deg."""
     controller = make_controller(name)
-    turns = name in ("kflop", "smoothieware")
+    turns = name in ("kflop", "smoothieware", "aerotech", "acs", "mach4", "centroid")
     travel = (0.0, TAU) if turns else (-TAU, 2.0 * TAU)
     assert controller.travel == pytest.approx(travel)
     assert controller.staircase is (name == "fanuc")
-    one_column = ("fanuc", "sinumerik", "twincat_nc", "kflop", "smoothieware")
+    one_column = ("fanuc", "sinumerik", "twincat_nc", "kflop", "smoothieware", "aerotech", "acs",
+                  "mach4", "encoder_lut")  # fmt: skip
     assert controller.one_direction is (name in one_column)
 
 
-@pytest.mark.parametrize("name", ["kflop", "smoothieware"])
+@pytest.mark.parametrize("name", ["kflop", "smoothieware", "acs", "mach4", "centroid"])
 def test_the_travel_is_that_of_the_turns(name):
     controller = make_controller(name, {"first_turn": -2, "turns": 5})
     assert controller.travel == pytest.approx((-2.0 * TAU, 3.0 * TAU))
@@ -62,6 +63,12 @@ def test_the_travel_is_that_of_the_turns(name):
         ("twincat", {}, 1e-4, 0.0),
         ("twincat_nc", {}, 1e-9, 1e-6),
         ("kflop", {}, 1e-9, 1e-6),
+        ("aerotech", {}, 1e-4 / 3600.0, 1e-6),
+        ("acs", {}, 1e-9, 1e-6),
+        ("mach4", {}, 1e-6, 1e-6),
+        ("centroid", {}, 1e-5, 1e-4),
+        ("encoder_lut", {"counts_per_turn": 3600}, 0.1, 0.0),
+        ("encoder_lut", {"form": "simplefoc"}, np.rad2deg(1.0 / 10430.2191955), 0.0),
         ("pmac", {"counts_per_turn": 3600}, 2.0 * 0.1 / 16.0, 0.0),
         ("fanuc", {"magnification": 3, "detection_unit_deg": 0.01}, 0.03, 0.0),
         ("fanuc", {}, 0.002, 0.0),
@@ -81,7 +88,8 @@ def test_steps_of_values_and_positions(name, settings, value_deg, place_deg):
 @pytest.mark.parametrize(
     ("name", "title"),
     [("fanuc", "Fanuc"), ("pmac", "PMAC"), ("sinumerik", "SINUMERIK"), ("twincat", "TwinCAT CNC"),
-     ("twincat_nc", "TwinCAT NC"), ("kflop", "KFLOP")],
+     ("twincat_nc", "TwinCAT NC"), ("kflop", "KFLOP"), ("aerotech", "Aerotech"), ("acs", "ACS"),
+     ("mach4", "Mach4"), ("encoder_lut", "encoder_lut"), ("centroid", "Centroid")],
 )  # fmt: skip
 def test_uneven_rows_are_refused_by_name(name, title):
     angles = even(12)
@@ -94,7 +102,9 @@ def test_uneven_rows_are_refused_by_name(name, title):
     ("name", "title"),
     [("fanuc", "Fanuc"), ("pmac", "PMAC"), ("sinumerik", "SINUMERIK"), ("twincat", "TwinCAT CNC"),
      ("heidenhain", "Heidenhain"), ("fagor", "Fagor 8055"), ("twincat_nc", "TwinCAT NC"),
-     ("kflop", "KFLOP"), ("smoothieware", "Smoothieware")],
+     ("kflop", "KFLOP"), ("smoothieware", "Smoothieware"), ("aerotech", "Aerotech"),
+     ("acs", "ACS"), ("mach4", "Mach4"), ("encoder_lut", "encoder_lut"),
+     ("centroid", "Centroid")],
 )  # fmt: skip
 def test_an_arc_is_refused_by_name(name, title):
     words = rf"^{title} takes a table of a whole turn, and this one covers only 0 \.\. 19\.5 deg: "
@@ -274,6 +284,7 @@ def test_a_table_that_is_no_whole_turn_is_refused(name, values, files, text):
         ("fagor", {"max_points": 30}, 36, r"37, and the controller holds 30"),
         ("pmac", {"counts_per_turn": 1000}, 36, r"whole steps of 0.36 deg"),
         ("twincat", {}, 7, r"whole steps of 0.0001 deg"),
+        ("encoder_lut", {"points": 200}, 100, r"100 rows, and the firmware has 200 values"),
     ],
 )
 def test_limits_are_errors_with_the_number(name, values, rows, text):
@@ -299,6 +310,13 @@ def test_limits_are_errors_with_the_number(name, values, rows, text):
         ("pmac", {"reversal": "none"}),
         ("twincat_nc", {"directions": "both"}),
         ("kflop", {"turns": 0}),
+        ("aerotech", {"axis_number": 0}),
+        ("aerotech", {"first_turn": -1}),
+        ("acs", {"zone": -1}),
+        ("mach4", {"directions": "both"}),
+        ("centroid", {"units": "DEG"}),
+        ("encoder_lut", {"form": "as5600"}),
+        ("encoder_lut", {"points": 65537}),
         ("smoothieware", {"letter": "A"}),
     ],
 )

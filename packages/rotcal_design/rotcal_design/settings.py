@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, ClassVar, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.protection import TOLERABLE
@@ -141,15 +141,18 @@ class TracerDesignSettings(TableAngleSettings):
         maximum=1000,
         doc="how often a pair of table angle and target may be measured",
     )
-    min_redundancy: float = expert(
-        LEAST_REDUNDANCY,
-        minimum=0.0,
-        maximum=0.9,
-        doc="least redundancy that every length must have",
-    )
-    max_undetected: float = expert(
-        1.0, doc="largest effect of an undetected error of one length, in U of ECC", minimum=0.01
-    )
+    min_redundancy: ClassVar[
+        Annotated[
+            float,
+            "below it the residuals hardly show an error of the length",
+        ]
+    ] = LEAST_REDUNDANCY
+    max_undetected: ClassVar[
+        Annotated[
+            float,
+            "an error that nothing shows may be as large as U and no larger",
+        ]
+    ] = 1.0
     rejection_significance: float = expert(
         0.01,
         minimum=1e-9,
@@ -157,9 +160,7 @@ class TracerDesignSettings(TableAngleSettings):
         doc="probability of rejecting any length at all when all are good, as "
         "solver.rejection_significance",
     )
-    power: float = expert(
-        0.8, doc="probability that an error is detected", minimum=0.5, maximum=0.9999
-    )
+    power: ClassVar[Annotated[float, "the usual power of Baarda's minimal detectable error"]] = 0.8
     checked: bool = setting(
         True, doc="every length is checked by others; false: the fewest lengths, unchecked"
     )
@@ -170,11 +171,12 @@ class TracerDesignSettings(TableAngleSettings):
         3, doc="number of searches, of which the best counts", minimum=1, maximum=100
     )
     seed: int = expert(0, doc="seed of the random numbers of the search", minimum=0)
-    max_unseen: float = expert(
-        TOLERABLE,
-        doc="largest error of an unseen drift or knock in the order, in standard uncertainties",
-        minimum=0.01,
-    )
+    max_unseen: ClassVar[
+        Annotated[
+            float,
+            "as rotcal plan sequence has it, where --limit changes it",
+        ]
+    ] = TOLERABLE
     length_s: float = setting(
         5.0, doc="s, time for a length, without turns of the table", minimum=0.0
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from rotcal_ros.foundation.language import noted
 from rotcal_ros.foundation.settings import expert, setting
@@ -47,13 +47,12 @@ class HistorySettings:
     longest_days: float = expert(
         1825.0, doc="days, longest interval of any table", minimum=1.0, maximum=LONGEST_DAYS
     )
-    common_share: float = expert(
-        0.5,
-        doc="share of the variance that calibrations with the same artefact or instrument have "
-        "in common",
-        minimum=0.0,
-        maximum=1.0,
-    )
+    common_share: ClassVar[
+        Annotated[
+            float,
+            "nobody knows it; half a variance is least wrong if it is none or all of it",
+        ]
+    ] = 0.5
     period_s: float = expert(
         60.0, doc="s, time between two looks of the node calibration_status", minimum=1.0
     )

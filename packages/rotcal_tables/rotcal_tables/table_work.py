@@ -36,6 +36,7 @@ from rotcal_ros.methods.configuration import (
     parse_configuration,
     read_configuration,
 )
+from rotcal_ros.methods.fitting import fitting_methods
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements, usable_methods
 from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
@@ -157,6 +158,11 @@ def at_boxes(text: str, method: str) -> str:
 def _in_words(question: Question, asked: Asked) -> Reply:
     answers = [(value, asked.describe(words)) for value, words in question.answers]
     return {"setting": question.setting, "answers": answers}
+
+
+def fitted(asked: Asked) -> Reply:
+    """Return the methods whose columns the table has."""
+    return {"methods": [m.name for m in fitting_methods(asked.folder / PLACES[TABLE])]}
 
 
 def explained(asked: Asked) -> Reply:
@@ -289,6 +295,7 @@ def for_controller(asked: Asked) -> Reply:
 
 
 WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
+    "fit": fitted,
     "explain": explained,
     "solve": solved,
     "report": reported,

@@ -343,7 +343,7 @@ def test_a_controller_gets_its_files_once_it_is_said_what_was_in_force(visitor):
         assert visitor.drop("in_force", name, visitor.made(name).content).status_code == 200
     error = visitor.work("controller", **FOR_CSV | {"in_force": "add"})["error"]
     assert error["text"].startswith(
-        "not added: the table in force does not do what it should: it is inactive"
+        "not added: the table in force does not act as it should: it is inactive"
     )
     assert "+1.0" in error["text"]  # what it does of what it should
     error = visitor.work("controller", **FOR_CSV | {"controller": "cvs"})

@@ -115,6 +115,36 @@ def test_a_table_is_dropped_solved_and_taken_along(opened, tmp_path):
     assert page.evaluate("document.documentElement.scrollWidth") == 390
 
 
+def test_deviations_become_a_controller_s_file_and_a_report(opened):
+    """A stranger's way: drop, say the sign, see the curve, choose a controller, take it along."""
+    page = opened(locale="en-GB")
+    rows = "".join(f"{30 * n};{2.5 * n % 7 - 3:.1f}\n".replace(".", ",") for n in range(12))
+    drop(page, "laser.csv", ("Winkel [°];Fehler [arcsec]\n" + rows).encode("cp1252"))
+    expect(page.locator("#method")).to_have_value("deviations", timeout=PATIENCE_MS)
+    page.get_by_role("button", name=re.compile("stands 3.5 arcsec too far")).click()
+    noise = page.locator("[id='set.solver.u_arcsec']")
+    noise.fill("0,5")
+    noise.press("Tab")
+    expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
+    solve(page)
+    assert page.locator("#marks .mark").inner_text().startswith("Measurement: ok")
+    expect(page.locator("#curve canvas")).to_be_visible()
+    assert "nothing checked its values" in page.locator("#warnings").inner_text()
+    page.locator("#controller").select_option("csv")
+    page.locator("#in_force_replace").check()
+    page.get_by_role("button", name="Write the files").click()
+    with page.expect_download() as taken:
+        page.get_by_role("link", name="c_csv.csv").click()
+    rows = (line.split(",") for line in taken.value.path().read_text().splitlines())
+    at_90 = next(row for row in rows if row[0].startswith("90"))
+    assert float(at_90[1]) == pytest.approx(-(-2.5 - -3.0), abs=1e-4)  # counts from 0 degrees
+    with page.expect_popup() as report:
+        page.get_by_role("link", name="Report", exact=True).click()
+    expect(report.value.locator("h1")).to_be_visible(timeout=PATIENCE_MS)
+    assert "Deviations that are known already" in report.value.locator("body").inner_text()
+    require_accessible(page)
+
+
 def test_a_question_is_answered_by_a_button_and_can_be_taken_back(opened):
     page = opened(color_scheme="dark", locale="en-GB")
     dropped(page, "lengths.csv", lines(("Position", "Target", "Length"), MM, ",").encode())

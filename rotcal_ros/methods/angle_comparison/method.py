@@ -13,6 +13,7 @@ import numpy as np
 from rotcal_ros.adjust.engine import Adjusted, predicted
 from rotcal_ros.adjust.fit import require_determined
 from rotcal_ros.adjust.model import Model, block_rows
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError
@@ -36,7 +37,6 @@ from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonSimulationSettings,
     ComparisonSolverSettings,
 )
-from rotcal_ros.methods.angle_comparison.simulation import SimulatedComparison
 from rotcal_ros.methods.arrivals import both_ways
 from rotcal_ros.methods.by_model import TRUE_SIZE, ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration, changed
@@ -279,7 +279,9 @@ METHOD: Final = ByModel(
     plan_settings=ComparisonPlanSettings,
     solver_settings=ComparisonSolverSettings,
     simulation_settings=ComparisonSimulationSettings,
-    simulated_instrument=SimulatedComparison,
+    simulated_instrument=plugins.later(
+        "rotcal_ros.methods.angle_comparison.simulation:SimulatedComparison"
+    ),
     plan=plan,
     check=check,
     table=planned_table(

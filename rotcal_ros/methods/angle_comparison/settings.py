@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
-from rotcal_ros.foundation.settings import expert, group, setting
+from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.methods.simulation.settings import (
     AngleReaderSettings,
     AngularHarmonics,
@@ -60,10 +60,12 @@ class ComparisonSolverSettings:
         0.05, minimum=1e-6,
         doc="arcsec, standard uncertainty (k = 1) of the errors of the certificate",
     )  # fmt: skip
-    largest_shift_arcsec: float = expert(
-        10.0, minimum=1e-3,
-        doc="arcsec, a drift or a knock of the instrument that nobody would overlook",
-    )  # fmt: skip
+    largest_shift_arcsec: ClassVar[
+        Annotated[
+            float,
+            "a drift or a knock by more is seen by anybody at the readings",
+        ]
+    ] = 10.0
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import points
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
@@ -33,7 +34,6 @@ from rotcal_ros.methods.arrivals import (
     mean_of_runs,
 )
 from rotcal_ros.methods.ball_plate import solver as ball_plate
-from rotcal_ros.methods.ball_plate.figures import figures, tables
 from rotcal_ros.methods.ball_plate.plan import check_plan, plan
 from rotcal_ros.methods.ball_plate.settings import (
     CENTRE,
@@ -43,20 +43,17 @@ from rotcal_ros.methods.ball_plate.settings import (
     BallPlateSolverSettings,
     PlateSimulationSettings,
 )
-from rotcal_ros.methods.ball_plate.simulation import DISTURBANCES, SimulatedTouchProbe, plate_balls
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Method, TableReader, Trials
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.readings import Readings
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
-    from rotcal_ros.methods.simulation import instrument
-    from rotcal_ros.methods.simulation.air import SimulatedTemperature
+    from rotcal_ros.methods.measurements import PlannedMeasurements
 
 
 COLUMNS: Final = {"position": "table_position", "ball_step": "target"}
@@ -207,6 +204,8 @@ def read(
     A plate that moved is searched for in the order of measurement, which is that of the rows.
     Standard deviations in the table take the place of those of the set-up.
     """
+    from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
+
     stated = table.header[-3:] == STD
     if stated:
         solver = replace(configuration.solver, own_std=True)
@@ -235,18 +234,6 @@ def short_setup(entries: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"measure": CENTRE, **named}
 
 
-def simulated_instrument(
-    settings: PlateSimulationSettings,
-    table: instrument.Table,
-    _temperature: SimulatedTemperature,
-    start_ns: int,
-) -> instrument.SimulatedInstrument:
-    """Return the machine that touches the plate on ``table``."""
-    balls = plate_balls(settings.plate, settings.seed)
-    diameter_m = settings.plate.ball_diameter_m
-    return SimulatedTouchProbe(settings, settings.touch_probe, balls, diameter_m, table, start_ns)
-
-
 METHOD: Final = Method(
     name=NAME,
     title="Ball plate, reduced three-rosette method",
@@ -254,7 +241,7 @@ METHOD: Final = Method(
     plan_settings=BallPlatePlanSettings,
     solver_settings=BallPlateSolverSettings,
     simulation_settings=PlateSimulationSettings,
-    simulated_instrument=simulated_instrument,
+    simulated_instrument=plugins.later("rotcal_ros.methods.ball_plate.simulation:touch_probe"),
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(
@@ -267,8 +254,8 @@ METHOD: Final = Method(
     nominal=lambda _configuration, _plan: lambda step: step.position,
     table=TableReader(HEADERS, read, COLUMNS),
     short_setup=short_setup,
-    figures=figures,
-    tables=tables,
+    figures=plugins.later("rotcal_ros.methods.ball_plate.figures:figures"),
+    tables=plugins.later("rotcal_ros.methods.ball_plate.figures:tables"),
     zero=gauge.describe,
-    disturbances=DISTURBANCES,
+    disturbances=plugins.later("rotcal_ros.methods.ball_plate.simulation:DISTURBANCES"),
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
-from typing import Any, Final, get_args
+from typing import Annotated, Any, ClassVar, Final, get_args
 
 import numpy as np
 
@@ -253,7 +253,12 @@ class TouchProbeSettings:
     dirt_probability: float = expert(
         0.0, doc="probability that dirt lies under a touch", minimum=0.0, maximum=1.0
     )
-    dirt_um: float = expert(8.0, doc="um, thickness of the dirt", minimum=0.0)
+    dirt_um: ClassVar[
+        Annotated[
+            float,
+            "a common dust grain; dirt_probability says whether there is any",
+        ]
+    ] = 8.0
     speed_m_s: float = expert(0.1, doc="m/s, largest speed", minimum=1e-6)
     acceleration_m_s2: float = expert(0.5, doc="m/s^2, acceleration", minimum=1e-6)
     clearance_m: float = expert(

@@ -15,7 +15,11 @@ from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.ball_plate.settings import SimulatedPlateSettings, TouchProbeSettings
+from rotcal_ros.methods.ball_plate.settings import (
+    PlateSimulationSettings,
+    SimulatedPlateSettings,
+    TouchProbeSettings,
+)
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     ALL_AXES,
@@ -34,6 +38,7 @@ from rotcal_ros.methods.disturbance import (
     tilt,
     times,
 )
+from rotcal_ros.methods.simulation.air import SimulatedTemperature
 from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
@@ -327,6 +332,18 @@ def _true_centres(
     balls = np.einsum("nij,nj->ni", rotation_from_vector(lean), balls)
     balls = balls + np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[position]
     return np.asarray(balls @ rotation_from_vector(np.array([off, 0.0, 0.0])).T)
+
+
+def touch_probe(
+    settings: PlateSimulationSettings,
+    table: Table,
+    _temperature: SimulatedTemperature,
+    start_ns: int,
+) -> SimulatedTouchProbe:
+    """Return the machine that touches the plate on ``table``."""
+    balls = plate_balls(settings.plate, settings.seed)
+    diameter_m = settings.plate.ball_diameter_m
+    return SimulatedTouchProbe(settings, settings.touch_probe, balls, diameter_m, table, start_ns)
 
 
 DISTURBANCES: Final = Disturbances(LISTED, measure)

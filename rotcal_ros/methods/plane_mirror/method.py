@@ -20,6 +20,7 @@ import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import DataError, GeometryError
@@ -39,10 +40,8 @@ from rotcal_ros.methods.arrivals import (
     mean_of_runs,
 )
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import measured_in_words
 from rotcal_ros.methods.method import Method, Stations, TableReader, Trials, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
-from rotcal_ros.methods.plane_mirror.figures import figures, tables
 from rotcal_ros.methods.plane_mirror.plan import (
     check_plan,
     plan,
@@ -57,7 +56,6 @@ from rotcal_ros.methods.plane_mirror.settings import (
     MirrorSimulationSettings,
     MirrorSolverSettings,
 )
-from rotcal_ros.methods.plane_mirror.simulation import DISTURBANCES, SimulatedTracker
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
 from rotcal_ros.methods.plane_mirror.solver.set_up import MIN_APART, not_an_image
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
@@ -265,6 +263,8 @@ class TrackerPoints:
     sha256: Mapping[str, str]
 
     def __repr__(self) -> str:
+        from rotcal_ros.methods.measurements import measured_in_words
+
         return measured_in_words(self, f"{len(self.table.lines)} points")
 
     def solve(self) -> Result:
@@ -344,6 +344,7 @@ def zero(result: Result) -> tuple[str, ...]:
     return (*first, closes)
 
 
+_TRACKER: Final = plugins.later("rotcal_ros.methods.plane_mirror.simulation:SimulatedTracker")
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracker and plane mirror",
@@ -351,7 +352,7 @@ METHOD: Final = Method(
     plan_settings=MirrorPlanSettings,
     solver_settings=MirrorSolverSettings,
     simulation_settings=MirrorSimulationSettings,
-    simulated_instrument=lambda cell, table, _temperature, start_ns: SimulatedTracker(
+    simulated_instrument=lambda cell, table, _temperature, start_ns: _TRACKER(
         cell, table, start_ns
     ),
     plan=plan,
@@ -368,8 +369,8 @@ METHOD: Final = Method(
         tuple(stand.place for stand in tracker_stands(configuration.plan))
     ),
     table=TableReader((HEADER, TIMED), read, COLUMNS),
-    figures=figures,
-    tables=tables,
+    figures=plugins.later("rotcal_ros.methods.plane_mirror.figures:figures"),
+    tables=plugins.later("rotcal_ros.methods.plane_mirror.figures:tables"),
     zero=zero,
-    disturbances=DISTURBANCES,
+    disturbances=plugins.later("rotcal_ros.methods.plane_mirror.simulation:DISTURBANCES"),
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import expert, group, setting
@@ -61,10 +61,13 @@ class MirrorSolverSettings:
         doc="arcsec, standard deviation (k = 1) of the tracker's azimuth about the straight line "
         "between two rounds of nests that are a station apart; it is part of the uncertainty",
     )  # fmt: skip
-    significance: float = expert(
-        0.005, minimum=1e-9, maximum=0.5,
-        doc="probability of a false alarm, of the noise, of all groups, of all effects each",
-    )  # fmt: skip
+    significance: ClassVar[
+        Annotated[
+            float,
+            "two false alarms in a hundred sound results: of the noise, all groups, all effects "
+            "each",
+        ]
+    ] = 0.005
 
     def __post_init__(self) -> None:
         for name in ("range_std", "transverse_std"):

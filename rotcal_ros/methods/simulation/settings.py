@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated, ClassVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import expert, group, setting
@@ -100,12 +101,16 @@ class TableSettings:
     feedback_rate_hz: float = expert(
         100.0, doc="Hz, rate of the table feedback", minimum=0.1, maximum=10_000.0
     )
-    feedback_noise_arcsec: float = expert(
-        0.02, doc="arcsec, noise of one table feedback", minimum=0.0
-    )
+    feedback_noise_arcsec: ClassVar[
+        Annotated[
+            float,
+            "resolution of a good encoder, far below what is measured",
+        ]
+    ] = 0.02
     feedback_lag_s: float = expert(
-        0.0, doc="s, by which the feedback is late while the table moves", minimum=-1.0, maximum=1.0
-    )
+        0.0, minimum=-1.0, maximum=1.0,
+        doc="s, by which the feedback is late while the table moves",
+    )  # fmt: skip
     ripple_arcsec: float = expert(
         0.0, minimum=0.0, doc="arcsec, amplitude about even motion while the table turns on"
     )
@@ -159,9 +164,9 @@ class AngleReaderSettings:
     """An instrument at rest that reads small angles: an autocollimator, an interferometer."""
 
     noise_arcsec: float = setting(0.03, doc="arcsec, noise of one reading", minimum=0.0)
-    range_arcsec: float = setting(300.0, doc="arcsec, largest reading", minimum=1.0)
+    range_arcsec: ClassVar[Annotated[float, "as of a common electronic autocollimator"]] = 300.0
     settling_time_s: float = setting(1.0, doc="s, from table at rest to reading", minimum=0.0)
-    reading_time_s: float = setting(0.2, doc="s, from one reading to the next", minimum=1e-3)
+    reading_time_s: ClassVar[Annotated[float, "as of a common electronic autocollimator"]] = 0.2
     readings: int = setting(3, doc="readings for each order", minimum=1, maximum=1000)
 
 

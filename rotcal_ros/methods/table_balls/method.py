@@ -17,6 +17,7 @@ from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
 from rotcal_ros.capture.passage import Curve, decide_passage
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves import gauge
@@ -73,7 +74,6 @@ from rotcal_ros.methods.table_balls.settings import (
     below_the_table,
     sense_of,
 )
-from rotcal_ros.methods.table_balls.simulation import TouchedBalls
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
 from rotcal_ros.methods.turning import require_turns
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
@@ -702,7 +702,7 @@ METHOD: Final = BY_MODEL.method(
     plan_settings=BallsPlanSettings,
     solver_settings=BallsSolverSettings,
     simulation_settings=BallsSimulationSettings,
-    simulated_instrument=TouchedBalls,
+    simulated_instrument=plugins.later("rotcal_ros.methods.table_balls.simulation:TouchedBalls"),
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(

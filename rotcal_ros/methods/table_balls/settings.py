@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.ball_plate.settings import (
@@ -150,10 +150,12 @@ class BallsSolverSettings:
         doc="s, standard uncertainty (k = 1) of how late the linear axes, and so the nest, are "
         "behind a table that turns; runs of several speeds determine it without that",
     )  # fmt: skip
-    largest_shift_um: float = expert(
-        100.0, minimum=1e-3,
-        doc="um, a drift or a knock of machine or table that nobody would overlook",
-    )  # fmt: skip
+    largest_shift_um: ClassVar[
+        Annotated[
+            float,
+            "a drift or a knock by more is seen by anybody at the readings",
+        ]
+    ] = 100.0
 
 
 @dataclass(frozen=True)
@@ -179,11 +181,11 @@ class SimulatedBallsSettings:
     tilting_lean_arcsec: tuple[float, float, float] = expert(
         (0.0, 0.0, 0.0), doc="arcsec, by which that axis is turned about x, y and z"
     )
-    bar_error_um: float = expert(3.0, doc="um, by which a ball bar is longer than it says")
-    bar_rate_hz: float = expert(10.0, doc="lengths of a ball bar per second", minimum=1e-3)
-    nest_rate_hz: float = expert(
-        100.0, doc="readings per second of a nest that follows a ball", minimum=1e-3
-    )
+    bar_error_um: ClassVar[
+        Annotated[float, "less than solver.bar_std_m, as of a good ball bar"]
+    ] = 3.0
+    bar_rate_hz: ClassVar[Annotated[float, "as a wireless ball bar sends"]] = 10.0
+    nest_rate_hz: ClassVar[Annotated[float, "as displacement sensors of an R-test send"]] = 100.0
     nest_lag_s: float = expert(
         0.0, doc="s, by which the linear axes, and so the nest, are late behind a table that turns"
     )

@@ -10,6 +10,7 @@ import numpy as np
 from rotcal_ros.adjust.bordered import within
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import (
     DataError,
@@ -33,7 +34,6 @@ from rotcal_ros.methods.arrivals import (
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
 from rotcal_ros.methods.tracer import table, turning_table
-from rotcal_ros.methods.tracer.figures import figures, tables
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
@@ -47,7 +47,6 @@ from rotcal_ros.methods.tracer.settings import (
     TracerSimulationSettings,
     TracerSolverSettings,
 )
-from rotcal_ros.methods.tracer.simulation import DISTURBANCES, TracerAndReflector
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import adjust, curve_model
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
@@ -230,6 +229,7 @@ def _check_plan(configuration: Configuration, plan: Plan) -> None:
         )
 
 
+_TRACER: Final = plugins.later("rotcal_ros.methods.tracer.simulation:TracerAndReflector")
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer, multi-station",
@@ -238,7 +238,7 @@ METHOD: Final = Method(
     plan_settings=TracerPlanSettings,
     solver_settings=TracerSolverSettings,
     simulation_settings=TracerSimulationSettings,
-    simulated_instrument=lambda cell, table, temperature, start_ns: TracerAndReflector(
+    simulated_instrument=lambda cell, table, temperature, start_ns: _TRACER(
         cell, cell.tracer.mount_m, table, temperature, start_ns
     ),
     plan=lambda configuration: tracer_plan(configuration.plan),
@@ -262,7 +262,7 @@ METHOD: Final = Method(
         again={"order": TARGETS_PER_STATION},
         with_angles=turning_table.HEADERS,
     ),
-    figures=figures,
-    tables=tables,
-    disturbances=DISTURBANCES,
+    figures=plugins.later("rotcal_ros.methods.tracer.figures:figures"),
+    tables=plugins.later("rotcal_ros.methods.tracer.figures:tables"),
+    disturbances=plugins.later("rotcal_ros.methods.tracer.simulation:DISTURBANCES"),
 )

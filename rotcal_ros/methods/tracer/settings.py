@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import expert, group, setting
@@ -54,13 +54,13 @@ class TracerLimits:
         maximum=0.5,
         doc="share of rejected lengths beyond which the verdict is suspect",
     )
-    max_station_std: float = expert(
-        0.01,
-        minimum=1e-6,
-        maximum=0.999,
-        doc="largest standard deviation of a station's position, as a share of the radius of the "
-        "stations' circle; beyond it the geometry is refused",
-    )
+    max_station_std: ClassVar[
+        Annotated[
+            float,
+            "of the radius; a station that is known worse makes the linear model of its circle "
+            "untrue",
+        ]
+    ] = 0.01
 
     def __post_init__(self) -> None:
         """Refuse shares and probabilities that are none; a file's ranges are narrower."""

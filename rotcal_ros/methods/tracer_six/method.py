@@ -14,6 +14,7 @@ import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.errors import DataError
@@ -30,7 +31,6 @@ from rotcal_ros.methods.arrivals import (
     mean_of_runs,
 )
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, Trials
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
@@ -41,7 +41,6 @@ from rotcal_ros.methods.tracer.lengths import (
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.station_by_station import locate_stations
 from rotcal_ros.methods.tracer.table import SEGMENT, TARGETS, read_lengths
-from rotcal_ros.methods.tracer_six.figures import figures, tables
 from rotcal_ros.methods.tracer_six.plan import (
     LOCATING,
     check_plan,
@@ -56,7 +55,6 @@ from rotcal_ros.methods.tracer_six.settings import (
     Zero,
     ZeroSetting,
 )
-from rotcal_ros.methods.tracer_six.simulation import DISTURBANCES, CarriedTracer
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
@@ -70,6 +68,7 @@ from rotcal_ros.planning.plan import Plan
 
 if TYPE_CHECKING:
     from rotcal_ros.adjust.model import CurveModel
+    from rotcal_ros.methods.measurements import PlannedMeasurements
 
 COLUMNS: Final = {"place": "station", "position": "table_position", "target": "target"}
 HEADERS: Final[tuple[Header, ...]] = (
@@ -274,7 +273,7 @@ METHOD: Final = Method(
     plan_settings=SixPlanSettings,
     solver_settings=TracerSixSolverSettings,
     simulation_settings=SixSimulationSettings,
-    simulated_instrument=CarriedTracer,
+    simulated_instrument=plugins.later("rotcal_ros.methods.tracer_six.simulation:CarriedTracer"),
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
@@ -287,8 +286,8 @@ METHOD: Final = Method(
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
     table=TableReader(HEADERS, read, COLUMNS, TARGETS, runs="arrivals"),
-    figures=figures,
-    tables=tables,
+    figures=plugins.later("rotcal_ros.methods.tracer_six.figures:figures"),
+    tables=plugins.later("rotcal_ros.methods.tracer_six.figures:tables"),
     zero=gauge.describe,
-    disturbances=DISTURBANCES,
+    disturbances=plugins.later("rotcal_ros.methods.tracer_six.simulation:DISTURBANCES"),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import expert, setting
@@ -26,9 +27,12 @@ class InstrumentSettings:
     measure_timeout_s: float = expert(
         30.0, doc="s, longest measurement of one place", minimum=0.1, maximum=3600.0
     )
-    reconnect_s: float = expert(
-        2.0, doc="s, wait from a lost connection to the next attempt", minimum=0.05, maximum=3600.0
-    )
+    reconnect_s: ClassVar[
+        Annotated[
+            float,
+            "an instrument that restarts takes longer, a network less",
+        ]
+    ] = 2.0
 
     def by_name(self) -> dict[str, str]:
         """Return the options by name; ConfigurationError for one without a value."""

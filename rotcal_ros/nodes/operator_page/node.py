@@ -278,7 +278,7 @@ class FollowedGoal:
         """Tell the planner that the work of this instruction is done, once."""
         asked = self.feedback
         if asked is None or not asked.instruction:
-            return Answer(False, phrase("nothing waits for resume"))
+            return Answer(False, phrase("nothing is waiting for resume"))
         if instruction != asked.instruction:
             return Answer(False, phrase("the instruction has changed: read the new one first"))
         if not self._resume.service_is_ready():
@@ -291,7 +291,7 @@ class FollowedGoal:
         answer = await self._resume.call_async(Trigger.Request())
         if not answer.success and self.feedback is continuing:
             self.feedback = asked
-        return Answer(answer.success, answer.message or phrase("the calibration goes on"))
+        return Answer(answer.success, answer.message or phrase("the calibration continues"))
 
     async def stop(self) -> Answer:
         """Cancel the goal that is followed, and no other."""

@@ -381,7 +381,7 @@ class Pauses:
     def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Go on after the work is done, unless something keeps the cell from it."""
         if not self.waiting:
-            response.message = f"nothing waits for resume: the planner is {self._busy()}"
+            response.message = f"nothing is waiting for resume: the planner is {self._busy()}"
             return response
         try:
             self._require_free()

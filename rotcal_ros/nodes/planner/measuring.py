@@ -11,6 +11,7 @@ from typing import Final
 
 from rotcal_ros.capture.rejections import FailedSteps, TooManyFailedError
 from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.node_state import Reason, Why
 from rotcal_ros.foundation.observations import ATTEMPTS_PER_RUN
 from rotcal_ros.methods import Calibration
@@ -120,7 +121,7 @@ class GoalMeasurement:
                 await self.operator.have_done(work, pause.move)
             self._watch.owed = pause, None, begin
             for index in range(begin, pause.last + 1):
-                shows = Choice(index, f"shows {pause.instruction}", Standing(1))
+                shows = Choice(index, phrase("shows {0}", pause.instruction), Standing(1))
                 await self._measure(index, shows)
             begin = pause.first if pause.again_from is None else pause.again_from
             faults, hopeless = self._complaints()
@@ -245,7 +246,7 @@ class GoalMeasurement:
             raise GoalError(
                 Codes.RECORDER_FAILED,
                 f"{place}: no receipt from the recorder within {limit_s:g} s ({reason}); look at "
-                "its log, or raise planner.receipt_timeout_s",
+                "its log and its disk",
             )
         return receipts[key]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
+from itertools import chain, repeat
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +19,7 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import UNKNOWN
+from rotcal_ros.foundation.language import code_of
 from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import (
     Command,
@@ -110,6 +113,7 @@ def observation_message(captured: Observation) -> msg.Observation:
         temperature=_or_nan(captured.temperature_c),
         pressure=_or_nan(captured.pressure_pa),
         humidity=_or_nan(captured.humidity),
+        reason_code=text_code(captured.reason),
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),
     )
@@ -133,6 +137,7 @@ def choice_message(
         step=choice.step or 0,
         attempt=attempt,
         reason=choice.reason,
+        reason_code=text_code(choice.reason),
         uncertainty=standing.uncertainty,
         goal=standing.goal,
         left=standing.left,
@@ -156,6 +161,7 @@ def deviations_message(
         "adjacent_std": () if steps_std is None else steps_std,
         "directions": _directions(result, 1.0, covariance=whole),
         "n_rejected": len(result.rejected),
+        "warning_codes": [text_code(warning) for warning in result.warnings],
         "not_protected": result.unprotected,
     }
     return _filled(msg.DeviationArray, result, now_ns, **others)
@@ -285,6 +291,20 @@ def in_force_message(axis: str, in_force: str, now_ns: int) -> msg.TableInForce:
     return msg.TableInForce(header=header(now_ns), axis=axis, in_force=in_force)
 
 
+def _arguments(reason: msg.NodeReason) -> Iterator[str]:
+    """Yield the arguments of a reason, texts with the codes that their sender gave."""
+    for text, code in zip(
+        reason.arguments, chain(reason.argument_codes, repeat(None)), strict=False
+    ):
+        yield messages.words(text, code) if code and code.code else text
+
+
+def text_code(text: str) -> msg.TextCode:
+    """Return what a text for people was made of; empty for a mere name."""
+    code, arguments = code_of(text)
+    return msg.TextCode(code=code, arguments=arguments)
+
+
 def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **others: Any) -> Any:
     """Return a message with the fields that its record has under the same name, and others."""
     names = kind.get_fields_and_field_types()
@@ -298,14 +318,21 @@ def node_state_message(state: NodeState) -> msg.NodeState:
         state=state.state,
         step=state.step,
         total=state.total,
-        reasons=[msg.NodeReason(code=r.code, arguments=list(r.arguments)) for r in state.reasons],
+        reasons=[
+            msg.NodeReason(
+                code=reason.code,
+                arguments=list(reason.arguments),
+                argument_codes=[text_code(argument) for argument in reason.arguments],
+            )
+            for reason in state.reasons
+        ],
         page=state.page,
     )
 
 
 def node_state(message: msg.NodeState) -> NodeState:
     """Return the state of a node, from its beat."""
-    reasons = (Reason(Why(r.code), tuple(r.arguments)) for r in message.reasons)
+    reasons = (Reason(Why(r.code), tuple(_arguments(r))) for r in message.reasons)
     return NodeState(
         State(message.state), tuple(reasons), message.step, message.total, message.page
     )

@@ -321,12 +321,17 @@ class Health:
             return
         state, values = self._report()
         beat = self._message(state, values)
+        codes = ", ".join(reason.code.name for reason in state.reasons)
         status = DiagnosticStatus(
             level=bytes([beat.level]),
             name=self._node.get_fully_qualified_name(),  # cells share this topic
             hardware_id=self._node.get_namespace(),
             message=state.describe(),
-            values=beat.values,
+            values=[
+                KeyValue(key="state", value=state.state.name),
+                KeyValue(key="reasons", value=codes),
+                *beat.values,
+            ],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()

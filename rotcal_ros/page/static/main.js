@@ -41,7 +41,7 @@ function take(event) {
   alerts.announce(state.now);
   if (ended) {
     source.close();
-    banner(t("Switched off at {0}", clock(time_s)), t("Below is the last state. Nothing here is live any more."));
+    banner(t("Switched off at {0}", clock(time_s)), t("This is the last state; nothing here is live any more."));
     text("alive", t("Ended {0}", clock(time_s)));
     actions.disable(true);
   } else {

@@ -144,7 +144,7 @@ def test_what_readings_show_is_told(name):
     assert result.verdict in ("suspect", "failed")
     told = [w for w in result.warnings if w.startswith(f"it looks as if {words}")]
     assert told, result.warnings
-    assert told[0].endswith("put it right, and solve again")
+    assert told[0].endswith("correct it, and solve again")
     assert treatment(result, effect) == "tested"
 
 

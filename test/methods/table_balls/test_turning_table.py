@@ -40,9 +40,7 @@ def test_each_run_turns_through_all_angles_once_for_each_ball():
         (-15.0, 285.0, 20.0), (345.0, 645.0, 20.0), (645.0, 345.0, -20.0), (285.0, -15.0, -20.0)
     }  # fmt: skip
     assert [s.approach for s in steps] == [Approach.POSITIVE] * 8 + [Approach.NEGATIVE] * 8
-    assert [plan.passed_from(k) for k in (0, 4, 8, 12)] == [
-        range(k, k + 4) for k in (0, 4, 8, 12)
-    ]
+    assert [plan.passed_from(k) for k in (0, 4, 8, 12)] == [range(k, k + 4) for k in (0, 4, 8, 12)]
 
 
 @pytest.mark.parametrize("lag_s", [2e-3, 0.0, -5e-4])

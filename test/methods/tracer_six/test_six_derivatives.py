@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 from six_scene import good_targets, on_circle, scene
 
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.model import lengths_of, model_of
 from rotcal_ros.methods.tracer_six.solver.poses import find_start, rotation_vector, table_curves
 from rotcal_ros.methods.tracer_six.solver.problem import lay_out
+from rotcal_ros.methods.tracer_six.solver.solve import lengths_of, model_of
 
 
 def turn(vectors):

@@ -12,7 +12,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.methods.tracer.solver import TracerLimits
 from rotcal_ros.methods.tracer_six.solver import SixProblem, adjust, solve
-from rotcal_ros.methods.tracer_six.solver.model import SLIPPED
+from rotcal_ros.methods.tracer_six.solver.solve import SLIPPED
 
 FRINGE = 0.3164e-6
 M, N = 5, 12

@@ -85,10 +85,13 @@ class Heard:
         return self
 
 
+@pytest.fixture(autouse=True)
+def connects_again_at_once(monkeypatch):
+    monkeypatch.setattr(InstrumentSettings, "reconnect_s", 0.05)
+
+
 def settings(address, **others):
-    return InstrumentSettings(
-        plugin="mytracer", address=address, reconnect_s=0.05, **({"silence_s": 0.3} | others)
-    )
+    return InstrumentSettings(plugin="mytracer", address=address, **({"silence_s": 0.3} | others))
 
 
 def test_lengths_arrive_in_metres_whatever_the_pieces_and_a_broken_beam_is_told():

@@ -12,10 +12,10 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.methods.continuation import Continuation, Recorded
-from rotcal_ros.nodes.planner import goal_run
-from rotcal_ros.nodes.planner.goal_run import GoalBag, GoalRun
+from rotcal_ros.nodes.planner import node
 from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError
 from rotcal_ros.nodes.planner.measuring import GoalMeasurement
+from rotcal_ros.nodes.planner.node import GoalBag, GoalRun
 from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.settings import PlannerSettings
@@ -163,7 +163,7 @@ def test_a_stop_in_a_later_preflight_is_told_as_what_it_is(monkeypatch, error, c
     async def be_ready(*_):
         raise error
 
-    monkeypatch.setattr(goal_run, "be_ready", be_ready)
+    monkeypatch.setattr(node, "be_ready", be_ready)
     run = goal(Bag(None))
     run._begin_anew(LOST)
     with pytest.raises(GoalError, match=text) as raised:
@@ -212,7 +212,7 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
     def missing(*_):
         return ["silent"] if stop.latched else []
 
-    monkeypatch.setattr(goal_run, "_missing", missing)
+    monkeypatch.setattr(node, "_missing", missing)
     watch = SimpleNamespace(preflight=False, stop=stop, have=have, is_found=found, links=None)
-    asyncio.run(goal_run._have_topics(PLAIN, watch, Requests()))
+    asyncio.run(node._have_topics(PLAIN, watch, Requests()))
     assert asked == ["the gate is open"]

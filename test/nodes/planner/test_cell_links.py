@@ -10,7 +10,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.capture.publishers import RUN
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.nodes.planner import goal_run
+from rotcal_ros.nodes.planner import node
 from rotcal_ros.nodes.planner.cell_links import CellLinks
 from rotcal_ros.nodes.planner.goal_watch import GoalError, GoalWatch
 from rotcal_ros.nodes.runtime.announced_plan import REFUSED_RUN
@@ -84,14 +84,14 @@ def test_a_refusal_counts_for_the_run_that_it_names():
 def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
     file = Path(__file__).parents[3] / "config" / "tracer.yaml"
     calibration = prepare(changed(read_configuration(file), [f"safety.emergency_stop={STOP}"]))
-    monkeypatch.setattr(goal_run, "names_at_odds", lambda *_: [])
+    monkeypatch.setattr(node, "names_at_odds", lambda *_: [])
     asked = SimpleNamespace(
         node=None,
         health=SimpleNamespace(values=lambda _: {}),
         unpublished=lambda _: {},
         missing_topics=lambda _topics, _silent, stop: [f"asked for {stop}"],
     )
-    assert goal_run._missing(calibration, asked) == [f"asked for {STOP}"]
+    assert node._missing(calibration, asked) == [f"asked for {STOP}"]
 
 
 OURS, NEW = [1] * 16, [2] * 16

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.nodes.planner.goal_run import GoalBag
+from rotcal_ros.nodes.planner.node import GoalBag
 
 
 class Service:

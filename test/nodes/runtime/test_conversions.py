@@ -1,6 +1,8 @@
 """Dataclass to message and back, the message having gone over the wire."""
 
 import math
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +21,7 @@ import rotcal_ros as rc  # noqa: E402
 from rotcal_ros.capture import messages  # noqa: E402
 from rotcal_ros.compensation.table import check_verdict, table_from_result  # noqa: E402
 from rotcal_ros.foundation.errors import DataError  # noqa: E402
+from rotcal_ros.foundation.language import phrase  # noqa: E402
 from rotcal_ros.foundation.observations import (  # noqa: E402
     Approach,
     Command,
@@ -34,7 +37,9 @@ from rotcal_ros.foundation.observations import (  # noqa: E402
 from rotcal_ros.foundation.results import Directions, Result, Zeros  # noqa: E402
 from rotcal_ros.methods.ball_plate.solver import solve  # noqa: E402
 from rotcal_ros.nodes.runtime import conversions  # noqa: E402
+from rotcal_ros.planning.plan import Step  # noqa: E402
 
+NOTHING = Step(0, 0, 0.0, Approach.UNKNOWN, PointKind.SURFACE, 0, (0.0, 0.0, 0.0)).observed((0.0,))
 GOLDEN = Path(__file__).parents[2] / "golden"
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
@@ -57,9 +62,15 @@ commands = st.builds(
     Command, counts, counts, reals, st.sampled_from(Approach), st.sampled_from(PointKind), counts,
     points, counts, turns, st.booleans(),
 )  # fmt: skip
+reasons = st.text("abc ", max_size=20).map(phrase) | st.builds(
+    partial(phrase, "{0} of {1:.3g}: {2}"),
+    counts,
+    reals,
+    st.builds(phrase, st.just("only {0}"), counts),
+)
 observations = st.builds(
     Observation, counts, counts, counts, reals, counts, counts, st.sampled_from(PointKind), lists,
-    lists, lists, points, counts, counts, st.booleans(), st.text("abc ", max_size=20), reals,
+    lists, lists, points, counts, counts, st.booleans(), reasons, reals,
     st.none() | reals, stamps, stamps,
 )  # fmt: skip
 
@@ -101,6 +112,31 @@ def test_command(command, now_ns):
 def test_observation(observation):
     message = sent(conversions.observation_message(observation))
     assert messages.observation(message) == observation
+
+
+@given(reasons)
+def test_a_reason_keeps_code_and_arguments_on_its_way(reason):
+    message = sent(conversions.observation_message(replace(NOTHING, reason=reason)))
+    read = messages.observation(message).reason
+    assert (read, read.template, read.parts) == (reason, reason.template, reason.parts)
+    assert message.reason_code.code == reason.template
+
+
+def test_a_reason_without_a_code_of_its_words_is_its_words_alone():
+    message = conversions.observation_message(replace(NOTHING, reason=phrase("{0} lost", 3)))
+    message.reason = "4 lost"
+    assert messages.observation(message).reason.template == "4 lost"
+    message.reason_code.arguments = ["["]
+    assert messages.observation(message).reason == "4 lost"
+
+
+def test_warnings_carry_their_codes():
+    warnings = (phrase("{0} of {1} lengths", 3, 9), phrase("all drift"))
+    result = replace(solve(plate_problem()), warnings=warnings)
+    found = sent(conversions.deviations_message(result, "", 0, final=True))
+    assert [*found.warnings] == [*warnings]
+    codes = [(code.code, [*code.arguments]) for code in found.warning_codes]
+    assert codes == [("{0} of {1} lengths", ["3", "9"]), ("all drift", [])]
 
 
 def test_absent_components_of_a_result_are_absent():

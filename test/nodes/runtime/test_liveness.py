@@ -6,7 +6,7 @@ from rotcal_ros.nodes.runtime.liveness import OVER_S, Liveness, Overload
 from rotcal_ros.planning.settings import HealthSettings
 
 TURN_S = 0.2
-SETTINGS = HealthSettings(slow_after_s=1.5, lost_after_s=60.0)
+SETTINGS = HealthSettings(lost_after_s=60.0)
 
 
 class Cell:

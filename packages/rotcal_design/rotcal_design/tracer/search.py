@@ -217,7 +217,7 @@ class DesignSearch:
         if not plans:
             raise PlanError(
                 f"no plan that meets all demands was found in {self.settings.exchanges} "
-                "exchanges: widen the volume, allow repeats, raise exchanges or max_undetected"
+                "exchanges: widen the volume, allow repeats, or raise exchanges"
             )
         self._start = np.sort(min(plans, key=len))
         lengths = self._pool[self._start]

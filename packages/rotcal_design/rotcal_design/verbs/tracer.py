@@ -240,7 +240,7 @@ def _print_order_of_lengths(data: dict[str, Any], settings: TracerDesignSettings
         f"{checks}; {data['time_s'] - data['quickest_s']:.0f} s more than the quickest order "
         f"({data['quickest_s']:.0f} s), in which a drift may do "
         f"{_number(hidden['drift'], 1.0)}, a knock {_number(hidden['knock'], 1.0)} standard "
-        f"uncertainties unseen (max_unseen {limit:g})"
+        f"uncertainties unseen (allowed {limit:g})"
     )
     if any(value is None or value > limit for value in unseen.values()):
         say(

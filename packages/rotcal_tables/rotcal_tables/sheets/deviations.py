@@ -26,6 +26,8 @@ _BY_ONE: Final = 0.2
 _DIGITS: Final = 9
 """Digits behind the point of a number that a program has computed."""
 _FRACTION: Final = re.compile(r"[.,](\d+)\D*$")
+BY_BOTH: Final = phrase("deviation = actual - commanded")
+TURNED: Final = phrase("commanded - actual, turned")
 _TURN: Final = 360 * UNITS[ANGLE]["deg"]
 
 
@@ -66,9 +68,9 @@ class Angles:
 class StatedDeviations:
     """What a table says of its deviations: ``columns`` by what they are, in ``rows`` of a file.
 
-    ``where`` names it; ``values`` is what a person said: deviations or positions; ``stated``: of
-    what columns that is known. ``others`` are angles of no known name: where
-    they follow the commanded ones, within NEAR of the smallest ``step`` (rad), the deviation is
+    ``where`` names it; ``values`` is what a person said: deviations, corrections or positions;
+    ``stated``: of what columns that is known. ``others`` are angles of no known name: where they
+    follow the commanded ones, within NEAR of the smallest ``step`` (rad), the deviation is
     held against them. ``proposal`` shows the columns side by side.
     """
 
@@ -107,15 +109,17 @@ class StatedDeviations:
                      for each in (measured, commanded)},
                 )  # fmt: skip
             if stated is None and REVERSED not in columns:
-                return found, phrase("deviation = actual - commanded")
+                return found, BY_BOTH
             return self._agreed(found, measured, commanded, stated or columns[REVERSED])
         if stated:
-            if commanded and self.values != "deviations":
+            if commanded and self.values not in ("deviations", "corrections"):
                 self._require_small(stated, commanded)
+            if self.values == "corrections":
+                return [-value for value in stated.values], TURNED
             return stated.values, ""
         either = columns[REVERSED]
         if REVERSED in self.stated:
-            return [-value for value in either.values], phrase("commanded - actual, turned")
+            return [-value for value in either.values], TURNED
         raise self._asked(
             f"{either.text!r} may be actual - commanded, or commanded - actual",
             {

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, reading
@@ -31,6 +32,8 @@ class TimeCell(str):
     __slots__ = ()
 
 
+READERS: Final = "rotcal_tables.readers"
+"""Functions that return the rows of an instrument's file, its head first; None for another."""
 _MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _OLDER: Final = ("cp1252", "cp850", "gb18030", "cp932")
 """Encodings that any bytes may be in: the names of the columns show which one it is."""
@@ -69,13 +72,28 @@ def sheets(path: Path) -> list[Sheet]:
         data = read_bytes(path)
     if data.startswith(WORKBOOKS):
         return _sheets(path, data)
-    found = [sheet for encoding, text in _texts(data) for sheet in _ways(text, encoding)]
+    texts = list(_texts(data))
+    if texts and (own := _of_an_instrument(path, texts[0][1])):
+        return [own]
+    found = [sheet for encoding, text in texts for sheet in _ways(text, encoding)]
     if not found:
         raise BagError(
             f"cannot read the table {path}: it is neither text nor a workbook (.xlsx, .xls, "
             ".ods): save it as one of these"
         )
     return found
+
+
+def _of_an_instrument(path: Path, text: str) -> Sheet | None:
+    """Return the table in a file of an instrument's program; None for any other text."""
+    for name in plugins.names(READERS):
+        try:
+            rows = plugins.load(READERS, name, "reader of files")(text)
+        except BagError as error:
+            raise BagError(f"{path}: {error}") from error
+        if rows is not None:
+            return Sheet(phrase("file of {0}", name), tuple(enumerate(rows, start=1)))
+    return None
 
 
 def _sheets(path: Path, data: bytes) -> list[Sheet]:

@@ -33,6 +33,7 @@ from rotcal_tables.sheets.words import (
     REFERENCE,
     REVERSED,
     RUN,
+    SETTING,
     TABLE_ANGLE,
     Heading,
     columns_of,
@@ -582,9 +583,16 @@ def _matrix(
         word: cells
         for word, cells in found.items()
         if len(cells) > 1 and (uses or all(DIRECTION in each.labels for each in cells))
-    }
+        and _may_be(keys[0], word)
+    }  # fmt: skip
     known = {w: c for w, c in whole.items() if keys[0] in columns_of(Heading(w, w)) or len(w) < 2}
     return next(iter(whole.values())) if len(whole) == 1 else _only(known)
+
+
+def _may_be(key: str, word: str) -> bool:
+    """Return whether a word at the head of a matrix may name the key: a run is no setting."""
+    named = {RUN, SETTING}.intersection(columns_of(Heading(word, word)))
+    return key in named or not named
 
 
 def _only(words: Mapping[str, list[Cells]]) -> list[Cells]:

@@ -1,6 +1,6 @@
 // What is dropped: each row takes one file, and so does the whole card.
 import { ask, by, desk } from "./web_desk.js";
-import { withSetup } from "./web_form.js";
+import { form, withSetup, work } from "./web_form.js";
 import { asTold, understand } from "./web_reading.js";
 import { element, t, text } from "./words.js";
 
@@ -39,8 +39,16 @@ async function send(role, file) {
   desk.names = reply.names;
   if (role === "table") asTold();
   files();
+  if (role === "table" && file) await methodOfTheTable();
   withSetup();
   await understand();
+}
+
+async function methodOfTheTable() { // one method alone may fit, and a person may have chosen
+  const { methods } = await work("fit");
+  if (methods?.length !== 1 || desk.typed.has("method") || methods[0] === by("method").value) return;
+  by("method").value = methods[0];
+  await form();
 }
 
 export function dropping(event) {

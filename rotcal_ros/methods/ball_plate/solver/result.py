@@ -267,8 +267,8 @@ def _without_dirty_position(
     for position in np.flatnonzero((count > 0) & (count < FEW_BALLS)).tolist():
         away = fitted.position == position
         why = phrase(
-            "without what is far off, too few balls are left at this table position, which leaves "
-            "its six errors open: the angle is left out"
+            "without what is far off, too few balls are left at this table position to determine "
+            "its six errors: the angle is left out"
         )
         rejected = [
             Rejection(int(fitted.rows[r]), phrase("{0}: {1}", fitted.row_name(r), why))
@@ -370,8 +370,8 @@ def _prepared(
     away = np.isin(whole.position, poor)
     for r in np.flatnonzero(away).tolist():
         why = phrase(
-            "{0}: only {1} balls are left at this table position, which leaves its six errors "
-            "open: the angle is left out", whole.row_name(r), count[whole.position[r]]
+            "{0}: only {1} balls are left at this table position, too few to determine its six "
+            "errors: the angle is left out", whole.row_name(r), count[whole.position[r]]
         )  # fmt: skip
         rejected.append(Rejection(int(whole.rows[r]), why))
     fitted = whole.take(~away)

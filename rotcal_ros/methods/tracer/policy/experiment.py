@@ -18,6 +18,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints, rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.tracer.policy.information import Information, Lengths, Scene, noisy_problem
@@ -305,13 +306,12 @@ class LengthExperiment:
         planned = self.scene.beams(*at.T)[1].mean()
         return 1.0 if length_std is None else length_std / float(np.sqrt(planned))
 
-    def describe_lacking(self, measured: MeasuredLengths) -> str:
+    def describe_lacking(self, measured: MeasuredLengths) -> Phrase:
         """Return which stations have too few lengths; empty when all have enough."""
         found = self._telling(self._known(measured))
-        return ", ".join(
-            f"table position {position} has {found[position]} lengths of {self.minimum} needed"
-            for position in np.flatnonzero(found < self.minimum)
-        )
+        needed = noted("table position {0} has {1} lengths of {2} needed")
+        few = np.flatnonzero(found < self.minimum)
+        return listed([phrase(needed, at, found[at], self.minimum) for at in few], ", ")
 
     @property
     def stations(self) -> int:

@@ -34,7 +34,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import NOTHING, Phrase, listed, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
@@ -133,18 +133,20 @@ class UntilGoal:
         """The last observation of every run and step: all that the solver will get."""
         self._result: Stated | None = None
         """What the result of these states, once it was asked for."""
-        self._stop: str | None = None
+        self._stop: Phrase | None = None
         """Why nothing more is measured."""
         self._allowance = Allowance()
         self._hopeless = False
         """Whether a result has shown an error motion beyond the goal; a second one is believed."""
         self._suspects = Suspects()
         self._closing = Closing()
-        self._queue = deque((step, "first sweep") for step in self._first_sweep())
+        self._queue = deque((step, phrase("first sweep")) for step in self._first_sweep())
         self._plan()
         self._go_through(earlier, set(given_up))
         if self._next().step is not None:  # there is something to be joined
-            joining = [(step, "done step, measured again to join the runs") for step in again]
+            joining = [
+                (step, phrase("done step, measured again to join the runs")) for step in again
+            ]
             self._queue.extendleft(reversed(joining))
 
     def _go_through(self, earlier: Iterable[Observation], given_up: set[int]) -> None:
@@ -175,7 +177,9 @@ class UntilGoal:
     def _next(self) -> Choice:
         """Return the choice without its standing."""
         if self._stop is not None:
-            return Choice(None, self._stop + self._closing.describe(), NOWHERE)
+            closed = self._closing.describe()
+            why = listed([self._stop, closed], "") if closed else self._stop
+            return Choice(None, why, NOWHERE)
         step, reason = self._queue[0]
         if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
             step, reason = self._queue[0] = self._better_than(step, reason)
@@ -196,7 +200,7 @@ class UntilGoal:
             self._now = self._result = None
         elif step not in self._measured:
             self._beams.note_blocked(step)
-            self._replace(step, f"step {step} was given up: another target in its place")
+            self._replace(step, phrase("step {0} was given up: another target in its place", step))
         self._plan()  # now, for choosing has to be quick
 
     def _plan(self) -> None:
@@ -206,7 +210,7 @@ class UntilGoal:
             self._stop = self._plan_further()
 
     @property
-    def _learnt(self) -> str:
+    def _learnt(self) -> Phrase:
         return phrase("noise {0:.3g} times the planned", self.noise_factor)
 
     def _uncertainty(self) -> float:
@@ -229,7 +233,7 @@ class UntilGoal:
         known = now if now < UNKNOWN else math.nan
         return Standing(len(self._queue), known, self._goal)
 
-    def _plan_further(self) -> str | None:
+    def _plan_further(self) -> Phrase | None:
         """Queue what is needed next; or return why nothing is."""
         of, goal = self._experiment, self._goal
         if of.solvable(self._measured):
@@ -248,17 +252,19 @@ class UntilGoal:
         more = pick(of, self._measured, self._beams.allowed, self._beams.chance, wish)
         if not more:
             lacking = of.describe_lacking(self._measured)
-            worse = lacking or f"{_arcsec(self._standing().uncertainty)} > {_arcsec(goal)}"
+            worse = lacking or phrase(
+                "{0} > {1}", _arcsec(self._standing().uncertainty), _arcsec(goal)
+            )
             return phrase("no further step helps: {0}, {1}", worse, self._noise_and_doubt)
         self._doubted = self._doubted or len(more) >= MOST_AT_ONCE
         if (stop := self._beyond_reach()) is not None:
             return stop
-        why = f"{self._learnt}: {len(more)} more lengths to {_arcsec(goal)}"
+        why = phrase("{0}: {1} more lengths to {2}", self._learnt, len(more), _arcsec(goal))
         self._queue += ((step, why) for step in _as_sweep(of, more, self._at))
         return None
 
     @property
-    def _noise_and_doubt(self) -> str:
+    def _noise_and_doubt(self) -> Phrase:
         """The noise, and why the result is not ok where something is said against it."""
         if self._result is None or not self._result.doubt:
             return self._learnt
@@ -278,7 +284,7 @@ class UntilGoal:
             self._hopeless = math.isfinite(result.uncertainty)
             self._allowance = Allowance.of(self._goal / DOUBTED, planned, 0.0)
 
-    def _beyond_reach(self) -> str | None:
+    def _beyond_reach(self) -> Phrase | None:
         """Return that all steps together miss the goal, if that was doubted and is so."""
         best, goal = self._allowance.floor, self._goal  # which no length lowers
         if self._doubted:
@@ -290,9 +296,7 @@ class UntilGoal:
             best = self._allowance.stated(self._best)
         if not goal <= best < math.inf:
             return None
-        missed = phrase(
-            "all steps that are left would give {0} > {1}", _arcsec(best), _arcsec(goal)
-        )
+        missed = phrase("all remaining steps would give {0} > {1}", _arcsec(best), _arcsec(goal))
         if self._allowance.floor >= goal:
             missed = phrase(
                 "the table's error motion alone, as its circle shows it, gives {0}", _arcsec(best)
@@ -319,18 +323,20 @@ class UntilGoal:
         """Queue steps that close a sweep that drifts; False: it does not, or is closed already."""
         if self._closing.begun or not result.drifts:
             return False
-        why = f"{result.doubt}: measured again to close the sweep"
+        why = phrase("{0}: measured again to close the sweep", result.doubt)
         self._queue.extend((step, why) for step in self._closing.begin(self._measured))
         return True
 
-    def _better_than(self, step: int, reason: str) -> tuple[int, str]:
+    def _better_than(self, step: int, reason: Phrase) -> tuple[int, Phrase]:
         """Return a step at the same station with a better chance, or ``step`` itself."""
         found, chance = self._instead(step), self._beams.chance
         if found is None or chance[found] <= chance[step]:
             return step, reason
-        return found, f"the beam of step {step} is probably blocked: another target in its place"
+        return found, phrase(
+            "the beam of step {0} is probably blocked: another target in its place", step
+        )
 
-    def _replace(self, step: int, why: str) -> None:
+    def _replace(self, step: int, why: Phrase) -> None:
         found = self._instead(step)
         if found is not None:
             self._queue.appendleft((found, why))
@@ -345,7 +351,7 @@ class UntilGoal:
         )  # fmt: skip
 
 
-def _arcsec(uncertainty: float) -> str:
+def _arcsec(uncertainty: float) -> Phrase:
     return phrase(
         "U {0:.3f} arcsec rms", uncertainty / ARCSEC
     )  # the largest U of a curve is another figure
@@ -380,17 +386,20 @@ class Closing:
         else:
             self._changes[step] = observation.mean[0] - before.mean[0]
 
-    def describe(self) -> str:
+    def describe(self) -> Phrase:
         """Return by how much lengths have changed, to end a sentence with; empty: none closed."""
         known = {s: change for s, change in self._changes.items() if not math.isnan(change)}
         if not known:
-            return ""
-        return "; closed: step " + ", ".join(f"{s} {_by(change)}" for s, change in known.items())
+            return NOTHING
+        steps = [phrase("{0} {1}", step, _by(change)) for step, change in known.items()]
+        return phrase("; closed: step {0}", listed(steps, ", "))
 
 
-def _by(change: float) -> str:
+def _by(change: float) -> Phrase:
     """Return a change of a length (m) in words; infinite: the zero is another one."""
-    return f"by {change / MICROMETRE:+.2f} um" if math.isfinite(change) else "with another zero"
+    if not math.isfinite(change):
+        return phrase("with another zero")
+    return phrase("by {0:+.2f} um", change / MICROMETRE)
 
 
 def first_sweep(of: LengthExperiment, uncertainty: float) -> list[int]:
@@ -526,23 +535,23 @@ class Suspects:
 
     def again(
         self, suspect: Observation, left_out: str, measured: MeasuredLengths
-    ) -> tuple[list[int], str]:
+    ) -> tuple[list[int], Phrase]:
         """Return the steps to measure again, and why: the suspect one, then all of its station.
 
         Where few lengths check each other a wrong one makes others look wrong. Without any, that
         was in vain, and another target has to take its place. ``left_out``: why it was.
         """
         step, place = suspect.step, suspect.table_position
-        why = f"the length of step {step} is suspect ({left_out})"
+        why = phrase("the length of step {0} is suspect ({1})", step, left_out)
         if step not in self._steps:
             self._steps.add(step)
-            return [step], f"{why}: measured again"
+            return [step], phrase("{0}: measured again", why)
         here = {o.step for o in measured.observations if o.table_position == place}
         others = sorted(here - self._steps)
         if others and place not in self._gone_over:
             self._gone_over.add(place)
-            return others, f"{why} once more: measured again with all of its station"
-        return [], f"{why} again and again: another target in its place"
+            return others, phrase("{0} once more: measured again with all of its station", why)
+        return [], phrase("{0} again and again: another target in its place", why)
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,6 +154,7 @@ def test_a_wrong_length_is_found_and_measured_again(of, when):
     assert made[when].step in again
     assert len(again) < 10  # those of one station at most, where they check each other little
     assert made[-1].reason.startswith("goal reached")
+    assert made[-1].reason.has("goal reached: {0} <= {1}, {2}")
 
 
 def test_errors_of_many_lengths_are_noise_and_not_single_errors(of):
@@ -307,7 +308,7 @@ def test_a_station_without_a_free_beam_ends_the_plan_by_its_name(of):
 def test_a_goal_out_of_reach_of_all_steps_ends_the_plan_at_once(of):
     factor = 20.0
     made = measured(UntilGoal(of, GOAL), cell_of(of, 13, factor))
-    assert "out of reach: all steps that are left would give U" in made[-1].reason
+    assert "out of reach: all remaining steps would give U" in made[-1].reason
     assert len(made) < 90
 
 

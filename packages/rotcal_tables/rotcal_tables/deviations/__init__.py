@@ -1,0 +1,1 @@
+"""Deviations that somebody has already: a table of angles and deviations becomes a result."""
