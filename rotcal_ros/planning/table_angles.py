@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach
@@ -31,7 +31,7 @@ class TableAngleSettings:
     )
 
 
-def run_up_setting() -> float:
+def run_up_setting() -> Any:
     """Return the field of how far a table turns beside its angles."""
     return expert(
         15.0, minimum=1e-3, maximum=360.0,
@@ -40,7 +40,7 @@ def run_up_setting() -> float:
     )  # fmt: skip
 
 
-def passing_setting(default: float) -> float:
+def passing_setting(default: float) -> Any:
     """Return the field of how near to an angle readings count for it."""
     return expert(
         default,

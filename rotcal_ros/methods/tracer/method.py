@@ -116,10 +116,9 @@ def _segments(observations: Sequence[Observation], *, turning: bool) -> Ints:
 
     So is another turn, which takes its time.
     """
-    keys = [(o.run, o.segment) for o in observations]
-    if turning:
-        keys = [(o.run, o.attempt, o.station, o.target, o.segment) for o in observations]
-    every = np.array(keys, dtype=np.int64).reshape(len(keys), -1)
+    kinds = ("run", "segment", "attempt", "station", "target")[: None if turning else 2]
+    every = np.array([[getattr(o, kind) for kind in kinds] for o in observations], dtype=np.int64)
+    every = every.reshape(-1, len(kinds))
     return np.unique(every, axis=0, return_inverse=True)[1].ravel()
 
 
