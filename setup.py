@@ -95,6 +95,7 @@ setup(
             "ros-visualization-msgs",
         ],
         "parquet": ["pyarrow"],
+        "protobuf": ["protobuf"],
         "notebook": ["ipykernel", "nbclient", "nbformat", "pandas", "xarray"],
         "page": ["sse-starlette", "starlette", "uvicorn"],
         "build": [

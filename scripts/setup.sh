@@ -20,7 +20,7 @@ VENV=$PWD/.venv$SUFFIX
 BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
 PACKAGES=$(cd packages && echo rotcal_*)
-EXTRAS=${ROTCAL_EXTRAS:-ros,parquet,notebook,page,docs,test,packages}
+EXTRAS=${ROTCAL_EXTRAS:-ros,parquet,protobuf,notebook,page,docs,test,packages}
 EXTRAS=${EXTRAS/packages/${PACKAGES// /,}},build,build-$DISTRO
 LOCK=locks/$DISTRO.txt
 # Settings of a sourced ROS installation or of another environment would leak into this one.

@@ -47,7 +47,7 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }
-WITHOUT_KEYS = {"alembic", "pyarrow", "python_calamine", "sqlalchemy", "starlette"}
+WITHOUT_KEYS = {"alembic", "google", "pyarrow", "python_calamine", "sqlalchemy", "starlette"}
 """What pip alone brings: verbs that need it say so."""
 OF_PIP_ALONE = {"mcap-ros2-support", "python3-rosbags-pip"}
 OF_THE_CONTROLLER = {"hal", "linuxcnc"}

@@ -195,7 +195,7 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
         raise BagError(
             f"topic {channel.topic}: the schema {channel.type_name} is described in "
             f"{channel.encoding!r}, its messages are in {channel.message_encoding!r}: only "
-            "messages of ROS 2 are read (ros2msg or ros2idl, in cdr); publish it as a message of "
+            "cdr of ros2msg or ros2idl, json and protobuf are read; publish it as a message of "
             "ROS 2 and record that, or write its numbers into a table (docs/formats.md)"
         )
     if channel.message_encoding not in _ENCODINGS:

@@ -84,6 +84,11 @@ _CLOCK_DOC: Final = (
     "a device whose clock drifts or counts from its start); without a header always the latter"
 )
 
+_FIELD_DOC: Final = (
+    "where the {} stands in messages of any other type, by the names of the fields, such as {}; "
+    "empty: by the type"
+)
+
 
 @dataclass(frozen=True)
 class TopicSettings:
@@ -105,6 +110,9 @@ class TopicSettings:
     relative_humidity: str = setting(
         "", doc="topic of the humidity; empty: the one called relative_humidity"
     )
+    length_field: str = expert("", doc=_FIELD_DOC.format("length", "measurement.distance"))
+    angle_field: str = expert("", doc=_FIELD_DOC.format("angle", "axis.position"))
+    position_field: str = expert("", doc=_FIELD_DOC.format("point's x, y and z", "pose.position"))
     length_unit: Length = setting("m", doc="unit of the lengths")
     length_unit_m: float = expert(
         1.0,

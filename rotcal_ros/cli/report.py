@@ -75,13 +75,13 @@ def command(**options: Any) -> int:
     It has figures, tables, warnings, verdict and fingerprints. A RESULT (.json) is reported as it
     is, such as a combination or a result whose bag is elsewhere.
     """
-    asked = _Asked(**options)
+    asked = _ReportRequest(**options)
     asked.refuse_what_does_not_fit()
     return _certify(asked) if asked.dcc else _report(asked)
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _ReportRequest:
     """The options of the command line."""
 
     source: Path
@@ -116,14 +116,14 @@ class _Asked:
         return Input(source, self.setup, self.targets, self.changes, announce=understood)
 
 
-def _certify(asked: _Asked) -> int:
+def _certify(asked: _ReportRequest) -> int:
     from rotcal_ros.foundation.plugins import CERTIFICATES, extension
 
     write: Callable[..., int] = extension(CERTIFICATES, "dcc", "a certificate")
     return write(asked.input(asked.source), asked.output, asked.sign, asked.certificate)
 
 
-def _report(asked: _Asked) -> int:
+def _report(asked: _ReportRequest) -> int:
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.report.page import write_tables
     from rotcal_ros.report.printing import require_writable
@@ -142,7 +142,7 @@ def _report(asked: _Asked) -> int:
     return max(VERDICT_EXIT_CODES[result.verdict], _acting(result, asked.in_force))
 
 
-def _written(asked: _Asked, source: Path, output: Path) -> Result:
+def _written(asked: _ReportRequest, source: Path, output: Path) -> Result:
     """Write the page; return the result that it is about."""
     from rotcal_ros.evaluation.truth_scores import read_document
     from rotcal_ros.recordings.result_sources import read_source

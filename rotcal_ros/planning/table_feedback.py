@@ -88,11 +88,3 @@ def without_joint(topic: str, joint: str, heard: Iterable[str]) -> str:
         f"{', '.join(map(printable, there))}: name one of these{hint}, or leave cell.joint empty "
         "for the first"
     )
-
-
-def without_velocity(topic: str, joint: str) -> str:
-    """Say that a joint of a topic has no velocity, and what to do."""
-    return (
-        f"{topic}: joint {printable(joint)} has no velocity, so it is never known to be at "
-        f"rest: {PUBLISH_VELOCITY}"
-    )

@@ -15,7 +15,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages as records
-from rotcal_ros.capture.instruments.conventions import STAMP, Form, form_of
+from rotcal_ros.capture.instruments.conventions import STAMP, Form
 from rotcal_ros.capture.instruments.interpreter import (
     FEEDBACK,
     READING,
@@ -26,10 +26,11 @@ from rotcal_ros.capture.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.capture.messages import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.planning.table_feedback import without_joint, without_velocity
+from rotcal_ros.planning.table_feedback import without_joint
 from rotcal_ros.recordings.topics import RoleMessages
 
 _TRACER: Final = (*STAMP, "sequence", "length", "status")
@@ -80,18 +81,14 @@ class HeardJoints:
         self._joint = joint
         self.topic = ""
         self._orders: dict[tuple[str, ...], None] = {}
-        self._placed = self._timed = 0
+        self._placed = 0
 
-    def note(
-        self, topic: str, listed: Sequence[str], index: int | None, moving: NDArray[Any] | None
-    ) -> None:
-        """Note messages with the same names; ``moving`` are velocities of the joint, if any."""
+    def note(self, topic: str, listed: Sequence[str], placed: int) -> None:
+        """Note messages with the same names, ``placed`` of which have an angle of the joint."""
         self.topic = topic
         if len(self._orders) < _MOST_ORDERS:
             self._orders[tuple(listed)] = None
-        if index is not None and moving is not None:
-            self._placed += len(moving)
-            self._timed += int(np.isfinite(moving).sum())
+        self._placed += placed
 
     def changing(self) -> str:
         """Return that the first joint is not always the same, if it stands for the table."""
@@ -114,8 +111,6 @@ class HeardJoints:
             yield phrase(
                 "{0}: joint {1} has no position: publish it, in rad", self.topic, printable(chosen)
             )
-        elif names_heard and not self._timed:
-            yield without_velocity(self.topic, chosen)
         elif not self._joint and len(names_heard) > 1:
             yield phrase(
                 "{0} has the joints {1}, and the first one, {2}, was taken for the table: if it "
@@ -198,7 +193,9 @@ class StreamFeeder:
         readings, feedback = np.zeros(0, READING), np.zeros(0, FEEDBACK)
         if self._finder is not None and any(part.role == names.PLAN for part in parts):
             self._finder.ordered = True
-        self._finding |= self._finder is not None and any(map(_tells_positions, parts))
+        self._finding |= self._finder is not None and any(
+            part.role == names.PROBE_POINT and self._form(part) is not None for part in parts
+        )
         for part in sorted(parts, key=lambda part: part.role != REFERENCE):
             with part.checked():
                 if part.role == names.TRACER_LENGTH:
@@ -214,7 +211,7 @@ class StreamFeeder:
                     others.extend(found)
                     if part.role == names.PROBE_POINT:
                         self._compare_point_stamps(found, block)
-        if self._finding:
+        if self._finding:  # positions of the probe come without a step
             # A position without a step belongs to the one at which the table stands just then.
             others.extend(_samples(feedback))
             feedback = feedback[:0]
@@ -277,8 +274,11 @@ class StreamFeeder:
 
     def _numbers(self, block: Block, part: RoleMessages, form: Form) -> NDArray[np.void]:
         """Return the records of a topic of plain numbers, in file order."""
-        numbers = (*form.numbers, *form.limits)
+        numbers, channel = (*form.numbers, *form.limits), part.decoder.channel
         found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, len(numbers))))]
+        unstamped = self._instruments.conventions.without_header(part.role, channel.type_name)
+        if unstamped and not part.decoder.begins_with_header:
+            raise BagError(unstamped)
         for columns in part.decoder.columns(block.select(part.rows), form.fields, ()):
             rows = part.rows[columns.rows]
             values = np.column_stack([columns.values[name] for name in numbers])
@@ -306,9 +306,13 @@ class StreamFeeder:
                 rows[name] = convert(rows[name])
         return rows
 
+    def _form(self, part: RoleMessages) -> Form | None:
+        conventions = self._instruments.conventions
+        return conventions.form(part.role, part.decoder.channel.type_name)
+
     def _readings(self, block: Block, part: RoleMessages) -> NDArray[np.void]:
         """Return the tracer readings of a block in file order."""
-        form = form_of(part.role, part.decoder.channel.type_name)
+        form = self._form(part)
         if form is not None:
             return self._numbers(block, part, form)
         shapes = part.decoder.columns(block.select(part.rows), _TRACER, ())
@@ -317,7 +321,7 @@ class StreamFeeder:
 
     def _feedback(self, block: Block, part: RoleMessages) -> NDArray[np.void]:
         """Return the feedback of the table in a block in file order."""
-        form = form_of(part.role, part.decoder.channel.type_name)
+        form = self._form(part)
         if form is not None:
             return self._numbers(block, part, form)
         found = [np.zeros(0, FEEDBACK)]
@@ -326,15 +330,15 @@ class StreamFeeder:
             index = records.joint_index(listed, self._joint)
             position, velocity = columns.values["position"], columns.values["velocity"]
             if index is None or index >= position.shape[1]:
-                self.joints.note(part.decoder.channel.topic, listed, None, None)
+                self.joints.note(part.decoder.channel.topic, listed, 0)
                 continue
             rows = np.zeros(len(columns.rows), FEEDBACK)
             rows["row"], rows["stamp_ns"] = part.rows[columns.rows], columns.stamp_ns()
             rows["angle"] = position[:, index]
             rows["velocity"] = velocity[:, index] if velocity.shape[1] > index else math.nan
-            self.joints.note(part.decoder.channel.topic, listed, index, rows["velocity"])
+            self.joints.note(part.decoder.channel.topic, listed, len(rows))
             found.append(rows)
-        return self._converted(block, part, np.concatenate(found))
+        return self._instruments.completed(self._converted(block, part, np.concatenate(found)))
 
     def _single(self, block: Block, part: RoleMessages) -> Iterator[Numbered]:
         """Yield the records of a slow topic, message by message."""
@@ -357,12 +361,6 @@ def _in_file_order(first: NDArray[np.void], second: NDArray[np.void]) -> NDArray
         return second
     both = np.concatenate([first, second])
     return both[np.argsort(both["row"], kind="stable")]
-
-
-def _tells_positions(part: RoleMessages) -> bool:
-    """Return whether positions of the probe come without a step."""
-    is_probe = part.role == names.PROBE_POINT
-    return is_probe and form_of(part.role, part.decoder.channel.type_name) is not None
 
 
 Ends = tuple[tuple[int, int], tuple[int, int]]

@@ -14,6 +14,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.other_encodings import decoder_of
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.settings import ReadingLimits
 from rotcal_ros.bags.storage_scan import StorageContents
@@ -164,7 +165,7 @@ class Topics:
         if channel.topic in self.unreadable:
             return None
         try:
-            return Decoder(channel)
+            return decoder_of(channel)
         except BagError as error:
             self.unreadable[channel.topic] = str(error)
             return None

@@ -28,6 +28,7 @@ MODES = {
     "stream": {"angle": "float", "length": "float", "probe": PoseStamped},
     "asked": {"angle": "joint", "length": "shot", "probe": Vector3Stamped},
     "bursts": {"angle": "float", "length": "burst", "probe": PointStamped},
+    "named": {"angle": "place", "length": "vector", "probe": PoseStamped},
     "type": {"angle": "joint", "length": "text", "probe": PoseStamped},
 }
 
@@ -44,9 +45,9 @@ class ForeignCell(Node):
         super().__init__("foreign_cell", namespace="/cell")
         self.mode, self.noise = MODES[mode], np.random.default_rng(3)
         self.angle, self.probe = 0.0, np.zeros(3)
-        kinds = {"float": Float64, "joint": JointState}
+        kinds = {"float": Float64, "joint": JointState, "place": JointState}
         self.angles = self.create_publisher(kinds[self.mode["angle"]], "joint_states", BEST)
-        kinds = {"shot": Range, "text": String}
+        kinds = {"shot": Range, "text": String, "vector": Vector3Stamped}
         self.lengths = self.create_publisher(
             kinds.get(self.mode["length"], Float64), "tracer_length", BEST
         )
@@ -58,7 +59,7 @@ class ForeignCell(Node):
         slow = self.mode["angle"] == "joint"
         self.create_timer(0.1 if slow else 0.01, self.tell_angle)
         self.create_timer(0.3, lambda: self.air.publish(Float64(data=293.15)))
-        if self.mode["length"] in ("float", "text"):
+        if self.mode["length"] in ("float", "text", "vector"):
             self.create_timer(0.005, self.tell_length)
         if self.mode["length"] == "burst":
             self.create_timer(0.3, self.tell_burst)
@@ -84,11 +85,17 @@ class ForeignCell(Node):
             self.angles.publish(Float64(data=degrees(self.angle) % 360.0))
             return
         state = JointState(name=["rail", "rotary"], position=[5.0, degrees(self.angle)])
-        state.velocity = [0.0, 0.0]
+        state.velocity = [0.0, 0.0] if self.mode["angle"] == "joint" else []
         stamp(state, time.time_ns())
         self.angles.publish(state)
 
     def tell_length(self):
+        if self.mode["length"] == "vector":
+            message = Vector3Stamped()
+            message.vector.x, message.vector.y = self.length_mm(), 1.0
+            stamp(message, time.time_ns())
+            self.lengths.publish(message)
+            return
         text = self.mode["length"] == "text"
         self.lengths.publish(String(data="1 m") if text else Float64(data=self.length_mm()))
 

@@ -31,6 +31,7 @@ SHOT = {
 MODES = {
     "stream": (UNITS, {"window_samples": 20}, 4.5e-8),
     "asked": ({**UNITS, **SHOT}, {"window_samples": 1}, 2e-7),
+    "named": ({**UNITS, "length_field": "vector.x"}, {"window_samples": 20}, 4.5e-8),
     "bursts": ({**UNITS, "length_single_shot": True}, {"window_samples": 10}, 7e-8),
 }
 
@@ -64,7 +65,7 @@ def foreign(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", MODES if LONG else ["asked"])
+@pytest.mark.parametrize("mode", MODES if LONG else ["asked", "named"])
 def test_the_truth_is_found_and_found_again(foreign, mode):
     sys.path.append(str(SCRIPT.parent))
     from foreign_cell import error_rad

@@ -37,7 +37,7 @@ TOLD = {
     "other namespace": ("joint_states", "missing", "no node publishes"),
     "other joint": ("joint", "missing", "no joint 'rotary' (cell.joint), it has arm, C"),
     "degrees": ("joint", "doubt", "turns from zero: is it in deg?"),
-    "no velocity": ("joint", "missing", "joint rotary has no velocity"),
+    "no velocity": ("", "", ""),
     "5 Hz": ("joint_states", "doubt", "comes at 5 Hz: whether the table moves or rests is known"),
     "second table": ("joint_states", "missing", "2 publishers on"),
     "lengths in mm": ("tracer_length", "missing", "is it in mm?"),

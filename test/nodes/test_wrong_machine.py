@@ -22,7 +22,6 @@ TOPIC_MISSING, GIVEN_UP = 602, 605
 SENTENCES = {
     "no echo": (GIVEN_UP, "the machine must echo both from the order"),
     "degrees": (TOPIC_MISSING, "degrees? Publish radians"),
-    "no velocity": (TOPIC_MISSING, "joint C has no velocity"),
     "clock": (
         TOPIC_MISSING,
         "stamps of tracer_length are constantly 4.0 s behind those of joint_states",

@@ -1,6 +1,6 @@
 """A cell with one thing wrong.
 
-usage: wrong_machine.py ("no echo" | "degrees" | "no velocity" | "clock" | "deaf")
+usage: wrong_machine.py ("no echo" | "degrees" | "clock" | "deaf")
 """
 
 import math
@@ -46,8 +46,7 @@ class WrongMachine(Node):
     def _stream(self):
         now = time.time_ns()
         angle = math.degrees(self._angle) if self._wrong == "degrees" else self._angle
-        speed = [] if self._wrong == "no velocity" else [0.0]
-        table = JointState(name=["C"], position=[angle], velocity=speed)
+        table = JointState(name=["C"], position=[angle], velocity=[0.0])
         table.header = header(now)
         self._joints.publish(table)
         length = TracerLength(sequence=self._number, length=1e-3 * self._angle, status=1)

@@ -5,6 +5,7 @@ import math
 import pytest
 import yaml
 from bag_samples import CONFIGURATION, START_NS, STORE, serialised, simulate
+from other_messages import write_messages
 
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
@@ -34,10 +35,37 @@ def run():
     return simulate(dump_configuration("tracer_multistation", GROUPS))
 
 
-@pytest.fixture(scope="module")
-def foreign(run, tmp_path_factory):
-    """The run of the simulated cell, sent by another one; log times are the stamps."""
-    folder = tmp_path_factory.mktemp("foreign") / "bag"
+FIELDS = {
+    "length_field": "beam.distance", "angle_field": "angle", "position_field": "at",
+    "length_clock": "sent", "table_clock": "sent", "probe_clock": "sent",
+}  # fmt: skip
+OTHER = parse_configuration(
+    dump_configuration(
+        "tracer_multistation", {**GROUPS, "capture": CAPTURE, "topics": {**NAMES, **FIELDS}}
+    )
+)
+SETUPS = {"ros2": SETUP, "json": OTHER, "protobuf": OTHER}
+
+
+def sent(records):
+    """Topic, fields and time of each message of the instruments, oldest first."""
+    for r in records:
+        if isinstance(r, TracerSample):
+            yield "/etalon/distance_mm", r.length * 1e3, r.stamp_ns
+        elif isinstance(r, TableSample):
+            yield "/rotary/angle_deg", math.degrees(r.angle), r.stamp_ns
+        elif isinstance(r, ProbeSample):
+            yield "/cmm/position", r.position, r.stamp_ns
+
+
+def as_fields(value):
+    """A value as the fields of a message of other_bag."""
+    if isinstance(value, tuple):
+        return {"at": dict(zip("xyz", value, strict=True))}
+    return {"beam": {"distance": value}, "angle": value}
+
+
+def recorded_by_ros(folder, records):
     types = {
         "/etalon/distance_mm": "std_msgs/msg/Float64",
         "/rotary/angle_deg": "std_msgs/msg/Float64",
@@ -48,29 +76,32 @@ def foreign(run, tmp_path_factory):
             topic: writer.channel(topic, name, STORE.generate_msgdef(name, ros_version=2)[0])
             for topic, name in types.items()
         }
-
-        def write(topic, data, stamp_ns):
+        for topic, value, stamp_ns in sent(records):
+            if isinstance(value, tuple):
+                point = STORE.types["geometry_msgs/msg/Point"](*value)
+                data = serialised(types[topic], stamp_ns=stamp_ns, point=point)
+            else:
+                data = serialised(types[topic], data=value)
             writer.write(channels[topic], data, stamp_ns, stamp_ns)
 
-        for r in run.records:
-            if isinstance(r, TracerSample):
-                data = serialised("std_msgs/msg/Float64", data=r.length * 1e3)
-                write("/etalon/distance_mm", data, r.stamp_ns)
-            elif isinstance(r, TableSample):
-                data = serialised("std_msgs/msg/Float64", data=math.degrees(r.angle))
-                write("/rotary/angle_deg", data, r.stamp_ns)
-            elif isinstance(r, ProbeSample):
-                point = STORE.types["geometry_msgs/msg/Point"](*r.position)
-                data = serialised(
-                    "geometry_msgs/msg/PointStamped", stamp_ns=r.stamp_ns, point=point
-                )
-                write("/cmm/position", data, r.stamp_ns)
-    return folder
+
+@pytest.fixture(scope="module", params=SETUPS)
+def foreign(request, run, tmp_path_factory):
+    """The run of the simulated cell, sent by another one; log times are the stamps."""
+    folder = tmp_path_factory.mktemp("foreign") / "bag"
+    if request.param == "ros2":
+        recorded_by_ros(folder, run.records)
+    else:
+        rows = ((topic, as_fields(value), t) for topic, value, t in sent(run.records))
+        write_messages(folder.with_suffix(".mcap"), request.param, rows)
+        folder = folder.with_suffix(".mcap")
+    return folder, SETUPS[request.param]
 
 
 @pytest.mark.slow
 def test_bare_numbers_give_the_observations_of_the_full_messages(run, foreign):
-    found = read_recording(foreign, configuration=SETUP).observations
+    bag, setup = foreign
+    found = read_recording(bag, configuration=setup).observations
     accepted = {o.step: o for o in found if o.accepted}
     expected = {o.step: o for o in run.observations if o.accepted}
     assert len(expected) == 32
@@ -83,5 +114,6 @@ def test_bare_numbers_give_the_observations_of_the_full_messages(run, foreign):
 
 @pytest.mark.slow
 def test_stamps_are_the_log_times(foreign):
-    first = read_recording(foreign, configuration=SETUP).observations[0]
+    bag, setup = foreign
+    first = read_recording(bag, configuration=setup).observations[0]
     assert first.window_start_ns > START_NS

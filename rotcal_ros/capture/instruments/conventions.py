@@ -6,7 +6,7 @@ message and a column of a bag alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, Final
@@ -14,7 +14,6 @@ from typing import Any, Final
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import LENGTH_UNITS, TopicSettings
 from rotcal_ros.capture.messages import stamp_ns
-from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
@@ -39,6 +38,12 @@ _OWNERS: Final = {
     names.PROBE_POINT: "probe",
 }
 """The prefix of the settings of a role's clock."""
+_FIELDS: Final = {
+    names.TRACER_LENGTH: "length_field",
+    names.JOINT_STATES: "angle_field",
+    names.PROBE_POINT: "position_field",
+}
+"""The settings that name a role's numbers in messages of any type."""
 
 
 def single_shots(settings: TopicSettings) -> tuple[str, ...]:
@@ -78,6 +83,48 @@ class Conventions:
             return value * _PASCAL[self.settings.pressure_unit]
         return value * _SHARE[self.settings.humidity_unit]
 
+    def form(self, role: str, type_name: str) -> Form | None:
+        """Return the form of a type other than the role's own: as named, else as it is known."""
+        owner, path = _OWNERS.get(role), self._path(role)
+        if owner is None or not path:
+            return FORMS.get(role, {}).get(type_name)
+        stamped = getattr(self.settings, f"{owner}_clock") == "stamp"
+        return Form(tuple(f"{path}.{axis}" for axis in "xyz") if owner == "probe" else (path,),
+                    stamped)  # fmt: skip
+
+    def _path(self, role: str) -> str:
+        return str(getattr(self.settings, _FIELDS[role])) if role in _FIELDS else ""
+
+    def unfit(self, role: str, type_name: str, fields: Collection[str]) -> str:
+        """Return why messages of a type cannot be used in a role; empty: they can.
+
+        ``fields`` are the dotted names of its numbers.
+        """
+        form, path = self.form(role, type_name), self._path(role)
+        if form is None and type_name != OWN[role]:
+            usable = ", ".join([OWN[role], *FORMS[role]])
+            field = _FIELDS.get(role)
+            named = f" (any other type: name its field, topics.{field})" if field else ""
+            return f"{role}: {type_name} cannot be used; expected {usable}{named}"
+        if form is None or not path:
+            return ""
+        missing = next((name for name in form.numbers if name not in fields), "")
+        if missing:
+            return (
+                f"{role}: {type_name} has no field {missing} (topics.{_FIELDS[role]}: {path}); it "
+                f"has {', '.join(fields) or 'no numbers'}"
+            )
+        return "" if STAMP[0] in fields else self.without_header(role, type_name)
+
+    def without_header(self, role: str, type_name: str) -> str:
+        """Return what to do about a type without a header; empty: nothing."""
+        if not self._path(role) or getattr(self.settings, f"{_OWNERS[role]}_clock") == "sent":
+            return ""
+        return (
+            f"{role}: {type_name} has no header: state topics.{_OWNERS[role]}_clock: sent, so "
+            "that the time of sending counts"
+        )
+
     def taken_ns(self, role: str, stamp_ns: Any, sent_ns: Any) -> Any:
         """Return when a value was taken, by the common clock; one time or (n,), integer ns.
 
@@ -92,7 +139,7 @@ class Conventions:
 
     def by_sending(self, role: str, type_name: str) -> bool:
         """Return whether a message of this type counts as measured when it was sent."""
-        form = form_of(role, type_name)
+        form = self.form(role, type_name)
         if form is not None and not form.stamped:
             return True
         owner = _OWNERS.get(role)
@@ -199,15 +246,3 @@ OWN: Final[Mapping[str, str]] = {
     names.RELATIVE_HUMIDITY: "sensor_msgs/msg/RelativeHumidity",
 }
 """The type made for each role: with numbers, status, step."""
-
-
-def form_of(role: str, type_name: str) -> Form | None:
-    """Return the form of a foreign type that the role accepts; None for any other type."""
-    return FORMS.get(role, {}).get(type_name)
-
-
-def check_type(role: str, type_name: str) -> None:
-    """Raise ConfigurationError unless messages of a type can be used in a role."""
-    if type_name != OWN.get(role) and form_of(role, type_name) is None:
-        usable = ", ".join([OWN[role], *FORMS[role]])
-        raise ConfigurationError(f"{role}: {type_name} cannot be used; expected {usable}")

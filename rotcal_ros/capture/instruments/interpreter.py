@@ -7,7 +7,8 @@ these follow from the numbers themselves.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from math import pi, remainder
+from dataclasses import replace
+from math import isfinite, pi, remainder
 from operator import attrgetter
 from typing import Any, Final
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.instruments.conventions import Conventions, Form, form_of
+from rotcal_ros.capture.instruments.conventions import Conventions, Form
 from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import (
@@ -61,7 +62,7 @@ class Interpreter:
 
     def records(self, role: str, type_name: str, sent: Sequence[Sent]) -> list[Any]:
         """Return the records of messages of one topic, without those of other joints."""
-        form = form_of(role, type_name)
+        form = self.conventions.form(role, type_name)
         if form is not None and role in FAST:
             return self._fast(role, form, sent)
         records = (self.record(role, type_name, message, sent_ns) for message, sent_ns in sent)
@@ -69,12 +70,12 @@ class Interpreter:
 
     def record(self, role: str, type_name: str, message: Any, sent_ns: int) -> Any:
         """Return the record of a message of a slow role, or of a role's own type."""
-        form = form_of(role, type_name)
+        form = self.conventions.form(role, type_name)
         if form is None:
             own = self._own(role, message)
-            if own is None or self._plain:
-                return own
-            return self.conventions.record(role, own, sent_ns)
+            if own is not None and not self._plain:
+                own = self.conventions.record(role, own, sent_ns)
+            return self._angles.moving(own) if isinstance(own, TableSample) else own
         stamp_ns = form.stamp_ns(message, sent_ns)
         if role == names.PROBE_POINT:
             taken_ns = self.conventions.taken_ns(role, stamp_ns, sent_ns)
@@ -90,6 +91,10 @@ class Interpreter:
         if role == names.TRACER_LENGTH:
             return self._lengths.readings(rows, taken, values)
         return self._angles.feedback(rows, taken, values)
+
+    def completed(self, feedback: NDArray[np.void]) -> NDArray[np.void]:
+        """Return feedback of a joint (n,) with velocities: :meth:`BareAngles.completed`."""
+        return self._angles.completed(feedback)
 
     def _fast(self, role: str, form: Form, sent: Sequence[Sent]) -> list[Any]:
         values = np.array([form.row(message) for message, _ in sent], np.float64)
@@ -158,19 +163,44 @@ class BareAngles:
         self._unit = settings.angle_rad
         self._speed = TableSpeed(settings.angle_span_s)
         self._unwrapped: float | None = None
+        self._stated = False
 
     def feedback(self, rows: Ints, stamps: Ints, values: Floats) -> NDArray[np.void]:
         """Return the feedback (m,), m <= n, of ``values`` (n, 1 or more).
 
         The first ones have no velocity yet and are left out.
         """
-        rows_with_velocity = []
-        angles = (values[:, 0] * self._unit).tolist()
-        for row, stamp_ns, angle in zip(rows.tolist(), stamps.tolist(), angles, strict=True):
+        return self._speeds(rows, stamps, values[:, 0] * self._unit)
+
+    def completed(self, feedback: NDArray[np.void]) -> NDArray[np.void]:
+        """Return the feedback of a joint (n,), with a velocity from its angles where it has none.
+
+        A joint that has stated a velocity before does not know it for a while, and is left alone.
+        """
+        stated = self._stated | np.logical_or.accumulate(np.isfinite(feedback["velocity"]))
+        self._stated |= bool(stated.any())
+        bare = feedback[~stated]
+        found = self._speeds(bare["row"], bare["stamp_ns"], bare["angle"])
+        return np.concatenate([found, feedback[stated]])
+
+    def moving(self, sample: TableSample) -> TableSample | None:
+        """Return one feedback of a joint as :meth:`completed` does; None: it has no speed yet."""
+        self._stated |= isfinite(sample.velocity)
+        if self._stated:
+            return sample
+        moving = self._speed.feed(sample.stamp_ns, self._unwrap(sample.angle))
+        return moving and replace(moving, angle=sample.angle)
+
+    def _speeds(self, rows: Ints, stamps: Ints, angles: Floats) -> NDArray[np.void]:
+        """Return angles (n,) in rad with their velocities, without the first ones."""
+        found = []
+        for row, stamp_ns, angle in zip(
+            rows.tolist(), stamps.tolist(), angles.tolist(), strict=True
+        ):
             sample = self._speed.feed(stamp_ns, self._unwrap(angle))
             if sample is not None:
-                rows_with_velocity.append((row, stamp_ns, angle, sample.velocity))
-        return np.array(rows_with_velocity, FEEDBACK)
+                found.append((row, stamp_ns, angle, sample.velocity))
+        return np.array(found, FEEDBACK)
 
     def _unwrap(self, angle: float) -> float:
         """Return an angle with the full turns that bring it nearest to the one before."""

@@ -14,12 +14,12 @@ from sensor_msgs.msg import JointState
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.capture.instruments.conventions import OWN, Conventions, check_type, single_shots
+from rotcal_ros.capture.instruments.conventions import OWN, Conventions, single_shots
 from rotcal_ros.capture.instruments.interpreter import FAST, Interpreter
 from rotcal_ros.capture.instruments.plausibility import Rates, scatter_of
 from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     LengthStatus,
@@ -48,7 +48,7 @@ from rotcal_ros.nodes.runtime.beat_values import (
 from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
-from rotcal_ros.nodes.runtime.message_types import ONE_VERSION, message_type
+from rotcal_ros.nodes.runtime.message_types import ONE_VERSION, message_type, numbers_of
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     Batch,
     InstrumentSubscription,
@@ -221,7 +221,7 @@ class InstrumentTopics:
                 self.refused[role] = f"{versions[0]}; {ONE_VERSION}"
                 return None
             for chosen in type_names:
-                kind, why = _kind(role, chosen)
+                kind, why = _kind(role, chosen, Conventions(self.settings))
                 if kind is not None:
                     self.refused.pop(role, None)
                     self._types[role] = chosen
@@ -290,10 +290,11 @@ class InstrumentTopics:
         self._node.health.beat()
 
 
-def _kind(role: str, type_name: str) -> tuple[type | None, str]:
+def _kind(role: str, type_name: str, conventions: Conventions) -> tuple[type | None, str]:
     """Return the class of a type in its role, or None and the reason why it cannot be used."""
     try:
-        check_type(role, type_name)
-        return message_type(type_name), ""
-    except (BagError, ConfigurationError) as error:
+        kind = message_type(type_name)
+    except BagError as error:
         return None, str(error)
+    why = conventions.unfit(role, type_name, [*numbers_of(kind())])
+    return (None, why) if why else (kind, "")

@@ -71,7 +71,6 @@ from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, run_and_exit
 from rotcal_ros.nodes.runtime.static_frames import StaticFrames
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import steady_timer
-from rotcal_ros.planning.table_feedback import PUBLISH_VELOCITY
 from rotcal_ros.sessions.cell_check import LONGER_S
 from rotcal_ros.sessions.domains import domains_in_use
 
@@ -350,12 +349,10 @@ def _joint_line(snapshot: CellSnapshot) -> CheckLine:
     chosen = preflight.chosen_joint(snapshot.values, joint)
     if fault := next(snapshot.joint_faults(), ""):
         there = ", ".join(map(printable, preflight.joints(snapshot.values)))
-        todo = f"cell.joint: one of {there}"
-        if chosen in preflight.joints(snapshot.values):
-            todo = f"velocity of the joint: {PUBLISH_VELOCITY}"
-        return CheckLine("table", "joint", "missing", fault, todo)
+        return CheckLine("table", "joint", "missing", fault, f"cell.joint: one of {there}")
     angle, speed = preflight.joints(snapshot.values)[chosen]
-    found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed / DEGREE:.3g}°/s"
+    speed_text = f"{speed / DEGREE:.3g}°/s" if isfinite(speed) else "its speed by its angles"
+    found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed_text}"
     if doubt := next(_doubts(snapshot), ""):
         todo = _as_it_says(doubt, "publish the feedback in radians")
         return CheckLine("table", "joint", "doubt", doubt, todo)

@@ -37,7 +37,7 @@ from rotcal_ros.nodes.runtime.beat_values import (
     name_in,
 )
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.table_feedback import without_joint, without_velocity
+from rotcal_ros.planning.table_feedback import without_joint
 
 _AIR: Final = {
     "temperature": names.TEMPERATURE,
@@ -261,8 +261,6 @@ def joint_faults(values: Values, joint: str) -> Iterator[str]:
         return
     if chosen not in heard:
         yield without_joint(topic, joint, heard)
-    elif not isfinite(heard[chosen][1]):
-        yield without_velocity(topic, chosen)
 
 
 def joint_doubts(values: Values, configuration: Configuration) -> Iterator[str]:

@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
 from rotcal_ros.bags.settings import TopicSettings
-from rotcal_ros.capture.instruments.conventions import Conventions, form_of, single_shots
+from rotcal_ros.capture.instruments.conventions import Conventions, single_shots
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods.configuration import read_topics
 from rotcal_ros.nodes.recorder.bookkeeping import NEVER_PAUSE, TopicLosses
@@ -64,7 +64,7 @@ class HeardTopic:
         """Return when the newest message was taken, by the common clock; 0: none has come."""
         if not self.latest:
             return 0
-        form = form_of(role, self.channel.type_name)
+        form = conventions.form(role, self.channel.type_name)
         if form is not None and not form.stamped:
             return int(conventions.taken_ns(role, self.sent_ns, self.sent_ns))
         seconds, nanoseconds = _STAMP.unpack_from(self.latest)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ament_index_python.packages import get_package_share_directory
 
@@ -39,6 +40,16 @@ def message_type(type_name: str) -> type:
             "source the workspace that holds it"
         ) from error
     return found
+
+
+def numbers_of(message: Any) -> Iterator[str]:
+    """Yield the dotted names of the numbers of a message."""
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        if hasattr(value, "get_fields_and_field_types"):
+            yield from (f"{name}.{inner}" for inner in numbers_of(value))
+        elif isinstance(value, int | float):
+            yield name
 
 
 _VERSION: Final = re.compile(r"<version>\s*([^<\s]+)\s*</version>")

@@ -1,6 +1,7 @@
 """Messages of every kind become records in SI; what comes out follows from units and clocks."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace as Message
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
-from rotcal_ros.capture.instruments.conventions import check_type
+from rotcal_ros.capture.instruments.conventions import STAMP, Conventions
 from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import LengthStatus
@@ -119,10 +120,65 @@ def test_own_messages_in_plain_settings_are_left_as_they_are():
 
 
 def test_what_is_not_understood_is_named():
-    with pytest.raises(ConfigurationError) as refused:
-        check_type(names.TRACER_LENGTH, "std_msgs/msg/String")
-    assert all(n in str(refused.value) for n in ("std_msgs/msg/String", FLOAT, "TracerLength"))
-    check_type(names.TRACER_LENGTH, RANGE)
+    refused = Conventions(TopicSettings()).unfit(names.TRACER_LENGTH, "std_msgs/msg/String", [])
+    parts = ("std_msgs/msg/String", FLOAT, "TracerLength", "topics.length_field")
+    assert all(part in refused for part in parts)
+    assert not Conventions(TopicSettings()).unfit(names.TRACER_LENGTH, RANGE, [])
+
+
+DISTANCE = "acme_msgs/msg/Distance"
+
+
+def test_a_number_of_any_type_is_named_by_its_fields():
+    settings = TopicSettings(length_field="beam.distance", length_unit="mm")
+    sent = [
+        (Message(header=header(k), beam=Message(distance=value, quality=1.0)), 99)
+        for k, value in enumerate((100.0, math.nan))
+    ]
+    found = Interpreter(settings).records(names.TRACER_LENGTH, DISTANCE, sent)
+    assert [(r.stamp_ns, r.status) for r in found] == [
+        (0, LengthStatus.OK), (1, LengthStatus.BEAM_BROKEN),
+    ]  # fmt: skip
+    assert found[0].length == pytest.approx(0.1)
+    by_sending = replace(settings, length_clock="sent")
+    assert Interpreter(by_sending).records(names.TRACER_LENGTH, DISTANCE, sent)[0].stamp_ns == 99
+    place_of = Interpreter(TopicSettings(position_field="at.place", position_unit="mm"))
+    message = Message(header=header(5), at=Message(place=place(1.0, 2.0, 3.0)))
+    found = place_of.record(names.PROBE_POINT, "acme_msgs/msg/Ball", message, 0)
+    assert (found.position, found.stamp_ns) == ((0.001, 0.002, 0.003), 5)
+
+
+@pytest.mark.parametrize(("fields", "words"), [
+    ([*STAMP, "beam.distance"], ""),
+    ([*STAMP, "beam.length"], "has no field beam.distance (topics.length_field: "),
+    (["beam.distance"], "no header: state topics.length_clock: sent"),
+])  # fmt: skip
+def test_a_field_that_is_not_there_is_named_with_those_that_are(fields, words):
+    conventions = Conventions(TopicSettings(length_field="beam.distance"))
+    refused = conventions.unfit(names.TRACER_LENGTH, DISTANCE, fields)
+    assert words in refused
+    assert bool(refused) == bool(words)
+
+
+def test_a_joint_without_velocity_has_that_of_its_angles():
+    degrees = [0.0, 0.5, 1.0, 1.0, 1.0, 1.0]  # 50 deg/s, then rest
+    joints = [
+        (Message(header=header(k * SECOND // 100), name=["C"], position=[math.radians(a)],
+                 velocity=told), 0)
+        for k, a in enumerate(degrees) for told in [[], [math.nan]][k % 2 :][:1]
+    ]  # fmt: skip
+    interpreter = Interpreter(TopicSettings(angle_span_s=0.02))
+    found = interpreter.records(names.JOINT_STATES, "sensor_msgs/msg/JointState", joints)
+    assert [round(math.degrees(s.velocity), 9) for s in found] == [50.0, 25.0, 0.0, 0.0]
+    assert found[0].angle == math.radians(1.0)
+    # Once the drive has stated a velocity, it is asked for it: NaN is then no rest.
+    stated = Message(header=header(SECOND), name=["C"], position=[0.1], velocity=[0.2])
+    lost = Message(header=header(SECOND + 1), name=["C"], position=[0.1], velocity=[math.nan])
+    found = interpreter.records(
+        names.JOINT_STATES, "sensor_msgs/msg/JointState", [(stated, 0), (lost, 0)]
+    )
+    assert found[0].velocity == 0.2
+    assert math.isnan(found[1].velocity)
 
 
 @pytest.mark.parametrize(("given", "words"), [

@@ -50,12 +50,9 @@ def test_where_there_are_more_joints_than_are_told_one_that_is_not_told_may_be_t
         assert doubts(values, configured("cell.joint=C")) == []
 
 
-def test_a_joint_without_velocity_is_told_where_it_is_the_tables():
+def test_a_joint_without_velocity_is_read_by_its_angles():
     values = {"joint.x": f"0.5 {nan}", "joint.table": "0.5 0.0"}
-    assert faults(values, configured("cell.joint=table")) == []
-    (fault,) = faults(values, configured("cell.joint=''"))  # the first one
-    assert "joint x has no velocity" in fault
-    assert "rad/s" in fault
+    assert faults(values, configured("cell.joint=''")) == []  # the first one
 
 
 def test_lengths_in_millimetres_are_a_fault():
