@@ -52,6 +52,8 @@ CUBIC: Final = 3
 """Degree of the curve through lengths: their second and third derivatives are no error."""
 SIFTED: Final = 3
 """How often spikes are looked for, each time about the curve through what was left before."""
+TELLING: Final = 20
+"""Readings from which spikes are told: through few a cubic comes too near to show what is usual."""
 LONG_PAUSE: Final = 3.0
 """Readings this many times as far apart as they usually are: some between them were lost."""
 
@@ -362,6 +364,8 @@ def reduced_length(
             lost = phrase("{0} readings lost while the table passed", missing) if missing else None
             return ReducedWindow(reason=lost or too_few_usable(faults, length, settings))
         curve = Curve.through(ahead[used], length[used], CUBIC)
+        if len(good) < TELLING:
+            break
         spikes = good[beyond(np.abs(length[good] - curve.at(ahead[good])), settings)]
         faults[good], faults[spikes] = ReadingFault.NONE, ReadingFault.SPIKE
         used = good[faults[good] == ReadingFault.NONE]

@@ -132,6 +132,19 @@ def test_spikes_and_some_lost_readings_do_no_harm():
     assert np.abs(away).max() < 0.05 * UM
 
 
+def test_few_readings_are_no_spikes_of_each_other():
+    """A cubic through seven comes within nanometres of some of them, by chance."""
+    plan = plan_of(count=200)
+    answer, table, tracer = scene(plan, noise=0.2 * UM)
+    found = captured(plan, answer, table, [
+        replace(each, sequence=k) for k, each in enumerate(tracer[::12])
+    ])  # fmt: skip
+    assert {o.n_samples for o in found} <= {6, 7}
+    assert all(o.accepted for o in found), {o.reason for o in found}
+    error = np.array([o.mean[0] - distance(o.table_angle) for o in found])
+    assert error.std() == pytest.approx(0.2 * UM * np.sqrt(9.0 / 4.0 / 7.0), rel=0.2)
+
+
 def test_a_beam_that_breaks_is_no_length_and_begins_another_zero():
     plan = plan_of()
     answer, table, tracer = scene(plan)

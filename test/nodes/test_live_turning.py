@@ -19,7 +19,7 @@ DEMO = Path(__file__).parents[2] / "config" / "tracer_turning_demo.yaml"
 QUICK = (
     "plan.table_positions=18", "plan.table_step_deg=20.0", "plan.passing_deg=2.0",
     "planner.preflight_timeout_s=30.0", "capture.clock_tolerance_s=60.0",
-    "capture.settle_time_s=2.0", "simulation.time_scale=4.0",
+    "capture.settle_time_s=0.5", "simulation.time_scale=1.0",
     "simulation.tracer.rate_hz=100.0", "simulation.table.feedback_rate_hz=50.0",
     "capture.window_samples=10",
 )  # fmt: skip

@@ -180,10 +180,12 @@ class GoalMeasurement:
     async def _try(self, turn: Sequence[_Tried], attempt: int, number: int) -> None:
         """Order the first of the steps of a ``turn``, or one alone, and wait for all of them."""
         progress, jumps = self._watch.progress, self._watch.clock_jumps()
-        await self._order(turn[0].step, attempt, number)
+        await self._order(turn[0].step, attempt)
         for k, tried in enumerate(turn):
             key = (tried.step, attempt)
             self._place(tried.step)
+            step = self._calibration.plan.steps[tried.step]
+            self._watch.tell(Why.MEASURING, step.describe(number))
             observed = await self._observed(key)
             if self._watch.clock_jumps() != jumps:
                 await self._watch.wait(lambda: False, SETTLING_S)
@@ -192,6 +194,7 @@ class GoalMeasurement:
                 tried.whole = not await self._lost(key)
                 if not tried.captured:
                     progress.note(tried.step, accepted=True)
+                    progress.left = max(progress.left - 1, 0)
                 tried.captured = True
             else:
                 tried.reasons.append(self._reason_of_failure(key))
@@ -222,13 +225,11 @@ class GoalMeasurement:
         else:
             progress.step, progress.total = progress.ended, progress.ended + progress.left
 
-    async def _order(self, index: int, attempt: int, number: int) -> None:
-        """Order an attempt, the ``number``-th at a step."""
-        step = self._calibration.plan.steps[index]
+    async def _order(self, index: int, attempt: int) -> None:
+        """Order an attempt at a step, once no node is slow."""
         await self._watch.have_all_answer()
-        self._watch.tell(Why.MEASURING, step.describe(number))
         self._watch.heed_stop()
-        self._watch.links.order(step.command(attempt))
+        self._watch.links.order(self._calibration.plan.steps[index].command(attempt))
 
     async def _observed(self, key: Attempt) -> bool:
         """Return whether an observation of an attempt has come and is accepted."""
