@@ -53,7 +53,7 @@ CUBIC: Final = 3
 SIFTED: Final = 3
 """How often spikes are looked for, each time about the curve through what was left before."""
 TELLING: Final = 20
-"""Readings from which spikes are told: through few a cubic comes too near to show what is usual."""
+"""Readings from which spikes are told: a cubic comes too near to fewer to show what is usual."""
 LONG_PAUSE: Final = 3.0
 """Readings this many times as far apart as they usually are: some between them were lost."""
 

@@ -112,6 +112,10 @@ class RecorderNode(CellNode):
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if (recording := self._writing()) is None:
             return
+        if topic.channel.topic == self._called.topic(names.OBSERVATION):
+            batch = self._session.of_this_run(batch)
+            if not batch:
+                return
         messages = Messages.taken(topic.channel, batch)
         arrived_ns = [received_ns for _, received_ns, _ in messages.items]
         messages = messages.at(self._log_times.ascending(topic.channel.topic, arrived_ns))
