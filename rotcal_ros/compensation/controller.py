@@ -232,14 +232,18 @@ class Controller(ABC):
         when no public form is known.
         """
         del errors, stem, head
-        raise ConfigurationError(
-            f"{self.facts.title}: no public form of its volumetric compensation is known; "
-            "--to volumetric writes all deviations as CSV and JSON"
-        )
+        raise self._without_components()
 
     def read_components(self, files: Mapping[str, str]) -> ComponentErrors:
         """Return what the control makes of its volumetric ``files``; BagError for damage."""
-        raise NotImplementedError(f"{self.facts.title} reads no {', '.join(files)}")
+        del files
+        raise self._without_components()
+
+    def _without_components(self) -> ConfigurationError:
+        return ConfigurationError(
+            f"{self.facts.title}: no public form of its volumetric compensation is known; "
+            "--to volumetric writes all deviations as CSV and JSON"
+        )
 
     @property
     def travel(self) -> tuple[float, float]:

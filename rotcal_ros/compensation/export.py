@@ -113,12 +113,11 @@ def prepare_export(
 
     ``axis`` is the axis they are meant for (refused when the table is another's), ``spacing``
     and ``reference_angle`` are radians (without a spacing see :func:`chosen_rows`),
-    ``settings`` go to the controller, ``stem`` is the file
-    name without extension (else axis and controller, and that of a simulation says so),
-    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. Unverified facts
-    about a controller are refused unless ``accept_unverified``. Raises DataError for a verdict
-    other than "ok" or a file that would make things worse, and ConfigurationError for limits,
-    names and settings. Writes nothing.
+    ``settings`` go to the controller, ``stem`` is the file name without extension (else axis and
+    controller, and that of a simulation says so), ``sources`` maps what the numbers come from (a
+    bag, a result) to its SHA-256. Unverified facts about a controller are refused unless
+    ``accept_unverified``. Raises DataError for a verdict other than "ok" or a file that would make
+    things worse, and ConfigurationError for limits, names and settings. Writes nothing.
     """
     controller = make_controller(controller_name, settings).for_axis(table.axis)
     _refuse(table, controller, axis, accept_unverified=accept_unverified)

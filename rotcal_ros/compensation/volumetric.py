@@ -108,18 +108,7 @@ def prepare_volumetric(
     round, ConfigurationError for a controller without a known form, for an axis other than C, and
     for what is not verified, unless ``accept_unverified``. Writes nothing.
     """
-    check_verdict(result)
-    refuse_lost_reversal(result)
-    if known_hash(result.measured_on):
-        raise DataError(
-            f"{describe(result.measured_on)}: a volumetric compensation would replace what that "
-            "table corrects; measure without a table"
-        )
-    if not axis.startswith("C"):
-        raise ConfigurationError(
-            f"axis {axis}: the deviations are those of an axis about Z, EXC .. ECC, and are not "
-            "turned to the names of another one: give the table as axis C"
-        )
+    _refuse(result, axis)
     names = [name for name in COMPONENTS if name in result.deviations]
     curves = {name: measured_curve(result, name) for name in names}
     if not all(curve.period for curve in curves.values()):
@@ -157,6 +146,21 @@ def prepare_volumetric(
         "notes": notes,
     }
     return with_side(written.files, name, side), tuple(notes)
+
+
+def _refuse(result: Result, axis: str) -> None:
+    check_verdict(result)
+    refuse_lost_reversal(result)
+    if known_hash(result.measured_on):
+        raise DataError(
+            f"{describe(result.measured_on)}: a volumetric compensation would replace what that "
+            "table corrects; measure without a table"
+        )
+    if not axis.startswith("C"):
+        raise ConfigurationError(
+            f"axis {axis}: the deviations are those of an axis about Z, EXC .. ECC, and are not "
+            "turned to the names of another one: give the table as axis C"
+        )
 
 
 def _left_between(errors: ComponentErrors, back: ComponentErrors) -> dict[str, float]:

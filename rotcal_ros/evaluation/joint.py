@@ -226,13 +226,15 @@ def _by_observations(shared: _Shared, curve_model: CurveModel) -> Model:
     zeros = block_diag(*(unknown(group) for group in groups if group))
     inverse = np.linalg.pinv(rows, rcond=NONE)
     beyond = np.eye(len(rows)) - rows @ inverse
-    beyond[np.abs(beyond) < NONE] = 0.0  # the rounding of nothing has an inverse, too
+    bound = beyond @ zeros
+    for part in (beyond, bound):
+        part[np.abs(part) < NONE] = 0.0  # the rounding of nothing has an inverse, too
     # The zero that brings the shared curve to where the outputs count from.
-    fixed = np.linalg.pinv(beyond @ zeros, rcond=NONE) @ beyond
+    fixed = np.linalg.pinv(bound, rcond=NONE) @ beyond
     curve = seen - zeros @ (fixed @ seen)
     if np.abs(beyond @ curve).max() > NONE:
         raise DataError("the outputs of a model cannot be any curve: its result has to do")
-    own = np.hstack([inverse @ zeros @ null_space(beyond @ zeros, rcond=NONE), null_space(rows)])
+    own = np.hstack([inverse @ zeros @ null_space(bound, rcond=NONE), null_space(rows)])
     to = np.hstack([inverse @ curve, own @ _observable(model, own)])
     blocks = {CURVES: curve.shape[1], "own unknown": to.shape[1] - curve.shape[1]}
     return whitened(reparametrised(model, to, blocks))

@@ -18,6 +18,7 @@ from rotcal_ros.bags.decode import Columns, Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.capture import messages as records
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import (
     Approach,
     Command,
@@ -52,11 +53,12 @@ commands = st.builds(
     Command, u32, u32, any_float, st.sampled_from(Approach), kinds, u32, points, turn=turns,
     anew=st.booleans(),
 )  # fmt: skip
+reasons = text.map(phrase) | st.builds(phrase, st.just("{0} of {1:.3g}"), text, any_float)
 observations = st.builds(
     Observation,
     step=u32, attempt=u32, table_position=u32, table_angle=any_float, target=u32, station=u32,
     kind=kinds, mean=lists, std=lists, scatter=lists, probe_position=points, n_samples=u32,
-    n_used=u32, accepted=st.booleans(), reason=text, table_angle_measured=any_float,
+    n_used=u32, accepted=st.booleans(), reason=reasons, table_angle_measured=any_float,
     temperature_c=st.none() | st.floats(allow_nan=False), window_start_ns=stamps,
     window_end_ns=stamps, segment=u32,
 )  # fmt: skip

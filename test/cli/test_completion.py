@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -63,10 +64,12 @@ def test_it_knows_the_controllers(before):
 
 
 def test_it_knows_the_methods_and_no_other():
-    assert offered("rotcal settings ") == [
+    core = (
         "angle_comparison", "ball_plate", "plane_mirror", "table_balls", "tracer_multistation",
         "tracer_six",
-    ]  # fmt: skip
+    )  # fmt: skip
+    beside = entry_points(group="rotcal_ros.methods").names  # of packages that are installed
+    assert offered("rotcal settings ") == sorted({*core, *beside})
 
 
 @pytest.mark.slow

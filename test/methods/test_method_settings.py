@@ -1,6 +1,7 @@
 """The settings of the methods mean what their descriptions say."""
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def test_places_of_a_plate():
     assert (plate.name, plate.material, plate.separate_groups) == ("ball plate", "", False)
 
 
-@pytest.mark.parametrize("name", list(TracerLimits.__dataclass_fields__))
+@pytest.mark.parametrize("name", [field.name for field in fields(TracerLimits)])
 def test_limits_of_the_tracer_lie_between_0_and_1(name):
     for value in (0.0, 1.0, -0.1, math.nan):
         with pytest.raises(ConfigurationError, match=name):

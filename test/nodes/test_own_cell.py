@@ -40,6 +40,7 @@ def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch
     finally:
         own.terminate()
         own.wait(load_scaled_timeout(10))
+    assert done.stdout, (done.returncode, done.stderr)
     outcome = json.loads(done.stdout)
     result = read_result(tmp_path / "out" / "result.json")
     by_chance = any(BY_CHANCE in warning for warning in result.warnings)
