@@ -190,7 +190,7 @@ TURNS = Case(
         "capture.window_samples=10", "simulation.time_scale=4.0",
         "simulation.tracer.rate_hz=100.0", "simulation.table.feedback_rate_hz=50.0",
     ),
-    4 * 2 * (18 + 1),
+    4 * 2 * 18,
     (),
     of_turns,
 )  # fmt: skip
