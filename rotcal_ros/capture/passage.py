@@ -285,8 +285,7 @@ def _observe(
     near = np.abs(ahead) < step.passing
     missing = _missing(values[:, SEQUENCE], ahead, step.passing)
     stamps, values, ahead = stamps[near], values[near], ahead[near]
-    reason = passed.fault(_turn(step), settings) or _few(ahead, step, settings)
-    if reason:
+    if reason := why_no_reading_counts(passed, ahead, step, settings):
         reduced = ReducedWindow(reason=reason)
     elif step.kind == PointKind.REFLECTOR:
         reduced = reduced_length(ahead, values, missing, settings)
@@ -305,6 +304,13 @@ def _observe(
         air=streams.air_at(attempt, settings),
         segment=segment,
     )
+
+
+def why_no_reading_counts(
+    passed: Passage, ahead: Floats, step: Step, settings: CaptureSettings
+) -> Phrase | None:
+    """Return what is wrong with a passage, or that readings (n,) ``ahead`` of it are too few."""
+    return passed.fault(_turn(step), settings) or _few(ahead, step, settings)
 
 
 def _few(ahead: Floats, step: Step, settings: CaptureSettings) -> Phrase | None:

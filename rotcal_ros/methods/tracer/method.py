@@ -33,7 +33,7 @@ from rotcal_ros.methods.arrivals import (
 )
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
-from rotcal_ros.methods.tracer import table, turning_table
+from rotcal_ros.methods.tracer import table, turning_readings, turning_table
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
@@ -259,7 +259,7 @@ METHOD: Final = Method(
         table.TARGETS,
         runs="runs",
         again={"order": TARGETS_PER_STATION},
-        with_angles=turning_table.HEADERS,
+        with_angles=(*turning_table.HEADERS, *turning_readings.HEADERS),
     ),
     figures=plugins.later("rotcal_ros.methods.tracer.figures:figures"),
     tables=plugins.later("rotcal_ros.methods.tracer.figures:tables"),
