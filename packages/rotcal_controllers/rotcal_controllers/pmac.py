@@ -95,7 +95,7 @@ class Pmac(Controller):
         16,
         minimum=1,
         maximum=LARGEST,
-        doc="Ixx85, 1/16 count per background cycle; 0 would switch the way back off",
+        doc="Ixx85: 1/16 count per background cycle; 0 would switch the way back off",
     )
 
     backlash_sixteenths: int | None = setting(

@@ -224,3 +224,15 @@ def test_the_tables_own_motion_is_estimated_and_in_the_uncertainty():
     stated = 2.0 * np.sqrt(result.covariance["ECC"].diagonal()[1:].mean())
     # 0.2 um along a circle of 65 mm are 0.63 arcsec, and the first angle has as much
     assert stated > 2.0 * 0.5 * 0.2e-6 / 0.065
+
+
+def test_an_unstated_motion_is_neither_a_drift_nor_noise_in_time():
+    # weighed by a size that nobody would overlook, the first solution is 200 arcsec off: about it
+    # white noise seemed correlated, and a drift was taken off
+    scene = turning_scene(1011, angles=120, motion=0.1e-6)
+    solution, result = solved(scene, error_motion_std=None)
+    assert result.verdict == "ok"
+    assert solution.in_time is None
+    errors = result.deviations["ECC"].reshape(scene.ecc.shape) - scene.ecc
+    assert (errors.std(axis=1) < 1.0 * ARCSEC).all()
+    assert np.sqrt((normalised(scene, result) ** 2).mean()) < 1.3

@@ -28,7 +28,7 @@ from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.table_columns import undecided
+from rotcal_ros.foundation.table_columns import ANGLE, UNITS, undecided
 from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Row, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -217,7 +217,7 @@ def require_sign(reading: Reading) -> None:
         REVERSED,
         ACTUAL,
     }
-    ours = {DEVIATION, "deviation_arcsec"}.intersection(reading.form_head)
+    ours = {f"deviation_{unit}" for unit in UNITS[ANGLE]}.intersection(reading.form_head)
     if not (stated or ours or ACTUAL in reading.uses or BY_BOTH in reading.remarks):
         raise _which_sign(reading)
 
