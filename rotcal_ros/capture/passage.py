@@ -59,7 +59,7 @@ LONG_PAUSE: Final = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class FittedCurve:
     """A polynomial of least squares: its ``value`` at 0, the ``std`` of that, and its ``slope``.
 
     It is a sum of polynomials that are orthogonal at the points, after Forsythe (1957): ``terms``
@@ -75,7 +75,7 @@ class Curve:
     terms: tuple[tuple[float, float, float], ...]
 
     @classmethod
-    def through(cls, x: Floats, y: Floats, degree: int = 1) -> Curve:
+    def through(cls, x: Floats, y: Floats, degree: int = 1) -> FittedCurve:
         """Return that through ``x``, ``y`` (n,), at more different ``x`` than its degree."""
         # fsum rounds once: the order of summing, which numpy chooses by machine, cannot matter.
         before, own, left, square_before = np.zeros_like(x), np.ones_like(x), y, 1.0
@@ -127,9 +127,9 @@ class Passage:
         return np.asarray(np.interp(since, passed, self.ahead) + self.motion.slope * beyond_s)
 
     @property
-    def motion(self) -> Curve:
+    def motion(self) -> FittedCurve:
         """The even motion that is nearest to it, over seconds."""
-        return Curve.through((self.stamps - self.stamps[0]) * NANOSECOND, self.ahead)
+        return FittedCurve.through((self.stamps - self.stamps[0]) * NANOSECOND, self.ahead)
 
     def fault(self, turn: Turn, settings: CaptureSettings) -> Phrase | None:
         """Return what is wrong with it, so that no reading counts."""
@@ -332,7 +332,7 @@ def _reduced(
     if not np.isfinite(values).all():
         return ReducedWindow(reason=phrase("a reading is not a finite number"))
     return _of_curves(
-        [Curve.through(ahead, column) for column in values[:, 1:].T],
+        [FittedCurve.through(ahead, column) for column in values[:, 1:].T],
         _lost(stamps, values[:, 0]),
         settings,
     )
@@ -369,7 +369,7 @@ def reduced_length(
         if len(used) < least:
             lost = phrase("{0} readings lost while the table passed", missing) if missing else None
             return ReducedWindow(reason=lost or too_few_usable(faults, length, settings))
-        curve = Curve.through(ahead[used], length[used], CUBIC)
+        curve = FittedCurve.through(ahead[used], length[used], CUBIC)
         if len(good) < TELLING:
             break
         spikes = good[beyond(np.abs(length[good] - curve.at(ahead[good])), settings)]
@@ -381,7 +381,7 @@ def reduced_length(
 
 
 def _of_curves(
-    curves: list[Curve], lost: Phrase | None, settings: CaptureSettings
+    curves: list[FittedCurve], lost: Phrase | None, settings: CaptureSettings
 ) -> ReducedWindow:
     """Return what curves through readings say at the angle, rejected if readings are ``lost``."""
     return ReducedWindow(
@@ -393,7 +393,7 @@ def _of_curves(
     )
 
 
-def _unsteady(curves: list[Curve], settings: CaptureSettings) -> Phrase | None:
+def _unsteady(curves: list[FittedCurve], settings: CaptureSettings) -> Phrase | None:
     """Return that readings scatter too much about their curves."""
     scatter = max(curve.scatter for curve in curves)
     if scatter <= settings.max_std_m:

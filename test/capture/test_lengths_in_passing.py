@@ -8,7 +8,7 @@ from capture_scenes import MS, SECOND
 
 from rotcal_ros.capture import Capture, CaptureRules, CaptureSettings
 from rotcal_ros.capture.decisions import decide_length
-from rotcal_ros.capture.passage import Curve
+from rotcal_ros.capture.passage import FittedCurve
 from rotcal_ros.foundation.observations import (
     Approach,
     LengthStatus,
@@ -89,7 +89,9 @@ def test_a_straight_line_or_the_mean_would_be_wrong():
     away = np.linspace(-0.5, 0.5, 83) * DEG
     angle = 180.0 * DEG
     lengths = distance(angle + away)
-    errors = [abs(Curve.through(away, lengths, k).value - distance(angle)) for k in (1, 2, 3)]
+    errors = [
+        abs(FittedCurve.through(away, lengths, k).value - distance(angle)) for k in (1, 2, 3)
+    ]
     assert errors[0] > 0.2 * UM
     assert errors[2] < 2e-12
 
@@ -98,7 +100,7 @@ def test_the_curve_is_that_of_numpys_polynomials():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-0.02, 0.03, 60), rng.standard_normal(60)
     for degree in (1, 2, 3):
-        curve = Curve.through(x, y, degree)
+        curve = FittedCurve.through(x, y, degree)
         scaled, covariance = np.polyfit(x / 0.03, y, degree, cov=True)
         assert curve.value == pytest.approx(scaled[-1], rel=1e-9)
         assert curve.std == pytest.approx(np.sqrt(covariance[-1, -1]), rel=1e-9)

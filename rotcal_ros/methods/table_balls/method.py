@@ -15,7 +15,7 @@ from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
-from rotcal_ros.capture.passage import Curve, decide_passage
+from rotcal_ros.capture.passage import FittedCurve, decide_passage
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
@@ -659,7 +659,7 @@ def read_passing(configuration: Configuration, table: Table) -> PlannedMeasureme
                 f"sides of {step.table_angle / DEGREE:g} deg within plan.passing_deg, "
                 f"{configuration.plan.passing_deg:g} deg"
             )
-        x, y, z = (Curve.through(away[near], column).value for column in rows[near, 3:].T)
+        x, y, z = (FittedCurve.through(away[near], column).value for column in rows[near, 3:].T)
         observations.append(step.observed((x, y, z)))
     return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 

@@ -38,7 +38,7 @@ _LEAST: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
-class _Readings:
+class _RawReadings:
     """All readings of a ``table``, (n,): seconds, degrees without a wrap, metres, and targets.
 
     A length is nan where the beam was broken; ``target`` is None where no column names it.
@@ -51,7 +51,7 @@ class _Readings:
     target: Ints | None
 
     @classmethod
-    def of(cls, table: Table) -> _Readings:
+    def of(cls, table: Table) -> _RawReadings:
         """Return those of a table; raises DataError, with the row, for what is no number."""
         rows = table.rows()
         time = np.array([row.number(TIME) for row in rows])
@@ -67,7 +67,7 @@ class _Readings:
         whole = np.unwrap(angle, period=_TURN_DEG)
         return cls(table, time, whole, length, None if target is None else np.array(target))
 
-    def about(self, middle_deg: float) -> _Readings:
+    def about(self, middle_deg: float) -> _RawReadings:
         """Return them with angles, whole turns apart, as near to ``middle_deg`` as can be."""
         own = 0.5 * (self.angle_deg.min() + self.angle_deg.max())
         turns = round((middle_deg - own) / _TURN_DEG)
@@ -75,7 +75,7 @@ class _Readings:
 
 
 @dataclass(frozen=True, eq=False)
-class _Turn:
+class _FoundTurn:
     """One turn: the ``rows`` of its readings, its ``speed`` (deg/s), and its ``target``."""
 
     rows: slice
@@ -91,7 +91,7 @@ def read(
     ``targets``: in place of the plan's. Without angles in the set-up, a whole turn by degrees.
     Raises DataError where there are no turns, or none knows which targets they are of.
     """
-    readings, passing = _Readings.of(table), configuration.plan.passing_deg
+    readings, passing = _RawReadings.of(table), configuration.plan.passing_deg
     wanted = _wanted(configuration, readings)
     readings = readings.about(0.5 * (wanted[0] + wanted[-1]))
     found = _turns(readings, wanted[0] - passing, wanted[-1] + passing)
@@ -124,7 +124,7 @@ def _alike(own: float, stated_deg_s: float) -> bool:
     return abs(own - stated_deg_s) <= AS_STATED * abs(stated_deg_s)
 
 
-def _wanted(configuration: Configuration, readings: _Readings) -> Floats:
+def _wanted(configuration: Configuration, readings: _RawReadings) -> Floats:
     """Return the angles (n,), deg: those of the set-up, or all degrees of a turn."""
     if stated(configuration):
         return np.array(table_angles(configuration.plan)) / DEGREE
@@ -139,18 +139,18 @@ def _wanted(configuration: Configuration, readings: _Readings) -> Floats:
     return np.arange(first, first + _TURN_DEG)
 
 
-def _turns(readings: _Readings, first_deg: float, last_deg: float) -> list[_Turn]:
+def _turns(readings: _RawReadings, first_deg: float, last_deg: float) -> list[_FoundTurn]:
     """Return the turns that pass all from one angle to the other, either way, in their order."""
     angle = readings.angle_deg
     outside = np.flatnonzero((angle <= first_deg) | (angle >= last_deg))
     side = angle[outside] >= last_deg
-    found = list[_Turn]()
+    found = list[_FoundTurn]()
     for at in np.flatnonzero(side[1:] != side[:-1]).tolist():
         rows = slice(int(outside[at]), int(outside[at + 1]) + 1)
         if rows.stop - rows.start < _LEAST:
             continue
         time, way = readings.time[rows], angle[rows]
-        found.append(_Turn(rows, float((way[-1] - way[0]) / (time[-1] - time[0])), -1))
+        found.append(_FoundTurn(rows, float((way[-1] - way[0]) / (time[-1] - time[0])), -1))
     if not found:
         raise DataError(
             f"{readings.table.path}: the table never turned from {first_deg:g} to {last_deg:g} "
@@ -161,8 +161,8 @@ def _turns(readings: _Readings, first_deg: float, last_deg: float) -> list[_Turn
 
 
 def _with_targets(
-    found: list[_Turn], readings: _Readings, targets: int, speeds: int
-) -> list[_Turn]:
+    found: list[_FoundTurn], readings: _RawReadings, targets: int, speeds: int
+) -> list[_FoundTurn]:
     """Return the turns with their targets: by the column, or as many for each, in their order."""
     if readings.target is None:
         if len(found) != targets * speeds:
@@ -172,7 +172,7 @@ def _with_targets(
                 "Add a column target"
             )
         return [replace(turn, target=k // speeds) for k, turn in enumerate(found)]
-    named = list[_Turn]()
+    named = list[_FoundTurn]()
     for turn in found:
         numbers = np.unique(readings.target[turn.rows])
         if len(numbers) > 1 or numbers[0] >= targets:
@@ -186,7 +186,7 @@ def _with_targets(
 
 
 def _observed(
-    readings: _Readings, turn: _Turn, step: Step, calibration: Calibration, segment: int
+    readings: _RawReadings, turn: _FoundTurn, step: Step, calibration: Calibration, segment: int
 ) -> Observation:
     """Return what readings beside its angle make of a ``step``; judged as in a live cell."""
     settings, sense = calibration.configuration.capture, float(np.sign(turn.speed))

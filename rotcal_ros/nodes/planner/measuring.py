@@ -30,7 +30,7 @@ REPEAT_PERIOD_S: Final = 2.0
 
 
 @dataclass
-class _Tried:
+class _TriedStep:
     """A step: whether it was captured, also without a loss (``whole``), and why not so far."""
 
     step: int
@@ -163,7 +163,7 @@ class GoalMeasurement:
         first = max(self._next_attempt.get(step, start) for step in steps)
         self._next_attempt |= dict.fromkeys(steps, first + limit)
         self._tell(choice, first)
-        left = [_Tried(step) for step in steps]
+        left = [_TriedStep(step) for step in steps]
         for number in range(limit):
             await self._try(left, first + number, number)
             if all(each.whole for each in left):
@@ -177,7 +177,7 @@ class GoalMeasurement:
             self.reasons += tried.reasons
         return {tried.step: [] if tried.captured else tried.reasons for tried in left}
 
-    async def _try(self, turn: Sequence[_Tried], attempt: int, number: int) -> None:
+    async def _try(self, turn: Sequence[_TriedStep], attempt: int, number: int) -> None:
         """Order the first of the steps of a ``turn``, or one alone, and wait for all of them."""
         progress, jumps = self._watch.progress, self._watch.clock_jumps()
         await self._order(turn[0].step, attempt)
