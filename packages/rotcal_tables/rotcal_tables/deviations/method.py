@@ -15,8 +15,8 @@ from itertools import chain
 from typing import Final
 
 import numpy as np
-from scipy.stats import t as student
 
+from rotcal_ros.adjust.distributions import t_isf, t_sf
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.evaluation.combination import UNCHECKED
@@ -96,7 +96,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
             "measured twice: add a column of standard uncertainties, or state one for all with "
             "--reference-u ARCSEC (k = 1), solver.u_arcsec"
         )
-    wide = scatter * (student.ppf((1.0 + COVERAGE) / 2.0, dof) / COVERAGE_FACTOR if dof else 0.0)
+    wide = scatter * (t_isf((1.0 - COVERAGE) / 2.0, dof) / COVERAGE_FACTOR if dof else 0.0)
     same = arrivals.target[:, None] == arrivals.target
     covariance = np.outer(stated, stated) * same + wide**2 * np.eye(len(values))
     doubts = _strangers(values, arrivals, dof)
@@ -147,7 +147,7 @@ def _strangers(values: Floats, arrivals: Arrivals, dof: int) -> list[Phrase]:
     worst = int(np.argmax(squares))
     rest = float(np.sum(residual**2) - squares[worst]) / (dof - 1)
     size = np.sqrt(squares[worst] / max(rest, 1e-30))
-    if 2.0 * len(values) * student.sf(size, dof - 1) > STRANGE:
+    if 2.0 * len(values) * t_sf(size, dof - 1) > STRANGE:
         return []
     return [
         phrase(
