@@ -11,7 +11,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.settings import of_changes
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.table_forms import read_any, remembered
-from rotcal_ros.foundation.tables import own_table
+from rotcal_ros.foundation.tables import is_own
 from rotcal_ros.foundation.untrusted import load_yaml
 from rotcal_ros.methods.configuration import Configuration, changed, parse_configuration
 from rotcal_ros.methods.method import Method, TableReader, find_method, usable_methods
@@ -23,7 +23,7 @@ NAMED: Final = "method="
 def fitting_methods(path: Path, sheet: SheetSettings = AS_IT_STANDS) -> list[Method]:
     """Return the methods whose columns a table has, as far as it can be read without a set-up."""
     readers = [(method, method.table) for method in usable_methods() if method.table]
-    own = [m for m, t in readers if own_table(path, (*t.headers, *t.with_angles))]
+    own = [m for m, t in readers if is_own(path, (*t.headers, *t.with_angles))]
     if own:
         return own
     read = [(method, _reads(path, table, sheet)) for method, table in readers]
