@@ -37,6 +37,7 @@ MADE = {
 """Files of the site that scripts make: the script, and its function."""
 LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)\s#]+)(?P<anchor>#[^)]*)?\)")
 COMMANDS = "command_line.md"
+CONTROLLERS = "controllers.md"
 REFERENCE = """
 ::: mkdocs-click
     :module: rotcal_ros.cli.main
@@ -89,6 +90,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         leads = posixpath.relpath(place, posixpath.dirname(uri))
         return f"[{link['text']}]({leads}{link['anchor'] or ''})"
 
+    if uri == CONTROLLERS:
+        markdown = runpy.run_path(str(ROOT / "scripts" / "controllers_page.py"))["filled"](
+            markdown
+        )
     return LINK.sub(moved, markdown) + (REFERENCE if uri == COMMANDS else "")
 
 

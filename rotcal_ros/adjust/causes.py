@@ -42,8 +42,6 @@ TIED: Final = 1e-6
 """Difference of two supports, or improbabilities, that is rounding: the first asked goes first."""
 SCATTER_ROUNDS: Final = 3
 """Times that a scatter is estimated, and all is judged by it."""
-SAME_SIZE: Final = 0.05
-"""Relative change of the size of a scatter that is no matter to what is judged."""
 MANY: Final = 0.25
 """Part of a group from which on those that are left do not tell surely which ones are off."""
 FEW_EFFECTS: Final = 3
@@ -66,20 +64,25 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
     return _with_scatter(whole, explained)
 
 
+def started(model: Model, limits: Limits) -> Diagnosis:
+    """Return where the adjustment starts: gross errors wait outside, nothing else is judged."""
+    start, gross = robust_start(model, limits)
+    return _outside(Diagnosis(model, limits, Noise(np.ones(len(model.components))), start), gross)
+
+
 def _with_scatter(whole: Diagnosis, explained: Diagnosis | None) -> Diagnosis:
     """Return what is believed once what scatters is weighed by the size that is likely.
 
     Before, it was weighed by a size that nobody would overlook, or as stated; what was
     ``explained`` so stays.
     """
-    diagnosis = explained or whole
+    diagnosis = (explained or whole).as_likely
     for judged in range(SCATTER_ROUNDS):
         fit, model = diagnosis.fit, diagnosis.model
         sizes = [fit.sizes[each].weighing for each in model.scatterings]
         if not judged:
             sizes = _least_sizes(diagnosis, sizes)
-        now = [float(model.std[each.rows[0]]) for each in model.scatterings]
-        if explained and np.allclose(sizes, now, rtol=SAME_SIZE):
+        if explained and diagnosis.weighs(sizes):
             break
         again = replace(diagnosis, model=model.scattered(sizes), start=fit.x)
         diagnosis = explained = _explained(again)
@@ -106,7 +109,8 @@ def _least_sizes(diagnosis: Diagnosis, sizes: Sequence[float]) -> list[float]:
             if each.stated is not None:
                 continue  # it is weighed as stated, and what contradicts that is not an effect yet
             chance, beside = each.beside(fit, errors)
-            if chance * among < limit:
+            # an effect that reaches all contrasts leaves none that tell of the size
+            if beside.contrasts and chance * among < limit:
                 found[k] = min(found[k], beside.weighing)
     return found
 

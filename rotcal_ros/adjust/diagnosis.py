@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,11 @@ from rotcal_ros.adjust.model import Disturbing, Model
 from rotcal_ros.adjust.noise import EstimatedFactors
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.language import Phrase, listed, phrase
+
+SIZE_ROUNDS: Final = 5
+"""Solutions of which each is weighed by the size of a scatter that the one before makes likely."""
+SAME_SIZE: Final = 0.05
+"""Relative change of the size of a scatter that is no matter to what is judged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +135,26 @@ class Diagnosis:
     def fit(self) -> Fit:
         """The solution with the noise that is believed."""
         return self.fitted(self.noise.factors, self.start)
+
+    @property
+    def as_likely(self) -> Diagnosis:
+        """The same, with what scatters weighed by the size that its own solution makes likely.
+
+        That of a solution which is weighed by other sizes may be far off: then derivatives are
+        not those of the observations, and what these show best drowns in rounding.
+        """
+        found = self
+        for _ in range(SIZE_ROUNDS):
+            sizes = [found.fit.sizes[each].weighing for each in found.model.scatterings]
+            if found.weighs(sizes):
+                break
+            found = replace(found, model=found.model.scattered(sizes), start=found.fit.x)
+        return found
+
+    def weighs(self, sizes: Sequence[float]) -> bool:
+        """Whether what scatters is weighed by such ``sizes``, but for what is no matter."""
+        now = [float(self.model.std[each.rows[0]]) for each in self.model.scatterings]
+        return np.allclose(sizes, now, rtol=SAME_SIZE)
 
     def solved(self, fit: Fit) -> Diagnosis:
         """Return the same, which ``fit`` is the solution of."""

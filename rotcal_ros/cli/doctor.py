@@ -23,6 +23,7 @@ from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.foundation.middleware import SUPPORTED, distribution, middleware, rclpy_version
 from rotcal_ros.sessions.domains import free_domain
+from rotcal_ros.sessions.processes import messages_are_current
 
 COMPILERS: Final = (("CC", "cc"), ("CXX", "c++"))
 NEEDED_BYTES: Final = 2_000_000_000
@@ -144,11 +145,12 @@ def ros() -> Check:
 
 def messages() -> Check:
     """Look for the generated messages."""
-    found = util.find_spec("rotcal_msgs") is not None
+    built = util.find_spec("rotcal_msgs") is not None
+    current = built and messages_are_current()
     return Check(
         "rotcal_msgs",
-        found,
-        "built" if found else "not built",
+        current,
+        "built" if current else "built from earlier definitions" if built else "not built",
         "needed for live calibration only: 'make setup', or build msg_defs with colcon",
     )
 

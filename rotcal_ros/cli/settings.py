@@ -38,7 +38,8 @@ def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
     """Print what to state first to measure with METHOD, and the names of what else can be set.
 
     With a GROUP (plan, solver, topics, ...), what its settings mean; the unit stands before the
-    comma. Without METHOD, those of all methods. Settings for experts, such as thresholds and
+    comma. Without METHOD, those of all methods; the name of a controller stands for its settings.
+    Settings for experts, such as thresholds and
     waits, which need no change in ordinary use, are left out without --expert or --all.
     --json has every setting, and marks the ones to state first and those for experts.
     """
@@ -70,7 +71,7 @@ def _sections(method: str, groups: Sequence[str]) -> tuple[Section, ...]:
     others = () if method else plugins.names(plugins.METHODS)
     for name in groups:
         if name not in known:
-            what = "group" if method else "method or group"
+            what = "group" if method else "method, group or controller"
             hint = plugins.nearest(name, (*others, *known))
             raise ConfigurationError(f"no {what} {name!r:.80}{hint}")
     return tuple(section for section in sections if not groups or section.group in groups)

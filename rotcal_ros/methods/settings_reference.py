@@ -11,6 +11,7 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, Final
 
 from rotcal_ros.bags.settings import ReadingLimits
+from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.settings import Declaration, declarations
 from rotcal_ros.methods.configuration import GROUPS, SHARED_GROUPS
@@ -34,12 +35,14 @@ _UNIT: Final = re.compile(r"(\S+), ")
 class Section:
     """One group of settings: its name, that of its method ("" if shared), what it declares.
 
-    ``group`` is empty for settings that stand in a file of their own: the goal of a plan.
+    ``group`` is empty for settings that stand in a file of their own: the goal of a plan. Those of
+    a controller are ``named_alone``, without the group's name.
     """
 
     group: str
     method: str
     cls: type[Any]
+    named_alone: bool = False
 
     @property
     def summary(self) -> str:
@@ -48,7 +51,7 @@ class Section:
 
     def settings(self) -> Iterator[tuple[str, Declaration]]:
         """Yield (``group.name``, declaration) of every setting."""
-        prefix = f"{self.group}." if self.group else ""
+        prefix = f"{self.group}." if self.group and not self.named_alone else ""
         for declared in declarations(self.cls):
             yield f"{prefix}{declared.name}", declared
 
@@ -95,15 +98,21 @@ def goal_sections() -> tuple[Section, ...]:
     return tuple(Section("", "", goal) for goal in goals)
 
 
+def controller_section(name: str) -> Section:
+    """Return the settings of a controller: ``--set`` of ``rotcal export``, ``bridge.options``."""
+    return Section(name, "", type(make_controller(name)), named_alone=True)
+
+
 def reading_section() -> Section:
     """Return the limits of the bag reader, which are set on the command line alone."""
     return Section("reading", "", ReadingLimits)
 
 
 def all_sections() -> tuple[Section, ...]:
-    """Return every group: the shared ones, those of each method, what stands elsewhere."""
+    """Return every group: the shared ones, of each method, what stands elsewhere, controllers."""
     own = (section for name in method_names() for section in own_sections(name))
-    return (*shared_sections(), *own, *goal_sections(), reading_section())
+    controllers = map(controller_section, controller_names())
+    return (*shared_sections(), *own, *goal_sections(), reading_section(), *controllers)
 
 
 def first_settings(sections: Iterable[Section]) -> tuple[tuple[str, Declaration], ...]:

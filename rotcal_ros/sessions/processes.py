@@ -24,6 +24,7 @@ from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, free_domain
 
 TERMINATE_TIMEOUT_S: Final = 25.0
 _POLL_S: Final = 0.05
+_NEWEST_MESSAGE: Final = "_text_code.py"
 _OF_THE_PAGE: Final = ("sse_starlette", "starlette", "uvicorn")
 
 
@@ -36,6 +37,18 @@ def require_ros() -> None:
             "project's environment (make setup) or source a ROS 2 workspace; recorded bags are "
             "solved without ROS: rotcal solve BAG"
         )
+    if not messages_are_current():
+        raise ConfigurationError(
+            "rotcal_msgs was built from earlier definitions: run 'make setup', or build msg_defs "
+            "with colcon again"
+        )
+
+
+def messages_are_current() -> bool:
+    """Return whether the newest message is built; looks at files, since an import takes long."""
+    spec = find_spec("rotcal_msgs")
+    folders = spec.submodule_search_locations if spec else None
+    return any(Path(folder, "msg", _NEWEST_MESSAGE).exists() for folder in folders or ())
 
 
 def page_can_be_served() -> bool:

@@ -124,11 +124,23 @@ def test_a_setting_that_must_be_given_says_so():
 
 def test_a_misspelt_name_gets_the_nearest_one():
     for arguments, hint in (
-        (["ball_plat"], "no method or group 'ball_plat'; did you mean 'ball_plate'?"),
-        (["ball_plat", "--json"], "no method or group 'ball_plat'; did you mean 'ball_plate'?"),
-        (["captur"], "no method or group 'captur'; did you mean 'capture'?"),
+        (["ball_plat"], "no method, group or controller 'ball_plat'; did you mean 'ball_plate'?"),
+        (
+            ["ball_plat", "--json"],
+            "no method, group or controller 'ball_plat'; did you mean 'ball_plate'?",
+        ),
+        (["captur"], "no method, group or controller 'captur'; did you mean 'capture'?"),
         (["ball_plate", "captur"], "no group 'captur'; did you mean 'capture'?"),
     ):
         ran = run(*arguments)
         assert ran.exit_code == 2
         assert hint in ran.stderr
+
+
+def test_the_name_of_a_controller_stands_for_its_settings():
+    ran = run("linuxcnc", "--json")
+    (section,) = json.loads(ran.stdout)["groups"]
+    found = {setting["name"]: setting for setting in section["settings"]}
+    # joint N of [JOINT_N]: LinuxCNC 2.9 has 16 of them
+    assert (found["joint"]["minimum"], found["joint"]["maximum"]) == (0, 15)
+    assert "\n  machine_ini\n" in run("linuxcnc").stdout

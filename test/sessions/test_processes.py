@@ -6,9 +6,10 @@ import time
 
 import pytest
 
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.machine_load import load_scaled_timeout
 from rotcal_ros.sessions import processes
-from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.processes import Processes, require_ros
 
 STUBBORN = (
     "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
@@ -59,3 +60,16 @@ def test_children_end_with_an_error_too(tmp_path):
     with pytest.raises(ZeroDivisionError):
         fail(children)
     assert children.children["a"].returncode == -signal.SIGTERM
+
+
+def test_messages_of_earlier_definitions_are_refused_before_a_node_starts(tmp_path, monkeypatch):
+    for name in ("rclpy", "rotcal_msgs"):
+        (tmp_path / name / "msg").mkdir(parents=True)
+        (tmp_path / name / "__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("rclpy", "rotcal_msgs"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(ConfigurationError, match="built from earlier definitions"):
+        require_ros()
+    (tmp_path / "rotcal_msgs" / "msg" / "_text_code.py").touch()
+    require_ros()

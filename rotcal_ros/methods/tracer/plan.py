@@ -16,7 +16,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.observations import Approach, PointKind, Turn
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.settings import (
@@ -101,10 +101,7 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     pairs are not of the plan's angles and targets.
     """
     if settings.turning_deg_s:
-        raise PlanError(
-            "turning_deg_s: a cell does not read lengths from a table that turns yet; a table of "
-            "them, with the columns angle_deg,target,direction,length_m, is solved"
-        )
+        return turning_plan(settings)
     if settings.pairs:
         return explicit_plan(settings)
     if settings.repeated and settings.order != TARGETS_PER_STATION:
@@ -129,6 +126,7 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
     """Return the plan of a table that turns once at each speed, for one target after the other.
 
     ``targets``: in place of the plan's. A step's station is its run: the number of its speed.
+    Every turn begins with a step at rest, at which the reflector has come to its target.
     Raises PlanError for speeds of zero, and for settings that ask for stops.
     """
     speeds, angles = settings.turning_deg_s, table_angles(settings)
@@ -140,15 +138,24 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
             "min_elevation_deg, min_distance_m, runs and bidirectional; speeds of both signs "
             "measure both directions"
         )
+    if settings.run_up_deg <= settings.passing_deg:
+        raise PlanError(
+            f"run_up_deg: {settings.run_up_deg:g} leaves the table no way to get up to its speed "
+            f"before passing_deg, {settings.passing_deg:g}"
+        )
     targets, steps = tuple(targets) or targets_of(settings), list[Step]()
+    ends = angles[0] - settings.run_up_deg * DEGREE, angles[-1] + settings.run_up_deg * DEGREE
     for target, (run, speed) in product(range(len(targets)), enumerate(speeds)):
-        back = speed < 0.0
-        rows = [(position, target, run) for position in range(len(angles))][:: -1 if back else 1]
-        sides = [Approach.NEGATIVE if back else Approach.POSITIVE] * len(angles)
-        kind = PointKind.REFLECTOR
-        turn = numbered_steps(rows, angles, targets, kind, approaches=sides)
-        begin = len(steps)
-        steps += [replace(step, index=begin + step.index) for step in turn]
+        sense = 1 if speed > 0.0 else -1
+        begin, end = ends[::sense]
+        side = Approach.POSITIVE if speed > 0.0 else Approach.NEGATIVE
+        rows = [(position, target, run) for position in range(len(angles))][::sense]
+        sides, kind = [side] * len(angles), PointKind.REFLECTOR
+        passed = numbered_steps(rows, angles, targets, kind, approaches=sides)
+        rest = replace(passed[0], table_angle=begin, approach=Approach.UNKNOWN)
+        turn, passing = Turn(begin, end, speed * DEGREE), settings.passing_deg * DEGREE
+        each = (rest, *(replace(step, turn=turn, passing=passing) for step in passed))
+        steps += [replace(step, index=k) for k, step in enumerate(each, len(steps))]
     return Plan(METHOD, angles, targets, tuple(steps))
 
 

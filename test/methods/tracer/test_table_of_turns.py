@@ -81,15 +81,6 @@ def test_three_targets_leave_nothing_to_check_a_place(tmp_path):
         read(turning_scene(31, angles=12, targets=3), tmp_path)
 
 
-def test_a_cell_does_not_turn_yet(tmp_path):
-    settings = tmp_path / "setup.yaml"
-    settings.write_text(
-        "method: tracer_multistation\nplan: {turning_deg_s: [12, -12]}\nsimulation: {}\n"
-    )
-    with pytest.raises(rc.RotcalError, match="does not read lengths from a table that turns yet"):
-        rc.simulated_truth(rc.read_configuration(settings))
-
-
 def test_a_table_of_any_other_form_is_not_held_to_be_one_that_turned(scene, tmp_path):
     table, settings = write_turns(scene, tmp_path, setup=setup(scene), with_times=False)
     rows = [line.split(",") for line in table.read_text().splitlines()]

@@ -216,6 +216,7 @@ def plate_model(layout: PlateLayout, *, by_axis: bool = False) -> Model:
         definitions=np.pad(layout.definitions, ((0, 0), (0, more))),
         unstated=problem.std is None and problem.sigma is None,
         least=least,
+        shared=("CMM", "ball"),
     )
 
 

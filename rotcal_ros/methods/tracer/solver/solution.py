@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, eye_array, hstack, kron
 from scipy.special import ndtr
 
 from rotcal_ros.adjust.bordered import FewEach
+from rotcal_ros.adjust.causes import started
 from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.adjust.engine import Adjusted, Trials
 from rotcal_ros.adjust.engine import adjust as adjusted
@@ -24,7 +25,6 @@ from rotcal_ros.adjust.mapped import replaced
 from rotcal_ros.adjust.model import CurveModel
 from rotcal_ros.adjust.observable import family_observable_by
 from rotcal_ros.adjust.outputs import Outputs
-from rotcal_ros.adjust.robust_start import robust_start
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 from rotcal_ros.foundation.language import noted, phrase
@@ -338,19 +338,17 @@ def _turned(posed: Posed, supposed: Supposed) -> tuple[Adjusted, InTime | None]:
     That takes readings to be independent, and places to be free across their circle.
     """
     model, limits = posed.model(supposed), limits_of(posed.problem.settings)
-    start, gross = robust_start(model, limits)
-    kept = ~np.isin(np.arange(len(model.observed)), gross)
-    first, lengths = fitted(model, kept, model.std, start), posed.lengths_of(supposed)
+    first, lengths = started(model, limits), posed.lengths_of(supposed)
     if posed.motion is None:
         rows = np.flatnonzero(model.of_component == model.components.index(ERROR_MOTION))[0::2]
         runs = Runs.of(lengths)
-        other = max(other_motion(runs, lengths.angles, first.residual[rows]), ROUND)
+        other = max(other_motion(runs, lengths.angles, first.fit.residual[rows]), ROUND)
         model = posed.model(replace(supposed, other=(other, other)))
-        first = fitted(model, kept, model.std, first.x)
-    in_time = InTime.of(lengths, posed.problem.earlier[lengths.row], first)
+        first = replace(first, model=model, start=first.fit.x).as_likely
+    in_time = InTime.of(lengths, posed.problem.earlier[lengths.row], first.fit)
     if in_time.independent:
-        return adjusted(replace(model, start=first.x), limits), None
-    return adjusted(in_time.model(model), limits), in_time
+        return adjusted(replace(first.model, start=first.fit.x), limits), None
+    return adjusted(in_time.model(first.model), limits), in_time
 
 
 def _weighed(solution: TracerSolution) -> TracerSolution:
