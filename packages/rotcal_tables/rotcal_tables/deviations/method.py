@@ -31,7 +31,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.table_columns import ANGLE, UNITS, undecided
 from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Row, Table, hashes
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.arrivals import Arrivals, arrivals_of, mean_of_runs
 from rotcal_ros.methods.calibration import prepare
@@ -90,12 +90,15 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     scatter, dof = _scatter(values, arrivals)
     stated = read.points[:, 1] if read.points.shape[1] > 1 else np.zeros(len(values))
     stated = np.where(stated > 0.0, stated, configuration.solver.u_arcsec * ARCSEC)
+    count = configuration.sheet.counts_per_turn
     if not dof and not np.all(stated > 0.0):
         raise DataError(
             f"{configuration.source}: nothing states how sure these deviations are, and none was "
             "measured twice: add a column of standard uncertainties, or state one for all with "
             "--reference-u ARCSEC (k = 1), solver.u_arcsec"
         )
+    # a whole count hides up to half a count, the same in all runs
+    stated = np.hypot(stated, TURN / abs(count) / np.sqrt(12.0) if count else 0.0)
     wide = scatter * (t_isf((1.0 - COVERAGE) / 2.0, dof) / COVERAGE_FACTOR if dof else 0.0)
     same = arrivals.target[:, None] == arrivals.target
     covariance = np.outer(stated, stated) * same + wide**2 * np.eye(len(values))
