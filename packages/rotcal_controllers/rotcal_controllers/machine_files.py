@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite, nan
 from pathlib import Path
 from typing import Final
 
@@ -34,9 +35,12 @@ def machine_text(path: str) -> str:
 def finite(path: str, name: str, text: str) -> float:
     """Return the number that ``text`` is; ConfigurationError for any other text."""
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise ConfigurationError(f"{path}: {name} is {text!r:.40}, expected a number") from None
+        number = nan
+    if not isfinite(number):
+        raise ConfigurationError(f"{path}: {name} is {text!r:.40}, expected a number")
+    return number
 
 
 def require_as_measured(name: str, now: float | None, measured: float | None, unit: str) -> str:
@@ -53,7 +57,8 @@ def require_as_measured(name: str, now: float | None, measured: float | None, un
             "measurement: nothing of it is in the table, so set it back, or measure again"
         )
     return "" if not now else (
-        f"{name} = {now:g} {unit} acts beside the table, as it did in the measurement: leave it so"
+        f"{name} = {now:g} {unit} acts beside the table, and has to be what it was during the "
+        "measurement: nothing of it is in the table"
     )  # fmt: skip
 
 
@@ -83,7 +88,7 @@ class MachineData:
         tab = {
             value: f"AX{int(index) + 1}"
             for (datum, index), value in self.values.items()
-            if datum == "MN_AXCONF_MACHAX_NAME_TAB" and index.isdigit()
+            if datum == "MN_AXCONF_MACHAX_NAME_TAB" and index.isdecimal()
         }
         axes = {index.rpartition(",")[2] for datum, index in self.values if datum[:2] == "MA"}
         found = tab.get(name, name)

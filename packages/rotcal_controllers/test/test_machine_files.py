@@ -79,6 +79,7 @@ def test_a_table_in_force_on_a_sinumerik_that_was_not_measured_on_is_refused(tmp
         ("WEIGHT[1]=1", "WEIGHT[1]=0.5", r"CEC_TABLE_WEIGHT\[1\] is 0\.5"),
         ("MAX_SUM[AX5]=1", "MAX_SUM[AX5]=0.0001", "CEC_MAX_SUM of AX5 is 0.0001 deg"),
         ("[0,AX5]=0.002", "[0,AX5]=x", "is 'x', expected a number"),
+        ("[0,AX5]=0.002", "[0,AX5]=inf", "is 'inf', expected a number"),
         ('[4]="C1"', '[4]="B1"', "no machine axis C1: set axis_name to one of AX1, AX5, B1, X1"),
     ],
 )

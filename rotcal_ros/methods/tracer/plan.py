@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import compress, product
+from typing import Final
 
 import numpy as np
 
@@ -91,6 +92,10 @@ def check_plan(solver: TracerSolverSettings, planned: Plan, *, turning: bool = F
         raise PlanError(missing)
 
 
+MOST_PASSED: Final = 2400
+"""Angles, each at every speed: a result of so many has about 220 MB, and 268 MB are read."""
+
+
 def tracer_plan(settings: TracerPlanSettings) -> Plan:
     """Return the plan of one laser-tracer calibration.
 
@@ -127,7 +132,8 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
 
     ``targets``: in place of the plan's. A step's station is its run: the number of its speed.
     Every turn begins with a step at rest, at which the reflector has come to its target.
-    Raises PlanError for speeds of zero, and for settings that ask for stops.
+    Raises PlanError for speeds of zero, for settings that ask for stops, and for more than
+    MOST_PASSED angles.
     """
     speeds, angles = settings.turning_deg_s, table_angles(settings)
     if not all(speeds):
@@ -137,6 +143,12 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
             "turning_deg_s measures every target in a whole turn at each speed: leave out pairs, "
             "min_elevation_deg, min_distance_m, runs and bidirectional; speeds of both signs "
             "measure both directions"
+        )
+    if (places := len(angles) * len(speeds)) > MOST_PASSED:
+        raise PlanError(
+            f"turning_deg_s: {len(angles)} angles at {len(speeds)} speeds are {places} places, "
+            f"expected {MOST_PASSED} at most: the covariance of more makes a result that is too "
+            "large to be read; measure fewer angles"
         )
     if settings.run_up_deg <= settings.passing_deg:
         raise PlanError(
