@@ -5,6 +5,7 @@ from setuptools import find_packages, setup
 NAME = "rotcal_design"
 VERSION = "0.1.0"
 PLANS = {
+    "advise": "advise",
     "check": "check",
     "effort": "plates",
     "plate": "plates",

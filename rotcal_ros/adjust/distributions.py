@@ -45,6 +45,11 @@ def normal_isf(probability: float) -> float:
     return float(-special.ndtri(probability))
 
 
+def t_sf(value: float, dof: float) -> float:
+    """Return how probably Student's t with ``dof`` degrees of freedom exceeds ``value``."""
+    return float(special.stdtr(dof, -value))
+
+
 def t_isf(probability: float, dof: float) -> float:
     """Return what Student's t with ``dof`` degrees of freedom exceeds with ``probability``."""
     return float(-special.stdtrit(dof, probability))

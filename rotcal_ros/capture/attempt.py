@@ -122,7 +122,7 @@ class AttemptStreams:
 
     def air_at(self, attempt: Attempt, settings: CaptureSettings) -> ObservedAir:
         """Return the air of an attempt."""
-        return self.air.at(attempt.begin_ns, self.since_ns, settings)
+        return self.air.at(attempt.due_ns, self.since_ns, settings)
 
 
 @dataclass
@@ -131,7 +131,8 @@ class Attempt:
 
     ``samples`` are the probe samples so far. ``superseded_ns`` is the stamp of the first probe
     sample of the next attempt, once known: nothing later can belong to this one. From
-    ``search_ns`` on the table may be in position, or pass it in the turn that began then.
+    ``search_ns`` on the table may be in position, or pass it in the turn that began then. The
+    steps that a turn passes share the order and the sample of the first.
     ``rejected`` is set as soon as it is certain that the attempt cannot succeed.
     """
 
@@ -148,9 +149,29 @@ class Attempt:
         """Stamp of the machine's first answer to the command."""
         return self.samples[0].stamp_ns
 
+    @property
+    def due_ns(self) -> int:
+        """Stamp at which the table may be at its angle at the earliest: a turn takes its time."""
+        turn = self.step.turn
+        if turn is None:
+            return self.begin_ns
+        return self.begin_ns + nanoseconds((self.step.table_angle - turn.begin) / turn.speed)
+
+    @property
+    def was_ordered(self) -> bool:
+        """Whether its step was ordered; the later ones of a turn are not."""
+        return self.samples[0].step == self.step.index
+
+    def next_in_turn(self, plan: Plan) -> Attempt | None:
+        """Return the attempt at the step that the same turn passes next, if there is one."""
+        index = self.step.index + 1
+        if index == len(plan.steps) or not plan.steps[index].follows(self.step):
+            return None
+        return replace(self, step=plan.steps[index])
+
     def deadline_ns(self, settings: CaptureSettings) -> int:
         """Return the last stamp that may belong to this attempt."""
-        deadline = self.begin_ns + nanoseconds(settings.step_timeout_s)
+        deadline = self.due_ns + nanoseconds(settings.step_timeout_s)
         if self.superseded_ns is not None:
             deadline = min(deadline, self.superseded_ns - 1)
         return max(deadline, self.begin_ns)

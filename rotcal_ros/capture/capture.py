@@ -269,7 +269,7 @@ class Capture:
         self._answers.order(command, max(came, default=None))
         self._commands.unanswered = self._answers.unanswered
         step = self._plan.steps[command.step]
-        if command != (planned := step.command(command.attempt, anew=command.anew)):
+        if command != (planned := step.command(command.attempt)):
             self._commands.off_plan += 1
             self._remarks.append(
                 f"the command for step {command.step} is not the plan's: found {command}, "
@@ -307,8 +307,14 @@ class Capture:
         """Return whether a point is one of many while the table turns, and begins no attempt."""
         if sample.kind == PointKind.UNKNOWN or not 0 <= sample.step < len(self._plan.steps):
             return False
-        begun = sample.attempt < self._next_attempt[sample.step]
-        return begun and self._plan.steps[sample.step].turn is not None
+        step, newest = self._plan.steps[sample.step], self._newest
+        if step.turn is None or step.kind != PointKind.READING:
+            return False
+        if sample.attempt < self._next_attempt[sample.step]:
+            return True
+        if newest is None or newest.number != sample.attempt:
+            return False
+        return sample.step in self._plan.passed_from(newest.step.index)
 
     def _take_reading(self, sample: ProbeSample) -> Observations:
         """Take a point that is read while the table turns."""
@@ -323,12 +329,9 @@ class Capture:
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        before, begun_ns = self._newest, sample.stamp_ns
-        if before is not None and step.follows(before.step):
-            begun_ns = before.search_ns  # the turn goes on, and may have passed already
-        attempt = Attempt(step, sample.attempt, self._run, [sample], begun_ns)
+        attempt = Attempt(step, sample.attempt, self._run, [sample], sample.stamp_ns)
         self._check_sample(attempt, sample)
-        if step.turn is not None:
+        if step.turn is not None and step.kind == PointKind.READING:
             self._streams.nest.stage(sample.stamp_ns, _reading(sample))
         self._pending.append(attempt)
         self._newest = attempt
@@ -409,11 +412,22 @@ class Capture:
             if isinstance(outcome, Wait):
                 self._sleep(self._pending[0], outcome)
                 break
-            self._pending.popleft()
+            if not self._goes_further(self._pending.popleft(), outcome):
+                continue
             for check in self._checks:
                 outcome = check(outcome)
             decided.append(outcome)
         return tuple(decided)
+
+    def _goes_further(self, attempt: Attempt, outcome: Observation) -> bool:
+        """Let the next step of a turn follow; return False for one broken off before a step."""
+        if isfinite(outcome.table_angle_measured):
+            if (following := attempt.next_in_turn(self._plan)) is not None:
+                self._pending.appendleft(following)
+                index = following.step.index
+                self._next_attempt[index] = max(self._next_attempt[index], attempt.number + 1)
+            return True
+        return attempt.was_ordered or attempt.superseded_ns is None
 
     def _admit(self) -> None:
         """Admit what is staged; begin anew if a clock was set back."""
@@ -468,7 +482,7 @@ class Capture:
     def _judge(self, attempt: Attempt) -> Observation | Wait:
         """Judge an attempt by the streams, without an air quantity that is too far behind."""
         since_ns, late = self._streams.since_ns, []
-        for missing in self._streams.air.missing(attempt.begin_ns, since_ns, self._settings):
+        for missing in self._streams.air.missing(attempt.due_ns, since_ns, self._settings):
             wait = Wait(missing.stream, missing.stamp_ns)
             if self._streams.lag_ns(attempt, wait) <= self._tolerance_ns:
                 return wait

@@ -23,6 +23,7 @@ from rotcal_ros.capture.attempt import (
     nanoseconds,
     seconds,
 )
+from rotcal_ros.capture.passage import decide_passage
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.capture.table import arrival, departure, farthest, mean_angle, why_not_at_rest
@@ -53,11 +54,14 @@ def decide_length(
 ) -> Observation | Wait:
     """Return the observation of a tracer step, or what is needed to decide.
 
-    The window is the first ``window_samples`` readings stamped at least ``settle_time_s`` after
-    the table came to rest in position (not before the probe reached its target). If the table
-    leaves its position before the window ends, the next rest counts. The window must end before
-    the deadline of the attempt; raises AttemptRejectedError if there is none.
+    Of a table that turns: :func:`~.passage.decide_passage`. At rest the window is the first
+    ``window_samples`` readings stamped at least ``settle_time_s`` after the table came to rest in
+    position (not before the probe reached its target). If the table leaves its position before the
+    window ends, the next rest counts. The window must end before the deadline of the attempt;
+    raises AttemptRejectedError if there is none.
     """
+    if attempt.step.turn is not None:
+        return decide_passage(attempt, streams, settings)
     deadline = attempt.deadline_ns(settings)
     while True:
         start = _start(attempt, streams, settings, deadline)

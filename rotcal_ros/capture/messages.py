@@ -119,7 +119,6 @@ def command(table: Any, probe: Any) -> Command:
         position=_point(probe.position),
         station=probe.station,
         turn=_turn(table),
-        anew=bool(getattr(table, "turn_anew", False)),
     )
 
 

@@ -146,7 +146,7 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
     n_used = int(np.count_nonzero(used))
     gap = _gap(readings[:, SEQUENCE])
     if n_used < min(2, len(length)) or n_used < settings.min_used_share * len(length):
-        return ReducedWindow(n_used=n_used, reason=gap or _too_few(faults, length, settings))
+        return ReducedWindow(n_used=n_used, reason=gap or too_few_usable(faults, length, settings))
     if n_used == 1:  # a reading alone shows no scatter
         return ReducedWindow((float(length[used][0]),), (0.0,), (0.0,), 1)
     mean, scatter = mean_and_scatter(length[used])
@@ -171,12 +171,15 @@ def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> Non
     good = faults == ReadingFault.NONE
     if not good.any():
         return
-    # Median and MAD: a spike must not enlarge the limit that finds it.
     distance = np.abs(length[good] - np.median(length[good]))
+    faults[np.flatnonzero(good)[beyond(distance, settings)]] = ReadingFault.SPIKE
+
+
+def beyond(distance: Floats, settings: CaptureSettings) -> Bools:
+    """Return which readings are spikes by their ``distance`` (n,) from what they should be, m."""
+    # Median and MAD: a spike must not enlarge the limit that finds it.
     limit = settings.spike_limit * _MAD_TO_STD * float(np.median(distance))
-    faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = (
-        ReadingFault.SPIKE
-    )
+    return np.asarray(distance > max(limit, settings.spike_floor_m), dtype=np.bool_)
 
 
 def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
@@ -206,7 +209,8 @@ def _gap(sequence: Floats) -> Phrase | None:
     )
 
 
-def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> Phrase:
+def too_few_usable(faults: Ints, length: Floats, settings: CaptureSettings) -> Phrase:
+    """Return, as a reason, which readings of a window cannot be used."""
     counts = Counter(ReadingFault(f) for f in faults.tolist() if f != ReadingFault.NONE)
     parts = [phrase("{0} {1}", counts[fault], phrase(_WORDS[fault])) for fault in sorted(counts)]
     needed = phrase("expected at least {0:.0%}", settings.min_used_share)

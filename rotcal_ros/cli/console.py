@@ -116,10 +116,10 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
     return VERDICT_EXIT_CODES[outcome["verdict"]]
 
 
-def print_verdict(verdict_line: str, text: str) -> None:
+def print_verdict(verdict_line: str, text: str, write: Callable[..., None] = tell) -> None:
     """Print the verdict on something other than a result, and what it rests on."""
     colour = "green" if verdict_line.startswith("ok") else "red"
-    tell(f"verdict {verdict_line}: {text}", colour=colour)
+    write(f"verdict {verdict_line}: {text}", colour=colour)
 
 
 def print_marks(marks: Sequence[Mapping[str, str]], text: str) -> None:

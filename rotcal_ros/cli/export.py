@@ -236,10 +236,10 @@ def _write_prepared(
 
 
 def _is_of_configuration(setting: str) -> bool:
-    """Return whether a ``--set`` names its group, as settings of a configuration do."""
+    """Return whether a ``--set`` is of the configuration: it names its group, or the method."""
     from rotcal_ros.methods.configuration import GROUPS
 
-    return setting.partition("=")[0].partition(".")[0] in GROUPS
+    return setting.partition("=")[0].partition(".")[0] in {"method", *GROUPS}
 
 
 def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:

@@ -29,7 +29,7 @@ OWN_VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
     "attach": "Show a calibration that runs in the background.",
     "cell": "Examine a live cell: what is there, what is missing?",
-    "verify": "Measure the simulated cell, compensate it, and measure again.",
+    "verify": "Measure, compensate, measure again; or judge before and after.",
     "solve": "Solve a recorded bag or a table of numbers, without ROS.",
     "export": "Write the correction table of a calibration for a controller.",
     "plan": "Plan what to measure, in what order, and what it could hide.",

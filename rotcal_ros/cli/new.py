@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import MISSING
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,8 +17,6 @@ from rotcal_ros.report.terminal.console import say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.new_setup import Known
-
-_GRID: Final = "plan.plate.grid"
 
 
 @click.command()
@@ -61,7 +59,7 @@ def command(
     values = new_setup.values_of_tables(method)
     values |= dict(new_setup.given_value(method, known, change) for change in changes)
     if positions is not None:
-        values = {**_turn(known, positions), **values}
+        values = {**new_setup.of_a_turn(known, positions), **values}
     if not yes:
         _ask(method, known, values)
     write_durably(output, new_setup.setup_text(method, known, values))
@@ -74,17 +72,6 @@ def command(
     say("next, with the table of your measurements:")
     tell(f"rotcal solve measurements.csv --setup {shlex.quote(str(output))}")
     return 0
-
-
-def _turn(known: Known, positions: int) -> dict[str, Any]:
-    """Return the settings of so many table angles, evenly over a turn."""
-    from rotcal_ros.methods.new_setup import POSITIONS, STEP
-
-    if POSITIONS in known:
-        return {POSITIONS: positions, STEP: 360.0 / positions}
-    if _GRID in known:
-        return {_GRID: positions}
-    raise click.UsageError("--positions: this method counts no table angles; use --set")
 
 
 def _ask(method: str, known: Known, values: dict[str, Any]) -> None:

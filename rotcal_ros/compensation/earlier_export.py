@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from rotcal_ros.compensation.held_table import Effect, HeldTable, effect_of_resu
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.in_force import describe
+from rotcal_ros.foundation.in_force import describe, known_hash
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.untrusted import load_json, read_text, reading
 
@@ -82,16 +82,36 @@ def effect_in_force(result: Result, folder: Path) -> Effect | None:
 
     Raises ConfigurationError if ``folder`` does not hold this table.
     """
+    return effect_of_result(result, loaded_table(folder, result.measured_on))
+
+
+def loaded_table(
+    folder: Path, in_force: str, controllers: Collection[str] | None = None
+) -> HeldTable:
+    """Return the table in ``folder`` that was ``in_force``.
+
+    With ``controllers``, those it may be for or () for any, it need not be known which was in
+    force: it is the only one. Raises ConfigurationError if ``folder`` does not hold this table, or
+    others too that it may have been.
+    """
     pairs = {(side["controller"], side["axis"]) for side in map(_side, _sides(folder))}
-    held = [read_earlier(folder, controller, axis) for controller, axis in sorted(pairs)]
-    found = [table for table in held if table.in_force == result.measured_on]
-    if not found:
-        there = ", ".join(table.in_force[:12] for table in held) or "none"
-        raise ConfigurationError(
-            f"tables in {folder}: {there}; {describe(result.measured_on)}: name the folder with "
-            f"the files of the table that was in force and its *{PROVENANCE}"
+    held = {pair: read_earlier(folder, *pair) for pair in sorted(pairs)}
+    word = controllers is not None and not known_hash(in_force)
+    found = [
+        table
+        for (name, _), table in held.items()
+        if (word or table.in_force == in_force) and (not controllers or name in controllers)
+    ]
+    if not found or (word and len(found) > 1):
+        there = ", ".join(
+            f"{table.in_force[:12]} ({name}, {axis})" for (name, axis), table in held.items()
         )
-    return effect_of_result(result, found[0])
+        raise ConfigurationError(
+            f"tables in {folder}: {there or 'none'}; {describe(in_force)}: name the folder with "
+            f"the files of the table that was in force and its *{PROVENANCE}; of several state "
+            "the controller (--to)"
+        )
+    return found[0]
 
 
 def _sides(folder: Path) -> list[Path]:

@@ -18,7 +18,7 @@ import numpy as np
 from rotcal_ros.compensation.agreement import require_verified
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.held_table import ZERO_DEG, in_force_of
+from rotcal_ros.compensation.held_table import RESIDUAL, STATED, ZERO_DEG, in_force_of
 from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
@@ -319,10 +319,10 @@ def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str
 
 
 def _left(residual: ResidualBudget, table: CompensationTable) -> dict[str, Any]:
-    figures = {**asdict(residual), "stated": residual.stated}
+    figures = {**asdict(residual), STATED: residual.stated}
     return {
         "residual": residual.describe(),
-        "residual_arcsec": {part: value / ARCSEC for part, value in figures.items()},
+        RESIDUAL: {part: value / ARCSEC for part, value in figures.items()},
         "blind_to": _blind_to(table),
     }
 

@@ -29,11 +29,14 @@ from rotcal_ros.foundation.in_force import NONE
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import DEGREE, TURN
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.foundation.untrusted import load_json
 
 ZERO_DEG: Final = "correction_at_reference_deg"
 """In a side file: the forward correction at the reference angle; without it none."""
+RESIDUAL: Final = "residual_arcsec"
+STATED: Final = "stated"
+"""In a side file, within RESIDUAL: what the table leaves over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +46,8 @@ class HeldTable:
     ``in_force`` is the hash of the files. ``angles`` (n,), ``period`` and ``reference_angle``
     (rad) are as in a :class:`CompensationTable`; ``first`` (rad) is where the travel begins.
     ``machine`` is the machine it was made for. ``zero`` (rad) is the forward correction that it
-    has at the reference angle on purpose: what the control did there without a table.
+    has at the reference angle on purpose: what the control did there without a table. ``stated``
+    (rad) is what the table leaves over by its own account; 0: its side file does not say.
     """
 
     in_force: str
@@ -54,6 +58,7 @@ class HeldTable:
     first: float
     machine: MachineIdentity = NO_MACHINE
     zero: float = 0.0
+    stated: float = 0.0
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the correction (rad) at ``angle`` (rad), for a circle in the first turn."""
@@ -87,6 +92,7 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
         period = TURN if known["closed"] else 0.0
         reference = float(known["reference_angle_deg"]) * DEGREE
         zero = float(known.get(ZERO_DEG, 0.0)) * DEGREE
+        stated = float(known.get(RESIDUAL, {STATED: 0.0})[STATED]) * ARCSEC
     except (ValueError, TypeError, KeyError) as error:
         raise DataError(
             "the rows of the table in force are not known: its side file "
@@ -106,6 +112,7 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
         first=controller.travel[0] if period else 0.0,
         machine=machine_of(files),
         zero=zero,
+        stated=stated,
     )
 
 

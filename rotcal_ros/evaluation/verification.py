@@ -12,7 +12,7 @@ from rotcal_ros.compensation.held_table import Effect
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.protection import two_lines
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -65,7 +65,8 @@ class Verification:
     the axis itself under "before", "after" and "again", where its true angle is known.
     ``verdict_lines`` are those of the measurements, by the same names. ``again`` is a third one,
     after the findings of the second were added to the table. ``effect`` says how much is left of
-    what the table corrects, ``simulated`` that no instrument measured.
+    what the table corrects, ``simulated`` that no instrument measured. ``shared`` (rad, k = 1) is
+    one and the same error in the first two. ``notes`` say what they cannot show.
     """
 
     before: Positioning
@@ -76,6 +77,8 @@ class Verification:
     again: Positioning | None = None
     effect: Effect | None = None
     simulated: bool = False
+    shared: float = 0.0
+    notes: tuple[Phrase, ...] = ()
 
     @property
     def fault(self) -> str | None:
@@ -91,7 +94,7 @@ class Verification:
     def expected(self) -> float:
         """Largest deviation (rad) that may be left: both uncertainties and what was stated."""
         squares = float(np.max(self.before.std)) ** 2 + float(np.max(self.after.std)) ** 2
-        return AGREEMENT * float(np.sqrt(squares)) + self.stated
+        return AGREEMENT * float(np.sqrt(squares - 2.0 * self.shared**2)) + self.stated
 
     @property
     def reserves(self) -> tuple[str, ...]:
@@ -102,7 +105,8 @@ class Verification:
             for when, (words, _) in lines.items()
             if not words.startswith("ok")
         )
-        return *doubted, *dict.fromkeys(missing for _, missing in lines.values() if missing)
+        uncovered = dict.fromkeys(missing for _, missing in lines.values() if missing)
+        return *doubted, *uncovered, *self.notes
 
     @property
     def verdict(self) -> Verdict:
@@ -127,6 +131,10 @@ class Verification:
             "before": self.before.to_dict(),
             "after": self.after.to_dict(),
         }
+        if self.shared:
+            data["shared_std_arcsec"] = self.shared / ARCSEC
+        if self.notes:
+            data["notes"] = list(self.notes)
         if self.effect is not None:
             data["effect"] = {**asdict(self.effect), "words": self.fault or self.effect.describe()}
         if self.again is not None:

@@ -22,6 +22,7 @@ from rotcal_ros.foundation.errors import (
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.table_columns import (
     BEHIND,
+    COUNTS,
     IN_BRACKETS,
     UNITS,
     SheetSettings,
@@ -35,9 +36,12 @@ from rotcal_ros.foundation.table_columns import (
 from rotcal_ros.foundation.table_reading import Known, Reading, Use, as_planned
 from rotcal_ros.foundation.tables import Header, Table, is_workbook, read_table
 
-_OF_ANY_FORM: Final = ("angles", "values", "up", "decimal", "name", "table")
+_OF_ANY_FORM: Final = (
+    "angles", "values", "up", "decimal", "name", "names", "table",
+    "counts_per_turn", "commanded_counts", "counter", "zero",
+)  # fmt: skip
 """Settings of ``sheet`` for what is read by a package only."""
-_IN_SIXTIETHS: Final = ("dms", "m:s")
+_NO_NUMBERS_ALONE: Final = ("dms", "m:s", COUNTS)
 _LIKELY: Final = {"length": ("m", "mm", "um", "in"), "angle": ("deg", "rad", "arcsec")}
 
 
@@ -71,7 +75,7 @@ class ColumnMap:
         """Return the table with the longest of our ``headers`` that its columns fill."""
         table = source if isinstance(source, Table) else _comma_separated(source)
         for name in _OF_ANY_FORM:
-            if getattr(settings, name) not in ("", "."):  # the decimal mark that is known
+            if getattr(settings, name) not in ("", ".", 0):  # the decimal mark that is known
                 raise ConfigurationError(
                     f"{table.path}: sheet.{name} is not for CSV in commas: leave it "
                     f"out{_other_forms()}"
@@ -233,10 +237,10 @@ def _unit(table: Table, column: TableColumn, head: _Head, settings: SheetSetting
     setting = unit_setting(column.name, column.quantity)
     unit = head.unit or str(getattr(settings, setting.removeprefix("sheet.")))
     known = UNITS[column.quantity]
-    if unit in _IN_SIXTIETHS or (unit and unit not in known):
+    if unit in _NO_NUMBERS_ALONE or (unit and unit not in known):
         raise BagError(
             f"{table.path}: the unit of {head.text!r} is none of numbers of {column.quantity}: "
-            f"write one of {', '.join(u for u in known if u not in _IN_SIXTIETHS)} there, and "
+            f"write one of {', '.join(u for u in known if u not in _NO_NUMBERS_ALONE)} there, and "
             f"convert the numbers if need be{_other_forms()}"
         )
     if not unit:

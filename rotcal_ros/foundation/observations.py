@@ -135,8 +135,7 @@ class Command:
     """What the planner ordered for one step: a table angle and where the probe shall be.
 
     ``station`` is the index of the tracker station, 0 if there is no tracker. With a ``turn`` the
-    table passes the angle, and the probe follows; it begins to turn if ``anew``, else an earlier
-    order has begun it.
+    table turns past the angle and all that are behind it, while the probe follows or stands.
     """
 
     step: int
@@ -148,7 +147,6 @@ class Command:
     position: tuple[float, float, float]
     station: int = 0
     turn: Turn | None = None
-    anew: bool = False
 
     def answered(
         self,

@@ -18,6 +18,8 @@ from rotcal_ros.foundation.settings import expert, setting
 LENGTH: Final = "length"
 ANGLE: Final = "angle"
 TIME: Final = "time"
+COUNTS: Final = "counts"
+"""Unit of an encoder: a turn has as many as a person says."""
 SMALL_ANGLES: Final = ("deviation", "u", "expanded", "uncertainty", "reading", "reversed")
 """Columns of angles whose unit is another than that of the table angles."""
 _PI: Final = Decimal("3.14159265358979323846264338327950288")
@@ -29,14 +31,14 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     ANGLE: {
         "rad": Decimal(1), "mrad": Decimal("1e-3"), "urad": Decimal("1e-6"), "deg": _PI / 180,
         "mdeg": _PI / 180_000, "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200,
-        "mgon": _PI / 200_000, "dms": _PI / 180, "m:s": _PI / 10_800,
+        "mgon": _PI / 200_000, "dms": _PI / 180, "m:s": _PI / 10_800, COUNTS: 2 * _PI,
     },
     TIME: {
         "s": Decimal(1), "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1e-9"),
         "min": Decimal(60), "h": Decimal(3600),
     },
 }  # fmt: skip
-"""Quantity -> unit -> size in metres, radians, seconds."""
+"""Quantity -> unit -> size in metres, radians, seconds; that of counts is a turn."""
 _SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 _APART: Final = re.compile(r"[\W_]+")
 IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
@@ -82,6 +84,21 @@ class SheetSettings:
         "corrections (commanded - actual), or positions (actual angles)",
         choices=("", "deviations", "corrections", "positions"),
     )  # fmt: skip
+    counts_per_turn: int = expert(
+        0, doc="counts of the encoder in a turn of the table, negative where it counts down while "
+        "the angle grows; 0: asked",
+    )  # fmt: skip
+    commanded_counts: int = expert(
+        0, doc="counts in a turn of what was commanded, as steps of a motor; 0: as counts_per_turn"
+    )
+    counter: str = expert(
+        "", doc="bits of a counter that wraps elsewhere than at a turn",
+        choices=("", "16", "24", "32"),
+    )  # fmt: skip
+    zero: str = expert(
+        "", doc="where actual angles count from: the zero of the table, or the first row",
+        choices=("", "table", "first"),
+    )  # fmt: skip
     up: str = expert("", doc="direction in which the table angle grows, as the table calls it")
     time_unit: str = expert(
         "", doc="unit of times whose column states none", choices=("", *UNITS[TIME])
@@ -96,6 +113,9 @@ class SheetSettings:
     )  # fmt: skip
     columns: tuple[str, ...] = setting(
         (), doc="columns by the text at their head where that says nothing, as length=Messwert"
+    )
+    names: str = expert(
+        "", doc="what the names of points say, as P{position}_N{ball}; empty: nothing"
     )
     name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
     table: str = expert("", doc="which of several tables side by side on a sheet, from 1")

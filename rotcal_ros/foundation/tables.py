@@ -147,18 +147,27 @@ def is_workbook(path: Path) -> bool:
 
 
 def own_table(source: Path | Table, headers: Sequence[Header]) -> Table | None:
-    """Return a table of our own form: UTF-8, commas, one of ``headers`` first; None for others.
+    """Return a table of our own form; None for others.
 
     Raises BagError when the file cannot be read, DataError for a line that is no CSV.
     """
+    if not is_own(source, headers):
+        return None
+    return source if isinstance(source, Table) else read_table(source)
+
+
+def is_own(source: Path | Table, headers: Sequence[Header]) -> bool:
+    """Return whether a table has our own form: UTF-8, commas, one of ``headers`` first.
+
+    Raises BagError when the file cannot be read.
+    """
     if isinstance(source, Table):
-        return source if source.header in headers else None
+        return source.header in headers
     with untrusted.reading(source, BagError, "the table "), untrusted.open_plain(source) as file:
         begin = file.read(_LOOK)
     begins = begin.decode("utf-8-sig", errors="replace").splitlines()
     first = next((line for line in begins if line.strip() and line.lstrip()[0] != "#"), "")
-    names = tuple(cell.strip() for cell in first.split(","))
-    return read_table(source) if names in headers else None
+    return tuple(cell.strip() for cell in first.split(",")) in headers
 
 
 def read_table(path: Path) -> Table:

@@ -200,9 +200,14 @@ class Calibration:
         warnings = (*result.warnings, *conflicts)
         if not self.method.set_by_hand and all(o.captured for o in used):
             # it cannot be numbered off, as a table that is written down can
-            why = phrase(
+            stood = phrase(
                 "all was captured while the table's own feedback stood at the commanded angle"
             )
+            passed = phrase(
+                "all was captured while the table's own feedback passed the commanded angle"
+            )
+            turning = any(step.turn is not None for step in self.plan.steps)
+            why = passed if turning else stood
             result = result.protected(Protection("numbering", "harmless", why))
         raw = replace(RawData.of(used, _DATED_NS), influence=result.raw_data.influence)
         return replace(
@@ -211,16 +216,17 @@ class Calibration:
 
     def _lacking(self, seen: Sequence[Observation], used: Sequence[Observation]) -> str:
         """Return in words how many steps gave nothing, and the usual reason; empty if all did."""
-        without = len(self.plan.steps) - len({o.step for o in used})
+        planned = len(self.plan.counting)
+        without = planned - len({o.step for o in used})
         reasons = Counter(o.reason for o in seen if not o.accepted).most_common(1)
         usual = "".join(f", most often because {reason}" for reason, _ in reasons)
-        share = f"; {without} of {len(self.plan.steps)} steps have no accepted observation"
+        share = f"; {without} of {planned} steps have no accepted observation"
         return f"{share}{usual}" if without else ""
 
     def _circumstances(self, used: Sequence[Observation]) -> Circumstances:
         steps = {o.step for o in used}
         retried = {o.step for o in used if o.attempt % ATTEMPTS_PER_RUN}
-        planned = len(self.plan.steps)
+        planned = len(self.plan.counting)
         # Offline the group planner has done its work and is not read.
         chosen = read_policy(self.configuration.text) == UNTIL_GOAL
         dated = [o for o in used if o.window_start_ns > _DATED_NS]
@@ -420,7 +426,7 @@ class Calibration:
 
     def _that_count(self, observations: Iterable[Observation]) -> tuple[Observation, ...]:
         """Return the last accepted one of each step, for a method that joins runs in each run."""
-        accepted = last_accepted(observations)
+        accepted = last_accepted(o for o in observations if o.step in self.plan.counting)
         if self.method.joins_runs:
             return tuple(accepted.values())
         return final_observations(accepted.values())

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.untrusted import load_json
-from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.plan import Plan, Step
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,8 @@ def continued(
     one run. Where ``max_failed_steps`` or more failed running at the end, the planner gave up, not
     those steps. Up to ``join_steps`` done steps are measured again, evenly spread over those at
     table angles that have missing steps; with none there, over all. An instrument that has left a
-    station does not go back for that. What is missing before ``from_step`` stays so.
+    station does not go back for that. A turn that is not whole is made again from its begin. What
+    is missing before ``from_step`` stays so.
     """
     accepted = {o.step for o in observations if o.accepted}
     rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
@@ -102,14 +103,38 @@ def continued(
     missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
     missing = [index for index in missing if index >= from_step]
     again = _spread(_joining(plan, accepted, missing), join_steps) if missing else ()
+    steps = (*again, *missing)
+    if turned := _whole_turns(plan, missing):
+        steps = tuple(sorted({*missing, *turned}))
+        again = tuple(index for index in steps if index not in missing)
     return Continuation(
         plan_id=plan_id,
         run=run,
         start_index=missing[0] if missing else len(plan.steps),
         again=again,
-        steps=(*again, *missing),
+        steps=steps,
         observations=tuple(o for o in observations if o.accepted),
     )
+
+
+def _whole_turns(plan: Plan, missing: Sequence[int]) -> set[int]:
+    """Return the steps with which turns that are not whole begin: at rest, at their target.
+
+    Whatever has happened in between, the reflector then stands there. Where nothing stands at the
+    begin of a turn, the probe goes along, and there are none.
+    """
+    found = set[int]()
+    for index in missing:
+        step, begin = plan.steps[index], index
+        while begin and _of_one_target(plan.steps[begin - 1], step):
+            begin -= 1
+        if step.turn is not None and plan.steps[begin].turn is None:
+            found.update(range(begin, index))
+    return found
+
+
+def _of_one_target(before: Step, step: Step) -> bool:
+    return (before.station, before.target) == (step.station, step.target)
 
 
 def _joining(plan: Plan, accepted: set[int], missing: Sequence[int]) -> Sequence[int]:

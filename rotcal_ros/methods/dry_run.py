@@ -68,8 +68,7 @@ class DryRun:
     def _size(self) -> CheckLine:
         plan, policy = self.calibration.plan, self.calibration.configuration.planner.policy
         most = "" if policy == AS_LISTED else "at most "
-        angles = [self.start, *(step.table_angle for step in self._steps)]
-        turns = sum(abs(b - a) > 1e-9 for a, b in pairwise(angles))
+        turns = self._ways + sum(step.turn is not None for step in self._ordered)
         counts = (
             _count(len(plan.distinct_angles), "table angle"),
             _count(len(plan.targets), "target"),
@@ -78,6 +77,25 @@ class DryRun:
         )
         found = f"{most}{_count(len(self._steps), 'step')}: {', '.join(counts)}"
         return CheckLine(PART, "steps", "note", found)
+
+    @property
+    def _ordered(self) -> list[Step]:
+        """The steps that are ordered: one for each turn, and all at rest."""
+        steps = self._steps
+        later = [b for a, b in pairwise(steps) if not b.follows(a)]
+        return [*steps[:1], *later]
+
+    @property
+    def _ways(self) -> int:
+        """How often the table goes from rest to rest, without the turns past its angles."""
+        ways, here = 0, self.start
+        for step in self._ordered:
+            begin, end = (step.table_angle,) * 2
+            if step.turn is not None:
+                begin, end = step.turn.begin, step.turn.end
+            ways += abs(begin - here) > 1e-9
+            here = end
+        return ways
 
     def _travel(self) -> CheckLine:
         """Say whether the table comes to all angles, where the travel is known."""
@@ -152,6 +170,12 @@ class DryRun:
         if self.tracer_hz:
             least = capture.settle_time_s + capture.window_samples / self.tracer_hz
         length_s = max(planner.step_s, least)
+        if turns := [step.turn for step in self._ordered if step.turn is not None]:
+            rests, way_s = len(self._ordered) - len(turns), self._ways * planner.turn_s
+            each_s = [abs((turn.end - turn.begin) / turn.speed) for turn in turns]
+            seconds = sum(each_s) + way_s + length_s * rests
+            why = f"{sum(each_s) / len(each_s):.3g} s for each of {len(turns)} turns"
+            return seconds, f"{why} and {length_s:g} s before one (planner.step_s)"
         first_turn = abs(self._steps[0].table_angle - self.start) > 1e-9
         if "table_adapter" in configuration.given:
             turns_s, turning = self._ways_s(), "turns as table_adapter moves the table"
@@ -173,7 +197,8 @@ class DryRun:
 
     def _prospects(self) -> Iterator[CheckLine]:
         """Yield what the plan cannot show, and what one more would bring, where that is quick."""
-        if self.calibration.method.one_more is None or len(self._steps) > QUICK:
+        turning = self._ordered[-1].turn is not None
+        if not turning and (self.calibration.method.one_more is None or len(self._steps) > QUICK):
             return
         before, *more = prospects(self.calibration)
         yield CheckLine(PART, "result", "note", before.describe(before))
@@ -210,9 +235,14 @@ class Prospect:
 
     @classmethod
     def of(cls, calibration: Calibration, change: str = "") -> Prospect:
-        """Return that of a plan, by one measurement of it with its stated noise."""
-        alone = calibration.of_distances
-        result = alone.solve(alone.measured({}, SEED).observations)
+        """Return that of a plan, by one measurement of it with its stated noise.
+
+        Where a method knows no noise it is an exact one, with the uncertainty that is stated.
+        """
+        alone, noisy = calibration.of_distances, calibration.method.disturbances is not None
+        result = alone.solve(
+            alone.measured({}, SEED).observations if noisy else alone.nominal_observations()
+        )
         std = {name: float(result.std[name].max()) for name in result.components}
         return cls(change, std, result.unprotected)
 

@@ -5,21 +5,25 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, UndecidedError
 from rotcal_ros.foundation.settings import of_changes
 from rotcal_ros.foundation.table_columns import AS_IT_STANDS, SheetSettings
 from rotcal_ros.foundation.table_forms import read_any, remembered
-from rotcal_ros.foundation.tables import own_table
+from rotcal_ros.foundation.tables import is_own
 from rotcal_ros.foundation.untrusted import load_yaml
 from rotcal_ros.methods.configuration import Configuration, changed, parse_configuration
-from rotcal_ros.methods.method import Method, TableReader, usable_methods
+from rotcal_ros.methods.method import Method, TableReader, find_method, usable_methods
+
+NAMED: Final = "method="
+"""What ``--set`` begins with where a person says which method a table without set-up is for."""
 
 
 def fitting_methods(path: Path, sheet: SheetSettings = AS_IT_STANDS) -> list[Method]:
     """Return the methods whose columns a table has, as far as it can be read without a set-up."""
     readers = [(method, method.table) for method in usable_methods() if method.table]
-    own = [m for m, t in readers if own_table(path, (*t.headers, *t.with_angles))]
+    own = [m for m, t in readers if is_own(path, (*t.headers, *t.with_angles))]
     if own:
         return own
     read = [(method, _reads(path, table, sheet)) for method, table in readers]
@@ -39,14 +43,19 @@ def _reads(path: Path, table: TableReader, sheet: SheetSettings) -> bool | None:
 
 
 def setup_of_its_own(path: Path, changes: Sequence[str]) -> Configuration:
-    """Return the set-up of a table that needs none, with ``changes``.
+    """Return the set-up of a table that needs none, with ``changes``, one of which may name it.
 
     Raises ConfigurationError that lists what the table may be for, each with its command, where
     that is not one method alone whose tables state everything.
     """
+    named = [change for change in changes if change.startswith(NAMED)]
     of_the_table = [change for change in changes if change.startswith("sheet.")]
+    changes = [change for change in changes if change not in named]
     stated = of_changes(SheetSettings, "sheet", of_the_table, load_yaml)
-    found = fitting_methods(path, remembered(path, stated))
+    if named:
+        found = [find_method(named[-1].removeprefix(NAMED))]
+    else:
+        found = fitting_methods(path, remembered(path, stated))
     if not found:  # what stands against the one that would need nothing else
         every = (m for m in usable_methods() if m.table and not m.table.needs_setup)
         found = list(every)[:1]
@@ -67,6 +76,9 @@ def setup_of_its_own(path: Path, changes: Sequence[str]) -> Configuration:
 def _ways(path: Path, methods: Sequence[Method]) -> Iterator[str]:
     table = shlex.quote(str(path))
     for method in methods:
+        if method.table and not method.table.needs_setup:
+            yield f"{method.title}: the same command with --set {NAMED}{method.name}"
+            continue
         yield (
             f"{method.title}: `rotcal new --method {method.name} -o {method.name}.yaml && rotcal "
             f"solve {table} --setup {method.name}.yaml`"

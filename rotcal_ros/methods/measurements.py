@@ -20,6 +20,7 @@ from rotcal_ros.foundation.tables import (
     Row,
     Table,
     hashes,
+    is_own,
     is_table,
     is_workbook,
     own_table,
@@ -132,7 +133,8 @@ def read_measurements(
         _require_angles(configuration, path)
     answers = () if settings == configuration.sheet else (phrase("answers of {0}", FILE),)
     announce(replace(reading, sources=(where, *aimed_by, *answers)))
-    aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
+    aims = own is not None or "target" in reading.table.header
+    aimed_at = aim.table if aim is not None and aims else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")
     reader.require(reading)
@@ -181,7 +183,7 @@ def _require_own_method(source: Path | Table, configuration: Configuration) -> N
         other.name
         for other in usable_methods()
         if other.table is not None
-        and own_table(source, (*other.table.headers, *other.table.with_angles))
+        and is_own(source, (*other.table.headers, *other.table.with_angles))
     ]
     if others and method.name not in others:
         path = source.path if isinstance(source, Table) else source

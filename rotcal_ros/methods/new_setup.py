@@ -33,6 +33,7 @@ _WITHOUT_PLAN: Final = (
 )
 START, STEP, POSITIONS, _ANGLES = (f"plan.{name}" for name in ANGLE_SETTINGS)
 """The last replaces the others. What a person does not state is left to the table."""
+_GRID: Final = "plan.plate.grid"
 AIR: Final = ("air.temperature_c", "air.pressure_pa", "air.humidity")
 OF_THE_ITEM: Final = tuple(
     f"identity.{name}" for name in ("item", "serial", "place", "operator", "measured")
@@ -50,6 +51,15 @@ def values_of_tables(method: str) -> dict[str, Any]:
     """Return what a method has to be given because it reads a table."""
     names = short_names(find_method(method))
     return {names[name]: value for name, value in find_method(method).short_setup({}).items()}
+
+
+def of_a_turn(known: Known, positions: int) -> dict[str, Any]:
+    """Return the settings of so many table angles, evenly over a turn."""
+    if POSITIONS in known:
+        return {POSITIONS: positions, STEP: 360.0 / positions}
+    if _GRID in known:
+        return {_GRID: positions}
+    raise ConfigurationError("--positions: this method counts no table angles; use --set")
 
 
 def given_value(method: str, known: Known, change: str) -> tuple[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,12 @@ import numpy as np
 from rotcal_ros.capture.capture import Observations, Record
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.observations import PointKind, ProbeSample, TracerSample
+from rotcal_ros.foundation.observations import (
+    Observation,
+    PointKind,
+    ProbeSample,
+    TracerSample,
+)
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
 from rotcal_ros.methods.simulation.table import true_deviations
@@ -43,41 +49,52 @@ def simulated_run(
 ) -> Iterator[Event]:
     """Yield all orders and records of a run from ``start_ns`` on; its time passes in slices.
 
-    A step whose observations are rejected is ordered again, up to ``attempts`` times in all.
+    A step whose observations are rejected is ordered again, up to ``attempts`` times in all; so is
+    a whole turn.
     Raises ConfigurationError for a cell that cannot be simulated alone.
     """
     configuration = calibration.configuration
     cell = calibration.method.simulated_cell(configuration.simulation, start_ns)
     capture = calibration.capture()
 
-    def attempt(step: Step, number: int, before: Step | None) -> Iterator[Event]:
-        command = step.command(number, anew=step.begins_turn(before))
+    known: dict[tuple[int, int], Observation] = {}
+
+    def order(step: Step, number: int) -> Iterator[Event]:
+        command = step.command(number)
         cell.order_table(command)
         cell.order_probe(command)
         yield Event(cell.now_ns, step.index, command)
+
+    def attempt(step: Step, number: int) -> Iterator[Event]:
         for _ in range(round(_LONGEST_S / slice_s)):
+            if (step.index, number) in known:
+                return
             out = cell.advance(slice_s)
             events = [
                 Event(record.stamp_ns, step.index, record, capture.feed(record))
                 for record in (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)
             ]
+            known.update({(o.step, o.attempt): o for each in events for o in each.observed})
             yield from events
-            if any(event.observed for event in events):
-                return
         raise ConfigurationError(
             f"{configuration.source}: the simulated cell does not finish step {step.index} "
             "within an hour; an external table or silent instruments cannot be simulated "
             "alone: set simulation.table.external to false"
         )
 
-    before = None
-    for step in calibration.plan.steps:
+    plan, index = calibration.plan, 0
+    while index < len(plan.steps):
+        left = plan.passed_from(index)
         for number in range(attempts):
-            events = list(attempt(step, number, before))
-            before = step
-            yield from events
-            if any(o.accepted for event in events for o in event.observed):
+            yield from order(plan.steps[left[0]], number)
+            for step in left:
+                yield from attempt(plan.steps[step], number)
+                if not isfinite(known[step, number].table_angle_measured):
+                    break
+            accepted = {key[0] for key, o in known.items() if o.accepted}
+            if all(step in accepted for step in left):
                 break
+        index = left.stop
 
 
 def disturbed(

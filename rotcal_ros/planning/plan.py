@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from rotcal_ros.foundation.errors import PlanError
@@ -33,7 +34,8 @@ class Step:
     nominal place of target number ``target``. ``n_points`` is the number of probe points that make
     the observation (1 for a carried reflector); ``ball_diameter`` (m) is that of the touched ball,
     0 if there is none. With a ``turn`` the table passes the angle; the readings up to ``passing``
-    (rad) on both sides of it make the observation.
+    (rad) on both sides of it make the observation. One order begins a turn; the steps that it
+    passes later are captured without.
     """
 
     index: int
@@ -53,19 +55,15 @@ class Step:
         """Return the place of this step, for people."""
         return place_in_words(self.table_position, self.target, attempt)
 
-    def follows(self, before: Step | None) -> bool:
+    def follows(self, before: Step) -> bool:
         """Return whether the turn in which the table passes ``before`` passes this one next."""
-        if self.turn is None or before is None or before.index != self.index - 1:
+        if self.turn is None or before.index != self.index - 1:
             return False
         ours, theirs = ((s.turn, s.station, s.target) for s in (self, before))
         return ours == theirs
 
-    def begins_turn(self, ordered: Step | None) -> bool:
-        """Return whether a turn begins with this step, after that which was ``ordered`` last."""
-        return self.turn is not None and not self.follows(ordered)
-
-    def command(self, attempt: int, *, anew: bool = False) -> Command:
-        """Return the order for one attempt at this step."""
+    def command(self, attempt: int) -> Command:
+        """Return the order for one attempt at this step; one of a turn begins it."""
         return Command(
             step=self.index,
             attempt=attempt,
@@ -76,7 +74,6 @@ class Step:
             position=self.position,
             station=self.station,
             turn=self.turn,
-            anew=anew,
         )
 
     def observed(self, mean: tuple[float, ...], kind: PointKind | None = None) -> Observation:
@@ -213,6 +210,19 @@ class Plan:
     def distinct_angles(self) -> tuple[float, ...]:
         """The table angles (rad), each once, in the order of the plan."""
         return tuple(dict.fromkeys(self.table_angles))
+
+    @cached_property
+    def counting(self) -> frozenset[int]:
+        """The steps that make the result: where the table turns, those that it passes."""
+        turning = frozenset(step.index for step in self.steps if step.turn is not None)
+        return turning or frozenset(range(len(self.steps)))
+
+    def passed_from(self, index: int) -> range:
+        """Return the steps that one order measures: step ``index``, and all its turn passes."""
+        end = index + 1
+        while end < len(self.steps) and self.steps[end].follows(self.steps[end - 1]):
+            end += 1
+        return range(index, end)
 
     def pause_before(self, index: int) -> Pause | None:
         """Return the pause before step ``index``, if there is one."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.units import DEGREE
 
 ANGLE_SETTINGS: Final = (
@@ -28,6 +28,25 @@ class TableAngleSettings:
     )
     table_angles_deg: tuple[float, ...] = setting(
         (), doc="deg, explicit ascending table angles; replaces start, step and positions"
+    )
+
+
+def run_up_setting() -> Any:
+    """Return the field of how far a table turns beside its angles."""
+    return expert(
+        15.0, minimum=1e-3, maximum=360.0,
+        doc="deg, of a table that turns: before the first angle and behind the last, where it "
+        "gets up to its speed and comes to rest",
+    )  # fmt: skip
+
+
+def passing_setting(default: float) -> Any:
+    """Return the field of how near to an angle readings count for it."""
+    return expert(
+        default,
+        minimum=1e-3,
+        maximum=90.0,
+        doc="deg, of a table that turns: readings up to so far from a table angle count for it",
     )
 
 

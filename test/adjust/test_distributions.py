@@ -14,6 +14,7 @@ from rotcal_ros.adjust.distributions import (
     normal_isf,
     normal_sf,
     sidak,
+    t_sf,
 )
 
 PROBABILITIES = (1e-12, 1e-4, 0.01, 0.3, 0.5, 0.99)
@@ -37,6 +38,7 @@ def test_normal_and_f(p):
 @pytest.mark.parametrize("value", [0.0, 0.3, 1.0, 2.5, 9.0])
 def test_tails_of_normal_and_f(value):
     assert normal_sf(value) == stats.norm.sf(value)
+    assert t_sf(value, 5) == pytest.approx(stats.t.sf(value, 5), rel=1e-14)
     assert f_sf(value, 24.5, 79.0) == stats.f.sf(value, 24.5, 79.0)
 
 

@@ -97,3 +97,24 @@ def test_steps_with_which_the_planner_gave_up_are_missing_and_others_were_given_
     assert found.steps[:3] == (3, 4, 5)
     found = continued(*args, max_attempts=3, join_steps=0, max_failed_steps=3)
     assert found.steps[0] == 5
+
+
+def test_a_turn_that_is_not_whole_is_made_again_from_rest_at_its_target():
+    """Two targets, forward and back: a step at rest, then four that the table passes."""
+    turns = tracer_plan(
+        TracerPlanSettings(
+            table_positions=4, table_step_deg=90.0, turning_deg_s=(20.0, -20.0),
+            targets_m=(0.5, 0.0, 0.3, 0.0, 0.5, 0.6),
+        )
+    )  # fmt: skip
+    assert [turns.passed_from(k) for k in (5, 6)] == [range(5, 6), range(6, 10)]
+    assert turns.counting == frozenset(range(20)) - {0, 5, 10, 15}
+    lost = (3, 8, *range(13, 20))
+    left = continued(
+        turns, "id", 1, [observed(k) for k in range(20) if k not in lost],
+        max_attempts=3, join_steps=4,
+    )  # fmt: skip
+    assert left.start_index == 3
+    # what the table passes behind a step that is missing comes by itself
+    assert left.steps == (0, 1, 2, 3, 5, 6, 7, 8, *range(10, 20))
+    assert left.again == (0, 1, 2, 5, 6, 7, 10, 11, 12)

@@ -109,6 +109,21 @@ def of_two_axes(live, recording, result, settings):
     assert tilted.point[0] == true.tilting_axis_m[0]
 
 
+def of_turns(live, recording, result, settings):
+    assert result.verdict == "ok", result.warnings
+    both, count = result.directions["ECC"], len(result.angles)
+    true = true_deviations(settings.table, result.angles)["ECC"]
+    centring = np.eye(count) - 1.0 / count
+    std = np.sqrt((centring @ result.covariance["ECC"] @ centring).diagonal())
+    assert np.abs(centring @ (result.deviations["ECC"] - true) / std).max() < 5.0
+    assert std.max() < 1.0 * ARCSEC
+    # of the table's lag nothing is left
+    assert result.details["turning"]["lag"] == pytest.approx(1e-3, abs=1e-5)
+    assert np.abs(both.reversal - both.reversal.mean()).max() < 5.0 * both.reversal_std.max()
+    orders = recording.counts["command"]["received"]
+    assert orders == 4 * 2 * 2  # to rest where a turn begins, and to turn
+
+
 PLATE = Case(
     "ball_plate_demo.yaml",
     (
@@ -167,11 +182,26 @@ BALLS = Case(
 )  # fmt: skip
 
 
+TURNS = Case(
+    "tracer_turning_demo.yaml",
+    (
+        "plan.table_positions=18", "plan.table_step_deg=20.0", "plan.passing_deg=2.0",
+        "capture.clock_tolerance_s=60.0", "capture.settle_time_s=2.0",
+        "capture.window_samples=10", "simulation.time_scale=4.0",
+        "simulation.tracer.rate_hz=100.0", "simulation.table.feedback_rate_hz=50.0",
+    ),
+    4 * 2 * 18,
+    (),
+    of_turns,
+)  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "case",
     [
         PLATE,
         MIRROR,
+        TURNS,
         *(pytest.param(case, marks=pytest.mark.slow) for case in (SIX, CIRCLES, BALLS)),
     ],
     ids=lambda case: case.demo,

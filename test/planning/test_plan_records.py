@@ -30,7 +30,7 @@ def test_a_step_orders_one_attempt_with_all_that_it_knows():
     assert command.attempt == 2
     assert command.step == STEP.index
     for field in fields(command):
-        if field.name not in ("step", "attempt", "anew"):
+        if field.name not in ("step", "attempt"):
             assert getattr(command, field.name) == getattr(STEP, field.name), field.name
 
 
@@ -39,9 +39,9 @@ def test_a_turn_goes_on_from_one_of_its_angles_to_the_next():
     steps = [replace(PLAIN, index=k, table_angle=0.5 * k, turn=turn) for k in range(3)]
     assert steps[1].follows(steps[0])
     assert steps[1].command(0) == replace(steps[1].command(4), attempt=0)
-    assert steps[1].command(0, anew=True).anew
+    plan = Plan("test", (0.0, 0.5), (PLAIN.position,) * 5, tuple(steps))
+    assert [plan.passed_from(k) for k in (0, 1)] == [range(3), range(1, 3)]
     for before in (
-        None,
         steps[1],  # another attempt
         steps[2],
         replace(steps[0], station=1),  # another run at the same speed
@@ -49,8 +49,6 @@ def test_a_turn_goes_on_from_one_of_its_angles_to_the_next():
         replace(steps[0], turn=Turn(-0.2, 1.2, -0.3)),
     ):
         assert not steps[1].follows(before)
-        assert steps[1].begins_turn(before)
-    assert not PLAIN.begins_turn(None)
 
 
 def test_a_plain_step_needs_one_point_and_no_station():

@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_controllers.machine_files import PunchedParameters, require_as_measured
 from rotcal_ros.compensation.controller import Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     columns_deg,
@@ -102,13 +103,15 @@ class Fanuc(Controller):
             "1851, 1852 (1800#4)",
             "add their backlash at every reversal, first at one against the direction of the "
             "reference return",
-            "leave them as they were during the measurement: nothing of them is in the slots",
+            "read from machine_file, 1851 held against backlash_units; leave them as they were "
+            "during the measurement: nothing of them is in the slots",
             "B-64120EN/01 p. 116",
         ),
         OwnSetting(
             "3605#0",
             "adds a second set of slots, from 3626 on, for the way back",
-            "has to be 0 for directions: mean, and 1 for directions: each; set by hand",
+            "has to be 0 for directions: mean, and 1 for directions: each; read from machine_file "
+            "and refused, else set by hand",
             "A-77810E",
         ),
         OwnSetting(
@@ -138,6 +141,12 @@ class Fanuc(Controller):
         doc="one column, the mean of both directions, or one set of slots for each",
         choices=(MEAN, "each"),
     )
+    backlash_units: int | None = setting(
+        None, doc="detection units, 1851 during the measurement; none: as in machine_file"
+    )
+    machine_file: str = setting(
+        "", doc="punched parameters of the machine, in lines as N01851Q1A1P0A2P0"
+    )
 
     @property
     def one_direction(self) -> bool:
@@ -155,6 +164,30 @@ class Fanuc(Controller):
                 f"fanuc: reference_slot {self.reference_slot} is none of the {self.slots} slots "
                 f"0 .. {self.slots - 1}"
             )
+
+    def replaced(self, table: CompensationTable) -> str:
+        """Hold the parameters of ``machine_file`` against what the slots assume.
+
+        Return what stays beside them; ConfigurationError for what contradicts them.
+        """
+        if not self.machine_file:
+            return ""
+        found, axis = PunchedParameters.read(self.machine_file), self.axis_number
+        both = found.bit(3605, axis, 0)
+        if both is not None and both is self.one_direction:
+            raise ConfigurationError(
+                f"{found.path}: 3605#0 of axis {axis} is {both:d}, and the slots are of "
+                f"directions: {self.directions}: set the bit to {not both:d} and punch the "
+                "parameters again"
+            )
+        notes = [require_as_measured(
+            f"1851 of axis {axis}", found.number(1851, axis), self.backlash_units,
+            "detection units",
+        )]  # fmt: skip
+        rapid = found.number(1852, axis)
+        if rapid and found.bit(1800, 0, 4) is not False:
+            notes.append(f"1852 = {rapid:g} acts in rapid traverse if 1800#4 is 1")
+        return "; ".join(filter(None, notes))
 
     @property
     def switch_on(self) -> str:

@@ -12,11 +12,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from rotcal_controllers.machine_files import machine_text
 from rotcal_ros.compensation.controller import Comment, Controller, Facts, OwnSetting
 from rotcal_ros.compensation.controller_files import (
     PeriodicTable,
@@ -34,7 +34,6 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.foundation.untrusted import read_bytes, reading
 
 FRACTION: Final = 16
 LARGEST: Final = 8_388_607
@@ -42,7 +41,7 @@ LARGEST: Final = 8_388_607
 BLCOMP: Final = "blcomp"
 NOT_KNOWN: Final = (
     "during the measurement is not known: the file overwrites it, and what it corrected is then "
-    "missing (setting backlash_sixteenths, 0 for none, or machine_file)"
+    "missing: state --set backlash_sixteenths=N, 0 for none, or --set machine_file=FILE"
 )
 
 
@@ -121,17 +120,15 @@ class Pmac(Controller):
         """
         if not self.machine_file or self.backlash_sixteenths is not None:
             return self
-        path = Path(self.machine_file)
-        with reading(path, ConfigurationError, "the variables of the motor "):
-            text = read_bytes(path).decode("latin-1")
+        text = machine_text(self.machine_file)
         rate, home = (
             re.search(rf"^\s*I{self.motor}{n}\s*=\s*(\d+)\s*$", text, re.MULTILINE)
             for n in (85, 86)
         )
         if rate is None or home is None:
             raise ConfigurationError(
-                f"{path}: expected lines I{self.motor}85=... and I{self.motor}86=...; add them, "
-                "or state backlash_sixteenths"
+                f"{self.machine_file}: expected lines I{self.motor}85=... and "
+                f"I{self.motor}86=...; add them, or state backlash_sixteenths"
             )
         return replace(self, backlash_sixteenths=int(home[1]) if int(rate[1]) else 0)
 
@@ -142,11 +139,16 @@ class Pmac(Controller):
         return -(self.backlash_sixteenths or 0) * self._unit_deg * DEGREE
 
     def replaced(self, table: CompensationTable) -> str:
-        """Say what became of Ixx86, which the file overwrites if the directions differ."""
+        """Say what became of Ixx86, which the file overwrites if the directions differ.
+
+        Raises ConfigurationError where it would be lost, since nobody states it.
+        """
         if self.one_direction:
             return ""
         if self.backlash_sixteenths is None:
-            return f"I{self.motor}86 {NOT_KNOWN}" if table.directional else ""
+            if table.directional:
+                raise ConfigurationError(f"I{self.motor}86 {NOT_KNOWN}")
+            return ""
         amount = -self.without_table(Approach.NEGATIVE)
         about = f"I{self.motor}86 = {self.backlash_sixteenths}, which the file overwrites,"
         return backlash_note(about, amount, table)

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_controllers.machine_files import MachineData, require_as_measured
 from rotcal_ros.compensation.axis_location import millimetres
 from rotcal_ros.compensation.controller import Comment, Controller, Facts, Located, OwnSetting
 from rotcal_ros.compensation.controller_files import (
@@ -33,7 +34,7 @@ from rotcal_ros.compensation.controller_files import (
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import check_axis
-from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.results import AxisLine
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
@@ -68,13 +69,15 @@ class Sinumerik(Controller):
         OwnSetting(
             "MD32450 BACKLASH",
             "adds to the table, for each measuring system, once the axis is referenced",
-            "leave it as it was during the measurement: nothing of it is in the table",
+            "read from machine_file and held against backlash_deg; leave it as it was during the "
+            "measurement: nothing of it is in the table",
             "6FC5397-1BP40-3BA1 (03/2013) p. 234; 6FC5397-8EP40-0BA0 (08/2013) p. 228",
         ),
         OwnSetting(
             "MD32700 ENC_COMP_ENABLE",
             "locks ENC_COMP against writing while it is 1",
-            "set it to 0 before the file is loaded, and to 1 after it",
+            "read from machine_file: a table in force that was not measured on is refused; set it "
+            "to 0 before the file is loaded, and to 1 after it",
             "6FC5397-1BP40-3BA1 (03/2013) pp. 237-264",
         ),
         OwnSetting(
@@ -92,13 +95,14 @@ class Sinumerik(Controller):
         OwnSetting(
             "SD41310 CEC_TABLE_WEIGHT",
             "multiplies the values of a CEC table",
-            "set it to 1 for tables: cec",
+            "read from machine_file, another weight is refused; set it to 1 for tables: cec",
             "",
         ),
         OwnSetting(
             "MD32720 CEC_MAX_SUM",
             "limits the sum of all CEC tables of the axis",
-            "keep it above the largest value in the file",
+            "read from machine_file, a smaller one is refused; keep it above the largest value in "
+            "the file",
             "",
         ),
     )
@@ -115,6 +119,12 @@ class Sinumerik(Controller):
     )
     first_cec_table: int = setting(0, doc="index of the first of two CEC tables", minimum=0)
     cec_adds: bool = setting(True, doc="whether a CEC value is added to the set-point")
+    backlash_deg: float | None = setting(
+        None, doc="deg, MD32450 during the measurement; none: as in machine_file"
+    )
+    machine_file: str = setting(
+        "", doc="archive with machine data (initial.ini), in lines as N32450 $MA_BACKLASH[0,AX4]=0"
+    )
 
     def __post_init__(self) -> None:
         if self.axis_name:
@@ -165,6 +175,46 @@ class Sinumerik(Controller):
             lines += _cec(self.first_cec_table, axis, self._cec_sign * up, spacing, 1)
             lines += _cec(self.first_cec_table + 1, axis, self._cec_sign * down, spacing, -1)
         return {f"{stem}.ini": "\n".join([*lines, "M17"]) + "\n"}
+
+    def replaced(self, table: CompensationTable) -> str:
+        """Hold the machine data of ``machine_file`` against what the table assumes.
+
+        Return what stays beside the table; ConfigurationError for what contradicts it.
+        """
+        if not self.machine_file:
+            return ""
+        data, system = MachineData.read(self.machine_file), self.measuring_system
+        axis = data.axis(self.axis_name or table.axis)
+        if self.tables == ENC_COMP:
+            in_force = data.number("MA_ENC_COMP_ENABLE", f"{system},{axis}")
+            if in_force and not table.adds_to:
+                raise ConfigurationError(
+                    f"{data.path}: MD32700 ENC_COMP_ENABLE[{system}] of {axis} is 1, so that a "
+                    "table is in force, and the measurement is not on top of one: set it to 0, "
+                    "measure and save the archive again, or add to that table (--add-to)"
+                )
+        else:
+            self._require_cec(data, axis, table)
+        backlash = data.number("MA_BACKLASH", f"{system},{axis}")
+        name = f"MD32450 BACKLASH[{system}] of {axis}"
+        return require_as_measured(name, backlash, self.backlash_deg, "deg")
+
+    def _require_cec(self, data: MachineData, axis: str, table: CompensationTable) -> None:
+        """Raise ConfigurationError for weights and limits that would change the tables."""
+        for index in (self.first_cec_table, self.first_cec_table + 1):
+            weight = data.number("SN_CEC_TABLE_WEIGHT", f"{index}")
+            if weight not in (None, 1.0):
+                raise ConfigurationError(
+                    f"{data.path}: SD41310 CEC_TABLE_WEIGHT[{index}] is {weight:g} and would "
+                    "multiply the table: set it to 1"
+                )
+        limit = data.number("MA_CEC_MAX_SUM", axis)
+        largest = max(float(np.max(np.abs(column))) for column in columns_deg(table)[1:])
+        if limit is not None and largest > limit:
+            raise ConfigurationError(
+                f"{data.path}: MD32720 CEC_MAX_SUM of {axis} is {limit:g} deg, and the table "
+                f"holds {largest:.6g}: raise it"
+            )
 
     def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
         """Return machine data of a five-axis transformation with a swivel table (type 40).

@@ -7,13 +7,15 @@ modulo list the first and the last entry are the same: it ends with the row at 3
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from rotcal_controllers import isg_volumetric
+from rotcal_controllers.machine_files import finite, machine_text
 from rotcal_ros.compensation.controller import (
     Comment,
     ComponentErrors,
@@ -33,7 +35,7 @@ from rotcal_ros.compensation.controller_files import (
     require_at_most,
 )
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
@@ -42,7 +44,8 @@ UNIT_DEG: Final = 1e-4
 TURN_UNITS: Final = 3_600_000
 NOT_KNOWN: Final = (
     "P-AXIS-00103 during the measurement is not known: whether a backlash compensation acts "
-    "beside a list of both directions is not documented (setting backlash_deg, 0 for none)"
+    "beside a list of both directions is not documented: state --set backlash_deg=DEG, 0 for "
+    "none, or --set machine_file=FILE"
 )
 
 
@@ -63,8 +66,8 @@ class TwinCat(Controller):
         OwnSetting(
             "P-AXIS-00021, P-AXIS-00103",
             "are unnecessary beside a list of both directions; whether they still act is not said",
-            "what P-AXIS-00103 was during the measurement goes into such a list, stated by "
-            "backlash_deg; P-AXIS-00021 has to be 0 from then on",
+            "what P-AXIS-00103 was during the measurement goes into such a list: read from "
+            "machine_file, or stated by backlash_deg; P-AXIS-00021 has to be 0 from then on",
             "Beckhoff TF5200, 308683659, 308651403",
         ),
         OwnSetting(
@@ -95,8 +98,38 @@ class TwinCat(Controller):
     backlash_deg: float | None = setting(
         None,
         minimum=0.0,
-        doc="deg, P-AXIS-00103 during a measurement without table; 0: none, or P-AXIS-00021 is 0",
+        doc="deg, P-AXIS-00103 during a measurement without table; 0: none, or P-AXIS-00021 is 0; "
+        "none: that of machine_file",
     )
+    machine_file: str = setting(
+        "", doc="parameter list of the axis, in lines as getriebe[0].lose 1000"
+    )
+
+    def for_axis(self, axis: str) -> TwinCat:
+        """Return the controller with the backlash of the machine's list; 0 while it is not chosen.
+
+        Raises ConfigurationError for a list without it, and for one that is negative: that lies
+        between drive and measuring system (P-AXIS-00021).
+        """
+        if not self.machine_file or self.backlash_deg is not None:
+            return self
+        text = machine_text(self.machine_file)
+        lost, chosen = (
+            re.search(rf"^\s*{name}\s+([-\d.]+)", text, re.MULTILINE)
+            for name in (r"getriebe\[0\]\.lose", r"lr_param\.\s*anwahl_losekomp")
+        )
+        if lost is None or chosen is None:
+            raise ConfigurationError(
+                f"{self.machine_file}: expected lines getriebe[0].lose and "
+                "lr_param.anwahl_losekomp; add them, or state backlash_deg"
+            )
+        found = finite(self.machine_file, "getriebe[0].lose", lost[1]) * UNIT_DEG
+        if found < 0.0:
+            raise ConfigurationError(
+                f"{self.machine_file}: getriebe[0].lose is negative, a backlash between drive and "
+                "measuring system: state what it does at the table by backlash_deg"
+            )
+        return replace(self, backlash_deg=found if chosen[1] != "0" else 0.0)
 
     def without_table(self, approach: Approach) -> float:
         """Return the backlash, taken off from above."""
@@ -104,9 +137,14 @@ class TwinCat(Controller):
         return 0.0 if approach is Approach.POSITIVE else -lost
 
     def replaced(self, table: CompensationTable) -> str:
-        """Say what became of the backlash compensation beside a list of both directions."""
+        """Say what became of the backlash compensation beside a list of both directions.
+
+        Raises ConfigurationError where it would be lost, since nobody states it.
+        """
         if self.backlash_deg is None:
-            return NOT_KNOWN if table.directional else ""
+            if table.directional:
+                raise ConfigurationError(NOT_KNOWN)
+            return ""
         about = f"P-AXIS-00103 = {self.backlash_deg:g} deg (set P-AXIS-00021 to 0)"
         return backlash_note(about, self.backlash_deg * DEGREE, table)
 

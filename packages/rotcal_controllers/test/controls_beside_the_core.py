@@ -182,7 +182,7 @@ def fanuc(files):
 CONTROLS = {
     "sinumerik": Control("sinumerik", sinumerik, {}),
     "sinumerik cec": Control("sinumerik", sinumerik_cec, {"tables": "cec"}),
-    "twincat": Control("twincat", twincat, {}),
+    "twincat": Control("twincat", twincat, {"backlash_deg": 0.0}),
     "twincat_nc": Control("twincat_nc", twincat_nc, {}),
     "twincat_nc each": Control("twincat_nc", twincat_nc, {"directions": "each"}),
     "kflop": Control("kflop", kflop, {"turns": 2, "first_turn": -1}),
@@ -195,7 +195,7 @@ CONTROLS = {
     "encoder_lut": Control("encoder_lut", encoder_lut, {"counts_per_turn": 3_600_000}),
     "heidenhain": Control("heidenhain", heidenhain, {}),
     "fagor": Control("fagor", fagor, {}),
-    "pmac": Control("pmac", pmac, {"counts_per_turn": 3_600_000}),
+    "pmac": Control("pmac", pmac, {"backlash_sixteenths": 0, "counts_per_turn": 3_600_000}),
     "fanuc": Control("fanuc", fanuc, {"detection_unit_deg": 0.0001, "slots": 512}),
     "fanuc each": Control(
         "fanuc", fanuc, {"directions": "each", "detection_unit_deg": 0.0001, "slots": 1024}

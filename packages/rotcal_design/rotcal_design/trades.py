@@ -1,7 +1,7 @@
 """Plans of a configuration with other numbers: what each takes, and how sure the result gets.
 
-Stations and reflectors of a plane mirror by its own solver; balls, angles and runs of balls on the
-table by what the engine predicts.
+Stations and reflectors of a plane mirror, and targets of a tracer, by their own solvers; balls,
+angles and runs of balls on the table by what the engine predicts.
 """
 
 from __future__ import annotations
@@ -18,13 +18,16 @@ import numpy as np
 from rotcal_ros.adjust.engine import predicted
 from rotcal_ros.foundation.arrays import rms_about_mean
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.calibration import Calibration, prepare, prepare_to_measure
 from rotcal_ros.methods.configuration import Configuration, changed
+from rotcal_ros.methods.dry_run import SEED, DryRun
 from rotcal_ros.methods.table_balls.method import model, nominal
 from rotcal_ros.methods.table_balls.settings import below_the_table
+from rotcal_ros.methods.tracer.plan import targets_of
+from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.planning.readings import Readings
 
 USUAL_MIRROR: Final = """
@@ -48,6 +51,19 @@ balls_m: [[0.15, 0.0, 0.08], [-0.075, 0.13, 0.04], [-0.075, -0.13, 0.12]]
 axis_m: [0.0, 0.0, 0.08]
 """
 """Three balls that are not in a line; the method's usual uncertainties."""
+USUAL_TURNS: Final = """
+method: tracer_multistation
+plan:
+  turning_deg_s: [12, -12]
+  table_step_deg: 3.0
+  table_positions: 120
+  tracer_m: [0.06, 0.025, 0.2]
+  targets_m: [0.5, 0.0, 0.3, 0.0, 0.5, 0.7, -0.5, 0.0, 0.3, 0.0, -0.5, 0.7,
+              0.35, 0.35, 0.7, -0.35, 0.35, 0.3, -0.35, -0.35, 0.7, 0.35, -0.35, 0.3]
+solver: {length_std_m: 1.0e-7, error_motion_std_m: 0.0}
+planner: {step_timeout_s: 60.0}
+"""
+"""Eight targets half a metre around a tracer 65 mm off the axis."""
 FULL_TURN_DEG: Final = 360.0
 AXES: Final = 4
 """Values of a line: two places, two turns."""
@@ -90,7 +106,24 @@ class BallsTrade:
     bound: float
 
 
-Trade = TypeVar("Trade", MirrorTrade, BallsTrade)
+@dataclass(frozen=True)
+class TurningTrade:
+    """A tracer's plan of the first ``targets``, on a table that turns or ``stands`` at its angles.
+
+    All is measured in both directions, in ``seconds``. ``expanded``: U (k = 2) of ECC, rms over
+    the angles about their mean, rad. ``untested``: what the plan is not protected against.
+    """
+
+    stands: bool
+    targets: int
+    angles: int
+    lengths: int
+    seconds: float
+    expanded: float
+    untested: tuple[str, ...]
+
+
+Trade = TypeVar("Trade", MirrorTrade, BallsTrade, TurningTrade)
 
 
 def mirror_trade(
@@ -204,6 +237,60 @@ def _with_balls(plan: Calibration, touch_s: float, way_s: float, turn_deg_s: flo
         bound=float(
             COVERAGE_FACTOR * plan.configuration.solver.sigma_centre_m / np.sqrt(len(steps))
         ),
+    )
+
+
+def turning_trade(
+    configuration: Configuration, targets: Sequence[int], standing: Sequence[int]
+) -> tuple[TurningTrade, ...]:
+    """Return plans of the first of so many targets, the quickest first.
+
+    Each is measured while the table turns, as ``configuration`` states, and at ``standing`` angles
+    of a turn at rest. A length is as noisy in either way. Plans that determine too little, or have
+    more targets than the configuration, are left out. Raises ConfigurationError for a table that
+    does not turn, PlanError when no plan is left.
+    """
+    if not getattr(configuration.plan, "turning_deg_s", ()) or not configuration.method.by_light:
+        raise ConfigurationError(
+            f"{configuration.source}: a tracer on a table that turns is traded: state "
+            "plan.turning_deg_s, as [12, -12]"
+        )
+    places = targets_of(configuration.plan)
+    variants = (
+        (f"plan.targets_m={[x for place in places[:number] for x in place]}", *others)
+        for number in targets
+        for others in ((), *map(_at_rest, standing))
+        if number <= len(places)
+    )
+    return _quickest_first(
+        map(_with_turns, _possible(configuration, variants, prepare)),
+        PlanError(
+            f"{configuration.source}: none of {list(targets)} targets determine the table: state "
+            f"more than its {len(places)}"
+        ),
+    )
+
+
+def _at_rest(angles: int) -> tuple[str, ...]:
+    """Return the changes that let a table stand at so many angles of a turn, both ways."""
+    return (
+        "plan.turning_deg_s=[]", "plan.table_angles_deg=[]", "plan.bidirectional=true",
+        f"plan.order={TARGETS_PER_STATION}", f"plan.table_positions={angles}",
+        f"plan.table_step_deg={FULL_TURN_DEG / angles}",
+    )  # fmt: skip
+
+
+def _with_turns(calibration: Calibration) -> TurningTrade:
+    planned, alone = calibration.plan, calibration.of_distances
+    result = alone.solve(alone.measured({}, SEED).observations)
+    return TurningTrade(
+        stands=not calibration.configuration.plan.turning_deg_s,
+        targets=len(planned.targets),
+        angles=len(result.angles),
+        lengths=len(planned.counting),
+        seconds=DryRun(calibration, planned.steps[0].table_angle).taking()[0],
+        expanded=COVERAGE_FACTOR * rms_about_mean(result.covariance["ECC"]),
+        untested=result.unprotected,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotcal_design.trades import USUAL_MIRROR, mirror_trade
+from rotcal_design.trades import USUAL_MIRROR, USUAL_TURNS, mirror_trade, turning_trade
 from rotcal_design.verbs.sequence import best_order
 from rotcal_ros.cli.plan import command
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
@@ -55,6 +55,25 @@ def test_the_mirrors_hours_and_uncertainties_are_the_known_ones():
     more = found[4, 3]
     assert more["seconds"] == 4 * 600.0 + 60 * 50.0 + 48 * 10.0
     assert [way["seconds"] for way in ways] == sorted(way["seconds"] for way in ways)
+
+
+@pytest.mark.slow
+def test_turning_and_standing_stand_side_by_side():
+    """120 angles of white lengths, 65 mm off the axis: 0.13 arcsec (docs/tracer_turning.md)."""
+    quiet = changed(parse_configuration(USUAL_TURNS), ["solver.length_std_m=3.5e-8"])
+    rows = turning_trade(quiet, [4, 8], [12])
+    found = {(row.stands, row.targets): row for row in rows}
+    turns, stands = found[False, 4], found[True, 4]
+    assert np.degrees(turns.expanded) * 3600.0 == pytest.approx(0.135, rel=0.1)
+    assert found[False, 8].expanded < turns.expanded
+    # from 15 deg before 0 to 15 deg behind 357 at 12 deg/s, after 5 s at rest
+    assert turns.seconds == pytest.approx(4 * 2 * (387.0 / 12.0 + 5.0), rel=1e-9)
+    assert (turns.lengths, stands.lengths) == (4 * 2 * 120, 4 * 2 * 12)
+    assert [row.seconds for row in rows] == sorted(row.seconds for row in rows)
+    with pytest.raises(PlanError, match=r"none of \[9\] targets"):
+        turning_trade(quiet, [9], [12])
+    with pytest.raises(ConfigurationError, match="a tracer on a table that turns is traded"):
+        turning_trade(parse_configuration(USUAL_MIRROR), [4], [12])
 
 
 def usual_mirror(swing):

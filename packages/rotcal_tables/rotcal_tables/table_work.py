@@ -39,7 +39,15 @@ from rotcal_ros.methods.configuration import (
 from rotcal_ros.methods.fitting import fitting_methods
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements, usable_methods
-from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
+from rotcal_ros.methods.new_setup import (
+    AIR,
+    OF_THE_ITEM,
+    first_asked,
+    given_value,
+    known_settings,
+    setup_text,
+    values_of_tables,
+)
 from rotcal_ros.methods.settings_reference import unit_and_meaning
 from rotcal_ros.page.state import Curve, Deviations, PageMark, plain
 from rotcal_ros.recordings.result_sources import read_source
@@ -55,8 +63,26 @@ RESULT, OWN_SETUP, REPORT, PDF, DCC = (
 )  # fmt: skip
 _STATED: Final = re.compile(r"--set '?([\w.]+)(?:=[^\s;,]*)?")
 _ADVICE: Final = re.compile(r"[.:;] (?:State a column with another name by|say which:) --set .*$")
-_OPTION: Final = re.compile(r"--(setup|targets)(?: [^\s;,)]+)?")
-_BOXES: Final = {"setup": phrase("Set-up file"), "targets": phrase("Targets")}
+_OPTION: Final = re.compile(
+    r"--([a-z]+(?:-[a-z]+)*)(?: (?:\S+\.\w+|[A-Z]+\b|\w+(?: --accept \w+)*(?= ?[;,(]|$)))?"
+)
+_VERB: Final = re.compile(r" \((?:rotcal [a-z]|--max-age|bridge\.)[^()]*\)")
+_NAMED: Final = re.compile(r"(?<![\w./])[a-z]\w*(?:\.[a-z]\w*)+(?![\w(])")
+_TICK: Final = phrase("a tick below")
+_BOXES: Final = {
+    "setup": phrase("Set-up file"),
+    "targets": phrase("Targets"),
+    "to": phrase("Controller"),
+    "replace": phrase("None: the new table replaces whatever is there"),
+    "add-to": phrase("One was: the new table is added to it"),
+    "spacing": phrase("Distance between rows; if empty, it is chosen"),
+    "axis": phrase("Letter of the machine’s axis"),
+    "serial": phrase("Serial number of the table in the machine"),
+    "set": phrase("Settings, one in a line as NAME=VALUE"),
+    "accept": _TICK,
+    "accept-unverified": _TICK,
+}
+"""Options of the command line -> the boxes of the page that say the same."""
 SHOWN_ROWS: Final = 6
 TITLES: Final = {method.name: phrase(method.title) for method in usable_methods()}
 """Of the methods, which are loaded here: the processes are copies of one that has done so."""
@@ -109,7 +135,7 @@ class Asked:
     def describe(self, text: str) -> str:
         """Return a text with the names of files as people know them."""
         known = {PLACES[role]: name for role, name in self.names.items() if role in PLACES}
-        text = text.replace(f"{self.folder}/", "")
+        text = text.replace(f"{self.folder}/", "").removeprefix(f"{OWN_SETUP}: ")
         places = "|".join(map(re.escape, known))
         return re.sub(places, lambda place: known[place[0]], text) if known else text
 
@@ -135,24 +161,63 @@ def error_reply(error: Exception, asked: Asked) -> Reply:
     if isinstance(error, UndecidedError):
         text = asked.describe(error.found)
     question = error.question if isinstance(error, RotcalError) else None
+    text = text.replace("--reference-u ARCSEC (k = 1), ", "")
+    shown = at_boxes(text, asked.method)
+    known = known_settings(asked.method) if asked.method else ()
     return {
-        "text": at_boxes(text, asked.method),
+        "text": plain(shown) if shown.parts else shown,
         "log": [line for line in log if not line.startswith("--set ")],  # buttons say that
         "question": question and _in_words(question, asked),
-        "names": [found[1] for found in _STATED.finditer(text)],
+        "names": [found for found in known if re.search(rf"(?<![\w.]){found}(?![\w.]*\w)", text)],
     }
 
 
-def at_boxes(text: str, method: str) -> str:
-    """Return an error with the boxes of the page in the place of options of the command line."""
+def with_boxes(method: str) -> list[str]:
+    """Return the settings that the page has a box for, those of the measurement first."""
+    known, stated = known_settings(method), values_of_tables(method)
+    first = [name for name in first_asked(known, stated) if name not in stated]
+    identity = [name for name in known if name.startswith("identity.") and name not in OF_THE_ITEM]
+    return [*first, *OF_THE_ITEM, *AIR, *identity]
+
+
+def _options_alone(found: re.Match[str]) -> str:
+    """Return of what the command line is told, in brackets, the options that have boxes."""
+    options = [f"--{name}" for name in re.findall("--([a-z-]+)", found[0]) if name in _BOXES]
+    return f" ({', '.join(options)})" if options else ""
+
+
+def at_boxes(text: str, method: str) -> Phrase:
+    """Return an error with the boxes of the page in the place of options of the command line.
+
+    Its parts are the labels, which the page translates. A setting of a method without a box is one
+    of a set-up file.
+    """
     known = known_settings(method) if method else {}
+    boxes, labels = with_boxes(method) if known else [], list[Phrase]()
 
-    def box(found: re.Match[str]) -> str:
-        name = found[1]
-        return f'"{label_of(name, unit_and_meaning(known[name])[1])}"' if name in known else name
+    def place(label: Phrase, quote: str = '"') -> str:
+        labels.append(label)
+        return f"{quote}{{{len(labels) - 1}}}{quote}"
 
-    text = _STATED.sub(box, _ADVICE.sub("", text))
-    return _OPTION.sub(lambda found: f'"{_BOXES[found[1]]}"', text)
+    def setting(found: re.Match[str]) -> str:
+        name = found[0]
+        if name not in known:
+            return name
+        if name in boxes:
+            return place(label_of(name, unit_and_meaning(known[name])[1]))
+        return place(phrase("{0} (in a set-up file)", name), "")
+
+    def option(found: re.Match[str]) -> str:
+        label = _BOXES.get(found[1])
+        if label is None:
+            return found[0]
+        rest = found[0].removeprefix("--set") if found[1] == "set" else ""
+        return place(label, "" if label is _TICK else '"') + rest
+
+    text = _STATED.sub(lambda found: found[1] if "." in found[1] else f"--set {found[1]}", text)
+    text = _VERB.sub(_options_alone, _ADVICE.sub("", text).replace("{", "(").replace("}", ")"))
+    text = _OPTION.sub(option, _NAMED.sub(setting, text))
+    return phrase(text, *labels)
 
 
 def _in_words(question: Question, asked: Asked) -> Reply:

@@ -41,16 +41,7 @@ from rotcal_ros.foundation.files import naming
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.untrusted import LARGEST_FILE
 from rotcal_ros.methods.method import DEFAULT
-from rotcal_ros.methods.new_setup import (
-    AIR,
-    OF_THE_ITEM,
-    POSITIONS,
-    START,
-    STEP,
-    first_asked,
-    known_settings,
-    values_of_tables,
-)
+from rotcal_ros.methods.new_setup import OF_THE_ITEM, POSITIONS, START, STEP, known_settings
 from rotcal_ros.methods.settings_reference import default_in_words, unit_and_meaning
 from rotcal_ros.page.app import CLOSING_S, Guard, json_of, listen, words
 from rotcal_ros.page.settings import LOOPBACK
@@ -66,6 +57,7 @@ from rotcal_tables.table_work import (
     Asked,
     Reply,
     label_of,
+    with_boxes,
 )
 
 STATIC: Final = Path(__file__).with_name("static")
@@ -247,10 +239,8 @@ async def _settings(request: Request) -> Response:
 
 def asked_settings(method: str) -> Iterator[Reply]:
     """Yield what the page asks for, as ``rotcal new`` does, and what certificates need besides."""
-    known, stated = known_settings(method), values_of_tables(method)
-    first = [name for name in first_asked(known, stated) if name not in stated]
-    identity = [name for name in known if name.startswith("identity.") and name not in OF_THE_ITEM]
-    for name in (*first, *OF_THE_ITEM, *AIR, *identity):
+    known = known_settings(method)
+    for name in with_boxes(method):
         declared = known[name]
         unit, meaning = unit_and_meaning(declared)
         yield {
@@ -261,7 +251,7 @@ def asked_settings(method: str) -> Iterator[Reply]:
             "list": declared.is_list,
             "choices": declared.info.named_choices,
             "default": plain(OF_TABLE) if name in ANGLES else default_in_words(declared),
-            "asked": name not in identity,
+            "asked": not name.startswith("identity.") or name in OF_THE_ITEM,
         }
 
 

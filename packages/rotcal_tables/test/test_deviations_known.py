@@ -89,8 +89,12 @@ def test_the_sign_is_asked_with_both_tables_at_one_angle(tmp_path):
     other = solved(path, "solver.u_arcsec=0.5", "sheet.values=corrections").deviations["ECC"]
     assert one / ARCSEC == pytest.approx([0.5, 3.2, -1.0, 2.0])
     assert other.tolist() == (-one).tolist()
-    own = table(tmp_path, "angle_deg,deviation_arcsec,u_arcsec\n0,0.5,1\n90,3.2,1\n180,-1,1\n")
-    assert solved(own).deviations["ECC"][1] / ARCSEC == pytest.approx(3.2)
+
+
+@pytest.mark.parametrize(("unit", "value"), [("arcsec", "3.2"), ("deg", "8.8889e-4")])
+def test_a_column_named_as_in_our_own_form_has_our_sign_in_any_unit(unit, value, tmp_path):
+    text = f"angle_deg,deviation_{unit},u_arcsec\n0,0,1\n90,{value},1\n180,0,1\n"
+    assert solved(table(tmp_path, text)).deviations["ECC"][1] / ARCSEC == pytest.approx(3.2, 1e-4)
 
 
 def test_an_uncertainty_is_a_column_or_a_word_or_shown_by_runs_and_never_guessed(tmp_path):
@@ -186,6 +190,16 @@ def test_a_table_without_set_up_lists_the_methods_that_its_columns_fit(name, met
     found = [m for m in methods if f"rotcal new --method {m} -o {m}.yaml" in str(refused.value)]
     assert found == methods
     assert str(refused.value).count("rotcal new") == len(methods)
+
+
+def test_a_person_says_that_numbered_columns_are_runs_of_known_deviations(tmp_path):
+    path = table(tmp_path, 'angle [deg],deviation 1 ["],deviation 2 ["]\n0,0,0\n90,3,5\n')
+    with pytest.raises(ConfigurationError, match="the same command with --set method=deviations"):
+        solved(path, SAID)
+    result = solved(path, SAID, "method=deviations")
+    assert result.deviations["ECC"] / ARCSEC == pytest.approx([0.0, 4.0])
+    with pytest.raises(ConfigurationError, match=r"rotcal new --method table_balls"):
+        solved(path, "method=table_balls")
 
 
 def test_a_set_up_may_state_all_of_it(tmp_path):

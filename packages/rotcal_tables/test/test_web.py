@@ -23,6 +23,7 @@ from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.foundation.plugins import FUNCTIONS, names
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_tables import web
+from rotcal_tables.table_work import at_boxes
 from rotcal_tables.web import Desk, Worker, asked_settings, make_app
 
 ORIGIN = "http://127.0.0.1:8000"
@@ -308,10 +309,56 @@ def test_what_a_method_has_to_be_told_is_named(visitor):
     asked = {s["name"] for s in asked_settings("ball_plate") if s["default"] == "-"}
     assert len(asked) == 4
     assert set(error["names"]) == asked
-    assert "--set" not in error["text"]
-    assert '"Diameter of the balls"' in error["text"] or '"diameter of the balls"' in error["text"]
+    text, *labels = error["text"]
+    assert "--set" not in text
+    assert ["diameter of the balls"] in labels
     error = visitor.work("explain", "plan.plate.grid=x", method="ball_plate")["error"]
-    assert error["text"].startswith("plan.plate.grid: expected int")
+    text, label = error["text"]
+    assert text.startswith('"{0}": expected int')
+    assert label[0].startswith("number of table positions")
+    assert error["names"] == ["plan.plate.grid"]
+
+
+@pytest.mark.parametrize(
+    ("method", "told", "shown"),
+    [
+        ("deviations", "Say which ('rotcal' knows; rotcal export --replace, --add-to)",
+         "Say which ('rotcal' knows; rotcal export "
+         '"None: the new table replaces whatever is there", '
+         '"One was: the new table is added to it")'),
+        ("deviations", "add it (rotcal export --add-to); nothing was written",
+         'add it ("One was: the new table is added to it"); nothing was written'),
+        ("deviations", "is 40 days old, at most 30 are accepted (--max-age, bridge.max_age_days)",
+         "is 40 days old, at most 30 are accepted"),
+        ("deviations", "say so: --accept age --accept axis (bridge.accept: [age, axis]); nothing",
+         "say so: a tick below; nothing"),
+        ("deviations", "Give --accept-unverified to write the file", "Give a tick below to write"
+         " the file"),
+        ("deviations", "needs --set machine_ini=a.ini",
+         'needs "Settings, one in a line as NAME=VALUE" machine_ini'),
+        ("table_balls", "correct plan.axis_m, or plan.chain",
+         'correct "nominal point of the table axis in the machine\'s coordinates: XOC and YOC are '
+         "how far the axis is from it at its height, EXC and EYC are the table's motions there\", "
+         "or plan.chain (in a set-up file)"),
+        ("tracer_multistation", "give --targets TARGETS.csv with x, or --targets a.csv",
+         'give "Targets" with x, or "Targets"'),
+        ("deviations", "no {place} for --option in laser.csv", "no (place) for --option in"
+         " laser.csv"),
+    ],
+)  # fmt: skip
+def test_options_and_settings_are_boxes_of_the_page(method, told, shown):
+    assert at_boxes(told, method) == shown
+
+
+def test_an_uncertainty_that_is_missing_is_that_of_its_box(visitor):
+    table = b"angle [deg],error [arcsec]\n0,0.5\n90,3.2\n180,-1\n270,2\n"
+    visitor.drop("table", "laser.csv", table)
+    error = visitor.work("solve", "sheet.values=deviations", method="deviations")["error"]
+    text, label = error["text"]
+    assert text.endswith('add a column of standard uncertainties, or state one for all with "{0}"')
+    assert text.startswith("nothing states how sure")
+    assert label[0].startswith("standard uncertainty (k = 1) of each deviation")
+    assert error["names"] == ["solver.u_arcsec"]
 
 
 def test_a_certificate_lists_what_is_missing_and_is_made_with_it(visitor):
@@ -334,7 +381,9 @@ def test_a_controller_gets_its_files_once_it_is_said_what_was_in_force(visitor):
     visitor.lengths(OWN[0].read_bytes())
     visitor.deviations()
     error = visitor.work("controller", **FOR_CSV | {"in_force": ""})["error"]
-    assert error["text"].startswith("not known which table was in force")
+    text, *labels = error["text"]
+    assert text.startswith("not known which table was in force")
+    assert ["None: the new table replaces whatever is there"] in labels
     told = visitor.work("controller", **FOR_CSV)
     assert told["files"] == ["c_csv.csv", "c_csv.provenance.json"]
     assert told["words"][0].startswith("replaces the table in force")

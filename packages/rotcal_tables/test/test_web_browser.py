@@ -188,6 +188,34 @@ def test_an_error_stands_at_its_field(opened):
     assert "length_std_m: 1.2e-07" in page.request.get(f"{page.url}made/setup.yaml").text()
 
 
+def test_a_refusal_names_boxes_in_the_language_of_the_page(opened):
+    page = opened(locale="de-DE")
+    rows = "".join(f"{30 * n};{2.5 * n % 7 - 3:.1f}\n".replace(".", ",") for n in range(12))
+    drop(page, "laser.csv", ("Winkel [°];Fehler [arcsec]\n" + rows).encode("cp1252"))
+    expect(page.locator("#method")).to_have_value("deviations", timeout=PATIENCE_MS)
+    page.get_by_role("button", name=re.compile("stands 3.5 arcsec too far")).click()
+    expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
+    page.locator("#solve").click()
+    noise = page.locator("[id='set.solver.u_arcsec']")
+    expect(noise).to_have_attribute("aria-invalid", "true", timeout=PATIENCE_MS)
+    label = page.locator("label[for='set.solver.u_arcsec']").inner_text()
+    assert label.startswith("Standardmessunsicherheit")
+    told = page.locator("#error_words").inner_text()
+    assert label.lower() in told.lower()
+    assert "--" not in told
+    assert "setup.yaml" not in told
+    noise.fill("0,5")
+    noise.press("Tab")
+    expect(page.locator("#solve")).to_be_enabled(timeout=PATIENCE_MS)
+    page.locator("#solve").click()
+    expect(page.locator("#marks .mark").first).to_be_visible(timeout=PATIENCE_MS)
+    page.locator("#controller").select_option("csv")
+    page.locator("#controller_form button").click()
+    told = page.locator("#controller_error")
+    expect(told).to_contain_text(page.locator("label[for=in_force_replace]").inner_text())
+    assert "--" not in told.inner_text()
+
+
 def test_instruments_that_are_not_shown_are_stated_too(opened):
     page = opened(locale="en-GB")
     page.evaluate("document.querySelectorAll('details').forEach((e) => { e.open = true; })")

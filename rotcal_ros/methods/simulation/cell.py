@@ -73,7 +73,7 @@ class SimulatedCell:
         """Turn the table to ``command.table_angle``, or past it."""
         if command.turn is None:
             self.table.order(self.now_ns, command.table_angle, command.approach)
-        elif command.anew:
+        else:
             self.table.turn(self.now_ns, command.turn)
         self._table_order = (command.step, command.attempt)
 

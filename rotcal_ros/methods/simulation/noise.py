@@ -32,6 +32,8 @@ class NoiseSource(IntEnum):
     SLIP = 13
     ARRIVAL_MOTION = 14
     PRESSURE = 15
+    DRIFTING = 16
+    JITTER = 17
     MOUNTING = 20
     MOUNTED_ZERO = 21
     TRACKER = 30

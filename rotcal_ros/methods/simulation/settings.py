@@ -107,6 +107,14 @@ class TableSettings:
             "resolution of a good encoder, far below what is measured",
         ]
     ] = 0.02
+    feedback_lag_s: float = expert(
+        0.0, minimum=-1.0, maximum=1.0,
+        doc="s, by which the feedback is late while the table moves",
+    )  # fmt: skip
+    ripple_arcsec: float = expert(
+        0.0, minimum=0.0, doc="arcsec, amplitude about even motion while the table turns on"
+    )
+    ripple_hz: float = expert(3.0, doc="Hz, of that ripple", minimum=1e-3, maximum=1000.0)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.observations import Approach, TableSample, Turn
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
@@ -129,7 +129,7 @@ class SimulatedTable:
         )
         self._motion = Motion(start_ns, [settings.initial_angle_deg * DEGREE], self._limits)
         self._approach = Approach.POSITIVE
-        self._arrivals, self._arrives = 0, True
+        self._arrivals, self._arrives, self._turning = 0, True, 0.0
         self._arrival_noise = IndexedNoise(seed, NoiseSource.ARRIVAL)
         self._motion_noise = IndexedNoise(seed, NoiseSource.ARRIVAL_MOTION)
         self._feedback_noise = IndexedNoise(seed, NoiseSource.FEEDBACK)
@@ -151,7 +151,7 @@ class SimulatedTable:
             places = [start, angle + overshoot, angle]
         self._motion = Motion(now_ns, places, self._limits)
         self._approach = Approach.POSITIVE if places[-1] >= places[-2] else Approach.NEGATIVE
-        self._arrivals, self._arrives = self._arrivals + 1, True
+        self._arrivals, self._arrives, self._turning = self._arrivals + 1, True, 0.0
         self.rest_ns = self._motion.end_ns
 
     def turn(self, now_ns: int, turn: Turn) -> None:
@@ -164,7 +164,7 @@ class SimulatedTable:
         own = replace(self._limits, speed=min(abs(turn.speed), self._limits.speed))
         self._motion = Motion(now_ns, places, self._limits, own)
         self._approach = Approach.POSITIVE if turn.speed > 0.0 else Approach.NEGATIVE
-        self._arrives = False
+        self._arrives, self._turning = False, own.speed
         self.rest_ns = self._motion.end_ns
 
     def stop(self, now_ns: int) -> None:
@@ -172,11 +172,22 @@ class SimulatedTable:
         here = float(self._motion.state(np.array([now_ns]))[0][0])
         self._motion = Motion(now_ns, [here], self._limits)
         self._approach = Approach.UNKNOWN  # it came from neither side
+        self._turning = 0.0
         self.rest_ns = now_ns
 
     def angles(self, stamps: Stamps) -> Floats:
         """Return the angle that the table believes to stand at, (n,) rad."""
-        return self._motion.state(stamps)[0]
+        return self._state(stamps)[0]
+
+    def _state(self, stamps: Stamps) -> tuple[Floats, Floats]:
+        """Return angle and velocity at ``stamps`` (n,), with the ripple of a table that turns."""
+        angles, velocities = self._motion.state(stamps)
+        if not (self._turning and self.settings.ripple_arcsec):
+            return angles, velocities
+        turns = 2.0 * np.pi * self.settings.ripple_hz
+        phase = turns * NANOSECOND * (stamps - self._motion.end_ns)
+        size = self.settings.ripple_arcsec * ARCSEC * velocities / self._turning
+        return angles + size * np.sin(phase), velocities + turns * size * np.cos(phase)
 
     def poses(self, stamps: Stamps) -> tuple[Floats, Floats]:
         """Return the actual poses at ``stamps``; see :func:`table_poses`."""
@@ -197,7 +208,8 @@ class SimulatedTable:
 
     def feedback(self, first: int, stamps: Stamps) -> tuple[TableSample, ...]:
         """Return the feedback number ``first`` and following at ``stamps``."""
-        angles, velocities = self._motion.state(stamps)
+        late_ns = round(self.settings.feedback_lag_s / NANOSECOND)
+        angles, velocities = self._state(stamps - late_ns)
         noise = self.settings.feedback_noise_arcsec * ARCSEC
         angles = angles + noise * self._feedback_noise.normal(first, len(stamps))
         rows = zip(stamps.tolist(), angles.tolist(), velocities.tolist(), strict=True)

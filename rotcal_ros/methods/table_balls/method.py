@@ -15,7 +15,7 @@ from rotcal_ros.adjust.engine import LIMITS, Adjusted
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length, mean_point, points
-from rotcal_ros.capture.passage import Line, decide_passage
+from rotcal_ros.capture.passage import FittedCurve, decide_passage
 from rotcal_ros.capture.touched_ball import reported_centre, touched_centre
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Floats
@@ -75,6 +75,7 @@ from rotcal_ros.methods.table_balls.settings import (
     sense_of,
 )
 from rotcal_ros.methods.table_balls.trajectory import table_of_ranges, trajectories, way_figures
+from rotcal_ros.methods.turning import require_turns
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
@@ -289,7 +290,8 @@ def _passed(settings: BallsPlanSettings, targets: Sequence[int]) -> Iterator[tup
 def check_plan(configuration: Configuration, planned: Plan) -> None:
     """Raise PlanError for a plan whose balls determine neither axis nor ECC, with the reason."""
     balls = balls_of(configuration)
-    _check_turns(configuration, planned)
+    if configuration.plan.turning_deg_s:
+        require_turns(configuration, planned)
     radius = np.hypot(*balls.places.T[:2])
     if radius.max() < NEAR_AXIS_M:
         raise PlanError(
@@ -302,26 +304,6 @@ def check_plan(configuration: Configuration, planned: Plan) -> None:
             "as [0.0, 0.1, 0.0]"
         )
     BY_MODEL.check_plan(configuration, planned)
-
-
-def _check_turns(configuration: Configuration, planned: Plan) -> None:
-    if configuration.plan.turning_deg_s and "table_adapter" in configuration.given:
-        raise PlanError(
-            "plan.turning_deg_s: table_adapter moves the table alone, from rest to rest, and no "
-            "nest follows: leave one of both out"
-        )
-    limit_s, before = configuration.capture.step_timeout_s, planned.steps[0]
-    for step in planned.steps:
-        if step.turn is None:
-            return
-        begin = before.table_angle if step.follows(before) else step.turn.begin
-        before, way = step, abs(step.table_angle - begin) + step.passing
-        if (takes_s := way / abs(step.turn.speed)) > limit_s:
-            raise PlanError(
-                f"plan.turning_deg_s: the table takes {takes_s:.3g} s to {step.describe()}, "
-                f"longer than capture.step_timeout_s = {limit_s:g}: turn faster, or raise that "
-                "and planner.step_timeout_s"
-            )
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
@@ -677,7 +659,7 @@ def read_passing(configuration: Configuration, table: Table) -> PlannedMeasureme
                 f"sides of {step.table_angle / DEGREE:g} deg within plan.passing_deg, "
                 f"{configuration.plan.passing_deg:g} deg"
             )
-        x, y, z = (Line.through(away[near], column).value for column in rows[near, 3:].T)
+        x, y, z = (FittedCurve.through(away[near], column).value for column in rows[near, 3:].T)
         observations.append(step.observed((x, y, z)))
     return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 

@@ -14,7 +14,11 @@ from rotcal_ros.methods.ball_plate.settings import (
     points_setting,
 )
 from rotcal_ros.methods.simulation.settings import SimulationSettings
-from rotcal_ros.planning.table_angles import TableAngleSettings
+from rotcal_ros.planning.table_angles import (
+    TableAngleSettings,
+    passing_setting,
+    run_up_setting,
+)
 
 DISPLACEMENT: Final = "displacement"
 BAR: Final = "bar"
@@ -80,14 +84,8 @@ class BallsPlanSettings(TableAngleSettings):
         doc="deg/s, speed at which the table turns in each run while displacements are read, "
         "negative for back; none: it stops at every angle",
     )
-    run_up_deg: float = expert(
-        15.0, minimum=1e-3, maximum=360.0,
-        doc="deg, of a table that turns: before the first angle and behind the last, where it "
-        "gets up to its speed and comes to rest",
-    )  # fmt: skip
-    passing_deg: float = expert(
-        1.0, doc="deg, readings up to so far from a table angle count for it", minimum=1e-3
-    )
+    run_up_deg: float = run_up_setting()
+    passing_deg: float = passing_setting(1.0)
 
 
 def below_the_table(chain: str) -> str:

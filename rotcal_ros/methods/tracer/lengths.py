@@ -34,10 +34,10 @@ def reported_positions(observations: Sequence[Observation]) -> Floats:
 
 def times_before(plan: Plan) -> Ints:
     """Return how often the plan has measured the same before each of its steps (n,)."""
-    count: Counter[tuple[int, int, int]] = Counter()
+    count: Counter[tuple[int, int, int, bool]] = Counter()
     numbers = []
     for step in plan.steps:
-        key = (step.station, step.table_position, step.target)
+        key = (step.station, step.table_position, step.target, step.turn is None)
         numbers.append(count[key])
         count[key] += 1
     return np.array(numbers, dtype=np.int64)
@@ -101,16 +101,17 @@ class LengthCheck:
     """
 
     def __init__(self, plan: Plan) -> None:
-        self._last: dict[tuple[int, int], tuple[int, float, int]] = {}
+        self._last: dict[tuple[int, int, bool], tuple[int, float, int]] = {}
         """Target, length and segment of the last length of each place and table position."""
-        self._targets = plan.targets
+        self._targets, self._counting = plan.targets, plan.counting
 
     def __call__(self, observation: Observation) -> Observation:
         """Return the observation, rejected when it cannot be."""
         if not observation.accepted or observation.kind != PointKind.REFLECTOR:
             return observation
         length, target = observation.mean[0], observation.target
-        here = observation.station, observation.table_position
+        counts = observation.step in self._counting
+        here = observation.station, observation.table_position, counts
         known = self._last.get(here)
         if known is not None:
             other, before, segment = known

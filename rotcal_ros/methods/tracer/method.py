@@ -12,7 +12,12 @@ from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Ints
-from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError
+from rotcal_ros.foundation.errors import (
+    DataError,
+    GeometryError,
+    ObservabilityError,
+    PlanError,
+)
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE
@@ -28,7 +33,7 @@ from rotcal_ros.methods.arrivals import (
 )
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader, Trials
-from rotcal_ros.methods.tracer import table, turning_table
+from rotcal_ros.methods.tracer import table, turning_readings, turning_table
 from rotcal_ros.methods.tracer.lengths import (
     LengthCheck,
     length_columns,
@@ -47,6 +52,8 @@ from rotcal_ros.methods.tracer.solver.solution import adjust, curve_model
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.table import PLAN_FILES
+from rotcal_ros.methods.turning import require_turns
+from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Compared, Plan
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -104,10 +111,15 @@ def _in_segments(configuration: Configuration) -> bool:
     return bool(turning) or bool(configuration.solver.zero == "per_segment")
 
 
-def _segments(observations: Sequence[Observation]) -> Ints:
-    """Return the segment (k,) of each observation; another run is another segment."""
-    both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
-    return np.unique(both, axis=0, return_inverse=True)[1].ravel()
+def _segments(observations: Sequence[Observation], *, turning: bool) -> Ints:
+    """Return the segment (k,) of each observation; another run is another segment.
+
+    So is another turn, which takes its time.
+    """
+    kinds = ("run", "segment", "attempt", "station", "target")[: None if turning else 2]
+    every = np.array([[getattr(o, kind) for kind in kinds] for o in observations], dtype=np.int64)
+    every = every.reshape(-1, len(kinds))
+    return np.unique(every, axis=0, return_inverse=True)[1].ravel()
 
 
 def _arrivals(configuration: Configuration) -> Arrivals | None:
@@ -147,7 +159,7 @@ def problem(
         }
     return TracerProblem(
         **columns,
-        segment=_segments(observations) if segments else None,
+        segment=_segments(observations, turning=bool(len(speeds))) if segments else None,
         again=again if again.any() else None,
         run=None if segments or len(np.unique(run)) < 2 else run,
         position_std=settings.position_std_m,
@@ -202,6 +214,20 @@ def until_goal(configuration: Configuration, plan: Plan) -> Adaptive:
     return goal_policy.until_goal(configuration, plan)
 
 
+def _check_plan(configuration: Configuration, plan: Plan) -> None:
+    """Raise PlanError for a plan that could never be solved, or never be carried out."""
+    turning = bool(configuration.plan.turning_deg_s)
+    check_plan(configuration.solver, plan, turning=turning)
+    if not turning:
+        return
+    require_turns(configuration, plan)
+    if configuration.planner.policy != AS_LISTED:
+        raise PlanError(
+            f"plan.turning_deg_s: a turn passes all angles, the policy "
+            f"{configuration.planner.policy} chooses single lengths: leave planner.policy out"
+        )
+
+
 _TRACER: Final = plugins.later("rotcal_ros.methods.tracer.simulation:TracerAndReflector")
 METHOD: Final = Method(
     name=NAME,
@@ -215,7 +241,7 @@ METHOD: Final = Method(
         cell, cell.tracer.mount_m, table, temperature, start_ns
     ),
     plan=lambda configuration: tracer_plan(configuration.plan),
-    check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
+    check_plan=_check_plan,
     adaptive=until_goal,
     compare=compare,
     plan_files=PLAN_FILES,
@@ -233,7 +259,7 @@ METHOD: Final = Method(
         table.TARGETS,
         runs="runs",
         again={"order": TARGETS_PER_STATION},
-        with_angles=turning_table.HEADERS,
+        with_angles=(*turning_table.HEADERS, *turning_readings.HEADERS),
     ),
     figures=plugins.later("rotcal_ros.methods.tracer.figures:figures"),
     tables=plugins.later("rotcal_ros.methods.tracer.figures:tables"),

@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import compress, product
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.observations import Approach, PointKind, Turn
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.settings import (
@@ -91,6 +92,10 @@ def check_plan(solver: TracerSolverSettings, planned: Plan, *, turning: bool = F
         raise PlanError(missing)
 
 
+MOST_PASSED: Final = 2400
+"""Angles, each at every speed: a result of so many has about 220 MB, and 268 MB are read."""
+
+
 def tracer_plan(settings: TracerPlanSettings) -> Plan:
     """Return the plan of one laser-tracer calibration.
 
@@ -101,10 +106,7 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     pairs are not of the plan's angles and targets.
     """
     if settings.turning_deg_s:
-        raise PlanError(
-            "turning_deg_s: a cell does not read lengths from a table that turns yet; a table of "
-            "them, with the columns angle_deg,target,direction,length_m, is solved"
-        )
+        return turning_plan(settings)
     if settings.pairs:
         return explicit_plan(settings)
     if settings.repeated and settings.order != TARGETS_PER_STATION:
@@ -129,7 +131,9 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
     """Return the plan of a table that turns once at each speed, for one target after the other.
 
     ``targets``: in place of the plan's. A step's station is its run: the number of its speed.
-    Raises PlanError for speeds of zero, and for settings that ask for stops.
+    Every turn begins with a step at rest, at which the reflector has come to its target.
+    Raises PlanError for speeds of zero, for settings that ask for stops, and for more than
+    MOST_PASSED angles.
     """
     speeds, angles = settings.turning_deg_s, table_angles(settings)
     if not all(speeds):
@@ -140,15 +144,30 @@ def turning_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) ->
             "min_elevation_deg, min_distance_m, runs and bidirectional; speeds of both signs "
             "measure both directions"
         )
+    if (places := len(angles) * len(speeds)) > MOST_PASSED:
+        raise PlanError(
+            f"turning_deg_s: {len(angles)} angles at {len(speeds)} speeds are {places} places, "
+            f"expected {MOST_PASSED} at most: the covariance of more makes a result that is too "
+            "large to be read; measure fewer angles"
+        )
+    if settings.run_up_deg <= settings.passing_deg:
+        raise PlanError(
+            f"run_up_deg: {settings.run_up_deg:g} leaves the table no way to get up to its speed "
+            f"before passing_deg, {settings.passing_deg:g}"
+        )
     targets, steps = tuple(targets) or targets_of(settings), list[Step]()
+    ends = angles[0] - settings.run_up_deg * DEGREE, angles[-1] + settings.run_up_deg * DEGREE
     for target, (run, speed) in product(range(len(targets)), enumerate(speeds)):
-        back = speed < 0.0
-        rows = [(position, target, run) for position in range(len(angles))][:: -1 if back else 1]
-        sides = [Approach.NEGATIVE if back else Approach.POSITIVE] * len(angles)
-        kind = PointKind.REFLECTOR
-        turn = numbered_steps(rows, angles, targets, kind, approaches=sides)
-        begin = len(steps)
-        steps += [replace(step, index=begin + step.index) for step in turn]
+        sense = 1 if speed > 0.0 else -1
+        begin, end = ends[::sense]
+        side = Approach.POSITIVE if speed > 0.0 else Approach.NEGATIVE
+        rows = [(position, target, run) for position in range(len(angles))][::sense]
+        sides, kind = [side] * len(angles), PointKind.REFLECTOR
+        passed = numbered_steps(rows, angles, targets, kind, approaches=sides)
+        rest = replace(passed[0], table_angle=begin, approach=Approach.UNKNOWN)
+        turn, passing = Turn(begin, end, speed * DEGREE), settings.passing_deg * DEGREE
+        each = (rest, *(replace(step, turn=turn, passing=passing) for step in passed))
+        steps += [replace(step, index=k) for k, step in enumerate(each, len(steps))]
     return Plan(METHOD, angles, targets, tuple(steps))
 
 

@@ -11,7 +11,11 @@ from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.planning.plan import Point
 from rotcal_ros.planning.points import block
-from rotcal_ros.planning.table_angles import TableAngleSettings
+from rotcal_ros.planning.table_angles import (
+    TableAngleSettings,
+    passing_setting,
+    run_up_setting,
+)
 
 Variant = Literal["station", "joint"]
 Datum = Literal["prior", "free"]
@@ -182,6 +186,22 @@ class SimulatedReadingsSettings:
     noise_um_per_m: float = expert(
         0.2, doc="um/m, growth of the noise with the distance", minimum=0.0
     )
+    drifting_um: float = expert(
+        0.0, doc="um, standard deviation of what air adds to readings that follow each other",
+        minimum=0.0,
+    )  # fmt: skip
+    drifting_s: float = expert(
+        0.1, doc="s, in which that is forgotten to 1/e", minimum=1e-6, maximum=1e6
+    )
+    lag_s: float = expert(
+        0.0, doc="s, by which a reading is older than its stamp", minimum=-1.0, maximum=1.0
+    )
+    jitter_s: float = expert(
+        0.0, doc="s, standard deviation of that from one reading to the next", minimum=0.0
+    )
+    dead_time_s: float = expert(
+        0.0, doc="s, without a reading after the beam was broken", minimum=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -230,6 +250,9 @@ class FaultSettings:
     )
     blocked_to_deg: float = setting(
         0.0, doc="deg, end of the sector in which the beam is blocked; equal to the start: none"
+    )
+    blocked_times: int = setting(
+        0, doc="how often it is blocked there, the first times; 0: always", minimum=0
     )
     blocked_targets: tuple[int, ...] = setting(
         (-1,), doc="targets whose beam is blocked while the table is in the sector; -1 alone: all"
@@ -355,6 +378,8 @@ class TracerPlanSettings(BlockSettings):
         doc="deg/s, speeds at which the table turns once for each target while lengths are read, "
         "negative for back, as 12 and -12; none: it stops at every angle",
     )
+    run_up_deg: float = run_up_setting()
+    passing_deg: float = passing_setting(0.5)
     min_elevation_deg: float | None = setting(
         None,
         minimum=-90.0,

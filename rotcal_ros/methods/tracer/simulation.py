@@ -92,16 +92,33 @@ class SimulatedTracer:
         self._break_shift = IndexedNoise(seed, NoiseSource.BREAK_SHIFT)
         self._slip = IndexedNoise(seed, NoiseSource.SLIP)
         self._breaks, self._slips, self._dark = 0, 0, False
+        self._air = IndexedNoise(seed, NoiseSource.DRIFTING)
+        self._jitter = IndexedNoise(seed, NoiseSource.JITTER)
+        self._keeps = float(np.exp(-1.0 / (settings.rate_hz * settings.drifting_s)))
+        self._drifted: Floats | None = None  # the state of that filter
+        self._entered, self._inside, self._dead_to_ns = 0, False, start_ns
+
+    def read_at(self, first: int, stamps: Stamps) -> Stamps:
+        """Return when the readings number ``first`` and following, of ``stamps`` (n,), are of."""
+        settings = self.settings
+        if not (settings.lag_s or settings.jitter_s):
+            return stamps
+        late = settings.lag_s + settings.jitter_s * self._jitter.normal(first, len(stamps))
+        return np.asarray(stamps - np.round(late / NANOSECOND).astype(np.int64))
 
     def blocked(self, table_angles_deg: Floats, target: int) -> Bools:
-        """Return whether the beam to ``target`` is blocked at the table angles (n,)."""
+        """Return whether the beam to ``target`` is blocked at the table angles (n,), in order."""
         faults = self._faults
         width = (faults.blocked_to_deg - faults.blocked_from_deg) % 360.0
         meant = faults.blocked_targets == (-1,) or target in faults.blocked_targets
         if not meant or faults.blocked_from_deg == faults.blocked_to_deg:
             return np.zeros(len(table_angles_deg), dtype=bool)
         inside: Bools = (table_angles_deg - faults.blocked_from_deg) % 360.0 <= width
-        return inside
+        if not faults.blocked_times or not len(inside):
+            return inside
+        entered = self._entered + np.cumsum(inside & ~np.append(self._inside, inside[:-1]))
+        self._entered, self._inside = int(entered[-1]), bool(inside[-1])
+        return np.asarray(inside & (entered <= faults.blocked_times))
 
     def readings(
         self, first: int, stamps: Stamps, distances: Floats, drifts: Floats, broken: Floats
@@ -114,9 +131,11 @@ class SimulatedTracer:
         if faults.break_probability > 0:
             hit = self._break.uniform(first, count) < faults.break_probability
             broken = np.maximum(broken, hit)
+        broken = self._until_locked(stamps, broken)
         std = (self.settings.noise_um + self.settings.noise_um_per_m * distances) * MICROMETRE
         length = distances - self._dead_distance_m + drifts
         length += std * self._noise.normal(first, count)
+        length += self._drift(first, count)
         length += self._zero_changes(first, broken > 0)
         if faults.spike_probability > 0:
             hit = self._spike.uniform(first, count) < faults.spike_probability
@@ -138,6 +157,28 @@ class SimulatedTracer:
             for number, (stamp, value, deviation, dark) in enumerate(rows)
             if not lost[number]
         )
+
+    def _until_locked(self, stamps: Stamps, broken: Floats) -> Floats:
+        """Return what is ``broken`` (n,), with the dead time behind each break."""
+        dead_ns = round(self.settings.dead_time_s / NANOSECOND)
+        if not dead_ns or not len(stamps):
+            return broken
+        last = np.maximum.accumulate(np.where(broken > 0, stamps + dead_ns, self._dead_to_ns))
+        self._dead_to_ns = int(last[-1])
+        return np.asarray(np.maximum(broken, stamps < last))
+
+    def _drift(self, first: int, count: int) -> Floats:
+        """Return what the air adds to readings, an autoregression of the first order, m."""
+        if not (self.settings.drifting_um and count):
+            return np.zeros(count)
+        # Solving a bag loads the simulated instrument, and needs no filter.
+        from scipy.signal import lfilter
+
+        new = np.sqrt(1.0 - self._keeps**2) * self._air.normal(first, count)
+        if self._drifted is None:
+            self._drifted = self._keeps * self._air.normal(first, 1)
+        found, self._drifted = lfilter([1.0], [1.0, -self._keeps], new, zi=self._drifted)
+        return np.asarray(self.settings.drifting_um * MICROMETRE * found)
 
     def _zero_changes(self, first: int, broken: Bools) -> Floats:
         """Return by how much (n,) breaks and slips so far have changed the zero, m."""
@@ -260,7 +301,7 @@ class TracerAndReflector(SimulatedInstrument):
         first, stamps = self._ticks.until(now_ns)
         if not len(stamps):
             return ()
-        distances = self.distances(stamps)
+        distances = self.distances(self._tracer.read_at(first, stamps))
         drifts = self._temperature.length_change(stamps, distances) + self._zero_m
         if self._air.settings.vacuum_lengths:
             drifts += (self._air.index(stamps) - 1.0) * distances

@@ -27,7 +27,7 @@ from rotcal_ros.methods.calibration import Calibration, prepare, stated_circumst
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Measurements, PlanFile, Trials
-from rotcal_ros.methods.tracer import turning_table
+from rotcal_ros.methods.tracer import turning_readings, turning_table
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
@@ -86,11 +86,11 @@ def read(configuration: Configuration, table: Table, targets: Table | None) -> M
     """Return what a table of lengths, or of stations, holds."""
     if table.header in STATIONS:
         return read_stations(configuration, table)
-    if table.header in turning_table.HEADERS:
+    if table.header in (*turning_table.HEADERS, *turning_readings.HEADERS):
         _require_places(configuration, table, targets)
-        return turning_table.read(
-            configuration, table, () if targets is None else _points(targets)
-        )
+        raw = table.header in turning_readings.HEADERS
+        read_turns = turning_readings.read if raw else turning_table.read
+        return read_turns(configuration, table, () if targets is None else _points(targets))
     return _read_lengths(configuration, table, targets)
 
 

@@ -7,9 +7,10 @@ turn begins with another target or direction, and where an angle comes again.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -79,16 +80,14 @@ def read(
     turns = _turns(table)
     every = np.sort(np.concatenate([turn.angles_deg for turn in turns]))
     angles = every[np.append(True, np.diff(every) > SAME_DEG)]
+    _require_stated(configuration, angles, table)
     speeds = configuration.plan.turning_deg_s or _speeds(table, turns)
-    plan = _plan_of(configuration, angles, speeds, table)
-    text = replaced(configuration, "plan", plan)
-    configuration = parse_configuration(text, configuration.source)
-    calibration = Calibration(configuration, turning_plan(configuration.plan, targets))
-    check_plan(configuration.solver, calibration.plan, turning=True)
-    steps = {(s.station, s.table_position, s.target): s for s in calibration.plan.steps}
+    calibration = planned(configuration, angles, speeds, targets)
+    passed = (step for step in calibration.plan.steps if step.turn is not None)
+    steps = {(s.station, s.table_position, s.target): s for s in passed}
     check, observations = LengthCheck(calibration.plan), list[Observation]()
     for number, turn in enumerate(turns):
-        run = _run_of(turn, speeds)
+        run = run_of(turn.sense, turn.speed, turn.rows[0].place, speeds)
         for row, angle in zip(turn.rows, turn.angles_deg.tolist(), strict=True):
             position = int(np.abs(angles - angle).argmin())
             step = steps.get((run, position, turn.target))
@@ -137,12 +136,17 @@ def _turns(table: Table) -> list[_Turn]:
 
 def _speeds(table: Table, turns: list[_Turn]) -> tuple[float, ...]:
     """Return the speeds at which the table turned, deg/s, by the times of its rows."""
-    every = sorted({turn.speed for turn in turns if turn.speed}, key=lambda v: (v < 0.0, abs(v)))
-    if not every:
+    if not any(turn.speed for turn in turns):
         raise ConfigurationError(
             f"{table.path} has no column {TIME}, and the set-up states no plan.turning_deg_s: how "
             "fast did the table turn? State its speeds, as [12, -12]"
         )
+    return speeds_of(turn.speed for turn in turns if turn.speed)
+
+
+def speeds_of(turns: Iterable[float]) -> tuple[float, ...]:
+    """Return the different ones among the speeds of ``turns``, deg/s, forward ones first."""
+    every = sorted(set(turns), key=lambda v: (v < 0.0, abs(v)))
     found = [[every[0]]]
     for speed in every[1:]:
         if abs(speed - found[-1][-1]) <= ALIKE * abs(speed):
@@ -152,13 +156,15 @@ def _speeds(table: Table, turns: list[_Turn]) -> tuple[float, ...]:
     return tuple(float(np.median(alike)) for alike in found)
 
 
-def _run_of(turn: _Turn, speeds: tuple[float, ...]) -> int:
-    """Return the number of the speed at which a turn was made."""
-    able = [k for k, speed in enumerate(speeds) if speed * turn.sense > 0.0]
-    own, place = turn.speed, turn.rows[0].place
+def run_of(sense: float, own: float, place: str, speeds: tuple[float, ...]) -> int:
+    """Return the number of the speed at which a turn was made.
+
+    ``own`` is that which its times tell, deg/s, 0 for none; ``place`` stands in errors.
+    """
+    able = [k for k, speed in enumerate(speeds) if speed * sense > 0.0]
     if not able:
         raise DataError(
-            f"{place}: direction {turn.sense:g}, but plan.turning_deg_s, {list(speeds)}, has no "
+            f"{place}: direction {sense:g}, but plan.turning_deg_s, {list(speeds)}, has no "
             "speed of this sign: state it"
         )
     if not own:
@@ -177,21 +183,38 @@ def _run_of(turn: _Turn, speeds: tuple[float, ...]) -> int:
     return best
 
 
-def _plan_of(
-    configuration: Configuration, angles: Floats, speeds: tuple[float, ...], table: Table
-) -> dict[str, Any]:
-    """Return the settings of the plan with the angles and speeds of a table."""
-    given = [f"plan.{name}" for name in ANGLE_SETTINGS if f"plan.{name}" in configuration.given]
-    if given:
-        stated = np.array(table_angles(configuration.plan)) / DEGREE
-        far = [a for a in angles.tolist() if np.abs(stated - a).min() > SAME_DEG]
-        if far:
-            raise DataError(
-                f"{table.path}: {far[0]:g} deg is none of the table angles of "
-                f"{configuration.source} ({', '.join(given)}): leave them out, for the table "
-                "states its own"
-            )
+def stated(configuration: Configuration) -> list[str]:
+    """Return the settings by which a set-up states table angles."""
+    return [f"plan.{name}" for name in ANGLE_SETTINGS if f"plan.{name}" in configuration.given]
+
+
+def _require_stated(configuration: Configuration, angles: Floats, table: Table) -> None:
+    """Raise DataError for an angle (n,), deg, of a table that is none of those of a set-up."""
+    if not (given := stated(configuration)):
+        return
+    known = np.array(table_angles(configuration.plan)) / DEGREE
+    far = [a for a in angles.tolist() if np.abs(known - a).min() > SAME_DEG]
+    if far:
+        raise DataError(
+            f"{table.path}: {far[0]:g} deg is none of the table angles of "
+            f"{configuration.source} ({', '.join(given)}): leave them out, for the table "
+            "states its own"
+        )
+
+
+def planned(
+    configuration: Configuration,
+    angles_deg: Floats,
+    speeds: tuple[float, ...],
+    targets: tuple[Point, ...],
+) -> Calibration:
+    """Return the calibration with these angles (n,), speeds (deg/s) and ``targets``."""
     _, groups = raw_groups(configuration.text, configuration.source)
     plan = {k: v for k, v in (groups.get("plan") or {}).items() if k not in ANGLE_SETTINGS}
-    exact = [round(angle, 9) for angle in angles.tolist()]
-    return {**plan, "table_angles_deg": exact, "turning_deg_s": [round(v, 9) for v in speeds]}
+    plan["table_angles_deg"] = [round(angle, 9) for angle in angles_deg.tolist()]
+    plan["turning_deg_s"] = [round(v, 9) for v in speeds]
+    text = replaced(configuration, "plan", plan)
+    configuration = parse_configuration(text, configuration.source)
+    calibration = Calibration(configuration, turning_plan(configuration.plan, targets))
+    check_plan(configuration.solver, calibration.plan, turning=True)
+    return calibration

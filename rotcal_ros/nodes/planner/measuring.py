@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
+from math import isfinite
 from typing import Final
 
 from rotcal_ros.capture.rejections import FailedSteps, TooManyFailedError
@@ -18,12 +21,22 @@ from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, Hal
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.beat_values import BLOCKED, WAITING_FOR
 from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
-from rotcal_ros.planning.plan import Move, Pause, Step
+from rotcal_ros.planning.plan import Move, Pause
 
 SETTLING_S: Final = 1.2
 """After a clock is set the capture accepts nothing for 1 s; this is a little longer."""
 REPEAT_PERIOD_S: Final = 2.0
 """An instruction is repeated after this time, for clients that join late."""
+
+
+@dataclass
+class _TriedStep:
+    """A step: whether it was captured, also without a loss (``whole``), and why not so far."""
+
+    step: int
+    captured: bool = False
+    whole: bool = False
+    reasons: list[str] = field(default_factory=list)
 
 
 class GoalMeasurement:
@@ -45,7 +58,6 @@ class GoalMeasurement:
         self._policy = calibration.policy(continuation)
         self._chosen = 0
         self._next_attempt: dict[int, int] = {}
-        self._ordered: Step | None = None  # the last one, unless the table was stopped since
         self._failed = FailedSteps(watch.settings.max_failed_steps)
         self.reasons: list[str] = []
 
@@ -67,7 +79,8 @@ class GoalMeasurement:
                 work = pause.instruction if pause.again_from is None else None
                 await self._have_done(pause, work, pause.first)
             if pause is None or pause.last < pause.first:
-                self._failed.note(choice.step, await self._measure(choice.step, choice))
+                for step, reasons in (await self._measure(choice.step, choice)).items():
+                    self._failed.note(step, reasons)
             choice = self._policy.choose()
             self._give_up(at_the_end=choice.step is None)
         self._tell(choice, 0)
@@ -125,47 +138,76 @@ class GoalMeasurement:
         except DataError as error:
             return str(error), True
 
-    async def _measure(self, index: int, choice: Choice) -> list[str]:
-        """Attempt a step; if an emergency stop breaks it off, again after a person has resumed.
+    async def _measure(self, index: int, choice: Choice) -> dict[int, list[str]]:
+        """Attempt a step, and with it those that its turn passes behind it.
 
-        Return the reason of each failed attempt; nothing if the step was captured.
+        If an emergency stop breaks it off, again after a person has resumed. Return for each step
+        the reason of each failed attempt; nothing if it was captured.
         """
         try:
             return await self._attempt(index, choice)
         except HaltedError as halted:
-            self._ordered = None
             self.reasons.append(str(halted))
         self._watch.progress.rejected += 1
         await self.operator.have_done()
         return await self._measure(index, choice)
 
-    async def _attempt(self, index: int, choice: Choice) -> list[str]:
-        """Attempt a step until it is captured without a loss, or all attempts are used up."""
+    async def _attempt(self, index: int, choice: Choice) -> dict[int, list[str]]:
+        """Attempt steps until all are captured without a loss, or all attempts are used up.
+
+        A turn is made again as a whole, for what its lengths have in common holds for it alone.
+        """
         progress, limit = self._watch.progress, self._watch.settings.max_attempts
-        self._place(index)
-        first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
-        self._next_attempt[index] = first + limit
+        steps = self._calibration.plan.passed_from(index)
+        start = self._continuation.run * ATTEMPTS_PER_RUN
+        first = max(self._next_attempt.get(step, start) for step in steps)
+        self._next_attempt |= dict.fromkeys(steps, first + limit)
         self._tell(choice, first)
-        captured, reasons = False, list[str]()
+        left = [_TriedStep(step) for step in steps]
         for number in range(limit):
-            key = (index, first + number)
-            jumps = self._watch.clock_jumps()
-            observed = await self._observed(key, number)
+            await self._try(left, first + number, number)
+            if all(each.whole for each in left):
+                break
+        for tried in left:
+            if not tried.captured:
+                progress.note(tried.step, accepted=False)
+            attempts = ((tried.step, first + number) for number in range(limit))
+            accepted = self._watch.links.last_accepted(attempts)
+            self._policy.note(StepOutcome(tried.step, accepted))
+            self.reasons += tried.reasons
+        return {tried.step: [] if tried.captured else tried.reasons for tried in left}
+
+    async def _try(self, turn: Sequence[_TriedStep], attempt: int, number: int) -> None:
+        """Order the first of the steps of a ``turn``, or one alone, and wait for all of them."""
+        progress, jumps = self._watch.progress, self._watch.clock_jumps()
+        await self._order(turn[0].step, attempt)
+        for k, tried in enumerate(turn):
+            key = (tried.step, attempt)
+            self._place(tried.step)
+            step = self._calibration.plan.steps[tried.step]
+            self._watch.tell(Why.MEASURING, step.describe(number))
+            observed = await self._observed(key)
             if self._watch.clock_jumps() != jumps:
                 await self._watch.wait(lambda: False, SETTLING_S)
-                reasons.append("a clock was set meanwhile")
+                tried.reasons.append("a clock was set meanwhile")
             elif observed:
-                captured = True
-                if not await self._lost(key):
-                    break
+                tried.whole = not await self._lost(key)
+                if not tried.captured:
+                    progress.note(tried.step, accepted=True)
+                    progress.left = max(progress.left - 1, 0)
+                tried.captured = True
             else:
-                reasons.append(self._reason_of_failure(key))
-            progress.rejected += 1
-        progress.note(index, accepted=captured)
-        attempts = ((index, first + number) for number in range(limit))
-        self._policy.note(StepOutcome(index, self._watch.links.last_accepted(attempts)))
-        self.reasons += reasons
-        return [] if captured else reasons
+                tried.reasons.append(self._reason_of_failure(key))
+            progress.rejected += not tried.whole
+            if self._watch.clock_jumps() != jumps or not self._goes_on(key):
+                for missed in turn[k + 1 :]:
+                    missed.reasons += tried.reasons[-1:]
+                return
+
+    def _goes_on(self, key: Attempt) -> bool:
+        """Return whether the table has passed the angle of a step, and passes those behind it."""
+        observation = self._watch.links.observations.get(key)
+        return observation is not None and isfinite(observation.table_angle_measured)
 
     def _reason_of_failure(self, key: Attempt) -> str:
         """Return the rejection of an attempt; without an observation, what capture waits for."""
@@ -183,17 +225,15 @@ class GoalMeasurement:
         else:
             progress.step, progress.total = progress.ended, progress.ended + progress.left
 
-    async def _observed(self, key: Attempt, number: int) -> bool:
-        """Order an attempt; return whether an observation has come and is accepted."""
-        index, attempt = key
-        step = self._calibration.plan.steps[index]
-        links = self._watch.links
+    async def _order(self, index: int, attempt: int) -> None:
+        """Order an attempt at a step, once no node is slow."""
         await self._watch.have_all_answer()
-        self._watch.tell(Why.MEASURING, step.describe(number))
         self._watch.heed_stop()
-        links.order(step.command(attempt, anew=step.begins_turn(self._ordered)))
-        self._ordered = step
-        limit_s = self._watch.settings.step_timeout_s
+        self._watch.links.order(self._calibration.plan.steps[index].command(attempt))
+
+    async def _observed(self, key: Attempt) -> bool:
+        """Return whether an observation of an attempt has come and is accepted."""
+        links, limit_s = self._watch.links, self._watch.settings.step_timeout_s
         arrived = await self._watch.wait_for_machine(lambda: key in links.observations, limit_s)
         return arrived and links.observations[key].accepted
 

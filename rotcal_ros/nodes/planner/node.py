@@ -112,7 +112,8 @@ class GoalRun:
         if self.bag.folder is not None:
             outcome.bag_folder = str(self.bag.folder.bag)
         progress = self.watch.progress
-        outcome.n_used = len(self._continuation.done.union(progress.accepted))
+        captured = self._continuation.done.union(progress.accepted)
+        outcome.n_used = len(captured & self._calibration.plan.counting)
         outcome.n_rejected = progress.rejected
         outcome.skipped_steps = progress.skipped
         return outcome

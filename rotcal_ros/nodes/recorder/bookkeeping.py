@@ -166,12 +166,14 @@ class PendingReceipts:
     """Observations that wait for their receipts: readings may still be on their way.
 
     If the clock of the readings is set back, the readings of all earlier windows have come. Where
-    orders are ``answered`` by points that echo them, each observation waits for its own; one that
-    does not come within ``PATIENCE_S`` after all else is lost.
+    orders are ``answered`` by points that echo them, each observation of an order waits for its
+    own; one that does not come within ``PATIENCE_S`` after all else is lost. What the table passes
+    later in a turn was not ordered, and is answered by no point.
     """
 
     def __init__(self, *, answered: bool) -> None:
         self._answers: set[tuple[int, int]] | None = set() if answered else None
+        self._ordered: dict[tuple[int, int], bool] = {}  # whether the order begins a turn
         self._waiting: list[_WaitingObservation] = []
         self._lost = 0
         self._reached_ns = 0
@@ -194,6 +196,10 @@ class PendingReceipts:
         """Note that a point has come which echoes an order."""
         if self._answers is not None:
             self._answers.add((step, attempt))
+
+    def order(self, step: int, attempt: int, *, turn: bool) -> None:
+        """Note an order, and whether it begins a ``turn``."""
+        self._ordered[step, attempt] = turn
 
     def expect(self, step: int, attempt: int, window_end_ns: int) -> None:
         """Note an observation that needs a receipt."""
@@ -222,8 +228,14 @@ class PendingReceipts:
                 self._waiting.append(replace(observed, all_else_s=since_s))
 
     def is_answered(self, receipt: Receipt) -> bool:
-        """Return whether the point that echoes this order has come, or points echo no orders."""
-        return self._answers is None or (receipt.step, receipt.attempt) in self._answers
+        """Return whether the point that echoes this order has come, or none echoes it."""
+        key = (receipt.step, receipt.attempt)
+        if self._answers is None or key in self._answers:
+            return True
+        return key not in self._ordered and any(
+            turn and begun[0] < receipt.step and begun[1] == receipt.attempt
+            for begun, turn in self._ordered.items()
+        )
 
     def __bool__(self) -> bool:
         return bool(self._waiting)

@@ -112,6 +112,10 @@ class RecorderNode(CellNode):
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if (recording := self._writing()) is None:
             return
+        if topic.channel.topic == self._called.topic(names.OBSERVATION):
+            batch = self._session.of_this_run(batch)
+            if not batch:
+                return
         messages = Messages.taken(topic.channel, batch)
         arrived_ns = [received_ns for _, received_ns, _ in messages.items]
         messages = messages.at(self._log_times.ascending(topic.channel.topic, arrived_ns))
@@ -264,6 +268,10 @@ class Receipts:
             for data, _ in batch:
                 seen = self._session.take(data)
                 self._pending.expect(seen.step, seen.attempt, stamp_ns(seen.window_end))
+        elif name == self._called.topic(names.TABLE_ANGLE):
+            for data, _ in batch:
+                order = deserialize_message(data, msg.TableAngle)
+                self._pending.order(order.step, order.attempt, turn=bool(order.turn_speed))
         elif name == self._called.topic(names.PROBE_POINT) and _echoes(topic):
             for data, _ in batch:
                 point = deserialize_message(data, msg.ProbePoint)

@@ -26,6 +26,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.methods.continuation import Recorded
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,17 @@ class RecordedSession:
         """Begin a run; ``earlier`` holds the observations of the runs before it."""
         self._plan_id, self._run = plan_id, run
         self._observations = list(earlier)
+
+    def of_this_run(self, batch: Batch) -> Batch:
+        """Return the observations of this run: a turn may outlast the run in which it began.
+
+        What its later angles would need is not in the bag between two runs.
+        """
+        return [
+            (data, info)
+            for data, info in batch
+            if deserialize_message(data, msg.Observation).run == self._run
+        ]
 
     def take(self, data: bytes) -> msg.Observation:
         """Take an observation that is being recorded, and return its message."""

@@ -95,7 +95,8 @@ def air_message(sample: PressureSample | HumiditySample) -> FluidPressure | Rela
 def command_messages(order: Command, now_ns: int) -> tuple[msg.TableAngle, msg.ProbeTarget]:
     """Return the two messages that give an order."""
     turn = {} if order.turn is None else dataclasses.asdict(order.turn)
-    others = {f"turn_{name}": value for name, value in {**turn, "anew": order.anew}.items()}
+    others = {f"turn_{name}": value for name, value in turn.items()}
+    others["turn_anew"] = order.turn is not None
     table = _filled(msg.TableAngle, order, now_ns, angle=order.table_angle, **others)
     # The table's side of approach is an enumeration, the probe's a direction, here any.
     return table, _filled(msg.ProbeTarget, order, now_ns, MACHINE, approach=(0.0, 0.0, 0.0))

@@ -123,7 +123,7 @@ class SolverNode(CellNode):
             self._in_force.append(announced)
 
     def _take(self, message: msg.Observation) -> None:
-        if self._calibration is not None and message.accepted:
+        if self._calibration is not None and message.accepted and message.run == self._run_number:
             self._observations[message.run, message.step] = messages.observation(message)
 
     def _preliminary(self) -> None:

@@ -656,7 +656,7 @@ def test_tables_that_turn_are_refused_where_they_do_not_fit(tmp_path):
         prepare_to_measure(
             changed(turns, ("plan.turning_deg_s=[0.1, -0.1]", "capture.step_timeout_s=200.0"))
         )
-    with pytest.raises(PlanError, match="table_adapter moves the table alone"):
+    with pytest.raises(PlanError, match="table_adapter moves the table from rest"):
         prepare_to_measure(changed(turns, ("table_adapter.speed_deg_s=10.0",)))
     path = tmp_path / "turning.csv"
     path.write_text("run,ball,passing_rad,dx_m,dy_m,dz_m\n0,0,0.01,0.0,0.0,0.0\n")

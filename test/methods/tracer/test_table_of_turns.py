@@ -1,11 +1,15 @@
 """Tables of lengths that were read while the table turned, and what is wrong with them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from turning_scene import turning_scene, write_turns
 
 import rotcal_ros as rc
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
+from rotcal_ros.methods.tracer.plan import turning_plan
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 
 NOISE = "solver: {length_std_m: 3.5e-8, error_motion_std_m: 0.0}\n"
 
@@ -81,13 +85,14 @@ def test_three_targets_leave_nothing_to_check_a_place(tmp_path):
         read(turning_scene(31, angles=12, targets=3), tmp_path)
 
 
-def test_a_cell_does_not_turn_yet(tmp_path):
-    settings = tmp_path / "setup.yaml"
-    settings.write_text(
-        "method: tracer_multistation\nplan: {turning_deg_s: [12, -12]}\nsimulation: {}\n"
-    )
-    with pytest.raises(rc.RotcalError, match="does not read lengths from a table that turns yet"):
-        rc.simulated_truth(rc.read_configuration(settings))
+def test_more_angles_than_a_result_can_hold_are_refused():
+    most = TracerPlanSettings(
+        table_positions=1200, table_step_deg=0.3, turning_deg_s=(12.0, -12.0),
+        targets_m=(0.5, 0.0, 0.3, 0.0, 0.5, 0.6, -0.5, 0.0, 0.3, 0.0, -0.5, 0.6),
+    )  # fmt: skip
+    assert len(turning_plan(most).counting) == 1200 * 2 * 4
+    with pytest.raises(PlanError, match="1201 angles at 2 speeds are 2402 places"):
+        turning_plan(replace(most, table_positions=1201))
 
 
 def test_a_table_of_any_other_form_is_not_held_to_be_one_that_turned(scene, tmp_path):

@@ -198,6 +198,23 @@ def test_a_tracer_that_moved_on_the_table_is_not_ok():
     assert result.verdict != "ok"
 
 
+def test_a_stated_motion_is_common_to_both_directions_and_may_be_of_one_order():
+    """It shifts both directions alike: their mean is no better for it than either."""
+    squares = []
+    for seed in (30, 31, 32, 33):
+        scene = turning_scene(seed, angles=36, motion=0.1e-6)
+        _, result = solved(scene, error_motion_std=0.1e-6)
+        count = len(scene.angles)
+        mean = np.tile(np.eye(count) - 1.0 / count, 2) / 2.0
+        error = mean @ (result.deviations["ECC"] - scene.ecc.ravel())
+        std = np.sqrt((mean @ result.covariance["ECC"] @ mean.T).diagonal())
+        squares.append((error / std) ** 2)
+        # 0.1 um along a circle of 65 mm are 0.32 arcsec; its second order moves the circle, too,
+        # and does up to twice as much; what each run has by itself is 0.32 / sqrt(2) beside it
+        assert 0.32 * ARCSEC < np.sqrt((std**2).mean()) < np.hypot(0.64, 0.23) * ARCSEC
+    assert 0.4 < np.mean(squares) < 1.5
+
+
 def test_the_tables_own_motion_is_estimated_and_in_the_uncertainty():
     scene = turning_scene(9, angles=120, motion=0.2e-6)
     _, result = solved(scene, error_motion_std=None)

@@ -15,7 +15,7 @@ class TurningScene:
 
     ``angle``, ``target``, ``speed`` (rad/s), ``length`` (m), ``time`` (s), (k,); ``turn`` (k,): in
     which each was read; ``angles`` (n,) rad; ``ecc`` (r, n): of each run, rad; ``nominal`` (t, 3):
-    targets as the machine states them.
+    targets as the machine states them. ``readings``: time (s), angle (deg), length of each turn.
     """
 
     angle: np.ndarray
@@ -29,6 +29,7 @@ class TurningScene:
     ecc: np.ndarray
     nominal: np.ndarray
     place: np.ndarray
+    readings: tuple[np.ndarray, ...]
 
 
 def curve(rng, orders, size, angles):
@@ -69,7 +70,7 @@ def turning_scene(
     half = 0.5 * (mean_reversal + curve(rng, np.arange(1, 5), reversal, fine))
     moved = [curve(rng, np.arange(2, 8), motion, fine) for _ in "xyz"]
     place = radius * np.array([np.cos(0.4), np.sin(0.4), 0.0]) + [0.0, 0.0, 0.2]
-    rows, begun, turn = [], 0.0, 0
+    rows, readings, begun, turn = [], [], 0.0, 0
     for target in [*range(targets), *again]:
         for run, speed_deg_s in enumerate(speeds_deg_s):
             speed, sense = speed_deg_s * DEGREE, np.sign(speed_deg_s)
@@ -86,6 +87,7 @@ def turning_scene(
                 keeps = np.exp(-1.0 / (RATE_HZ * correlated_s))
                 error = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], error)
             read = np.linalg.norm(stands - true[target], axis=1) + error + rng.normal()
+            readings.append(np.column_stack([begun + time, shown / DEGREE, read]))
             for k in range(angles)[:: int(sense)]:
                 away = shown / DEGREE - grid[k]
                 near = np.abs(away) < window_deg
@@ -96,7 +98,7 @@ def turning_scene(
     at = np.array([np.interp(grid * DEGREE, fine, both + np.sign(v) * half) for v in speeds_deg_s])
     return TurningScene(
         number.astype(int), target.astype(int), run.astype(int), speed, length, time,
-        turn.astype(int), grid * DEGREE, at, nominal, place,
+        turn.astype(int), grid * DEGREE, at, nominal, place, tuple(readings),
     )  # fmt: skip
 
 

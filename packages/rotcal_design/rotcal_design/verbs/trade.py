@@ -70,7 +70,9 @@ def trade(context: click.Context, as_json: bool) -> int:
     Without a method: the usual case of each.
     """
     if context.invoked_subcommand is None:
-        methods = {"tracer": tracer, "plate": plate, "mirror": mirror, "balls": balls}
+        methods = {
+            "tracer": tracer, "plate": plate, "mirror": mirror, "balls": balls, "turning": turning
+        }  # fmt: skip
         tables = {name: _usual(command) for name, command in methods.items()}
         if as_json:
             print_json({name: table.data for name, table in tables.items()})
@@ -304,6 +306,44 @@ def balls(
     ]
     title = "balls on the table: touches, minutes and U of the axis (k = 2)"
     return TradeTable({"need_m": need, **_rows(rows)}, columns, title, (note,))
+
+
+@trade.command(cls=TradeCommand)
+@click.argument("configuration", type=path_type, metavar="[CONFIG]", required=False)
+@shown_option("--need-arcsec", type=positive, default=1.0, help="arcsec, required U(ECC), k = 2.")
+@shown_option("--targets", default="4,6,8", help="Numbers of targets, of those of CONFIG.")
+@shown_option("--angles", default="12,36", help="Table angles where the table stands.")
+@json_option
+def turning(
+    configuration: Path | None, need_arcsec: float, targets: str, angles: str
+) -> TradeTable:
+    """Minutes and U of a tracer while the table turns, and where it stands at its angles.
+
+    For CONFIG or the usual case, in both directions, with one noise of a length for both.
+    """
+    from rotcal_design.trades import USUAL_TURNS, turning_trade
+
+    rows = turning_trade(
+        _configuration(configuration, USUAL_TURNS),
+        positive_whole_numbers(targets, "--targets"),
+        positive_whole_numbers(angles, "--angles"),
+    )
+    need = need_arcsec * ARCSEC
+    fewest = next((row for row in rows if not row.stands and row.expanded <= need), None)
+    note = f"no turns of so many targets reach {need_arcsec:g} arcsec"
+    if fewest is not None:
+        note = f"fewest turns for U <= {need_arcsec:g} arcsec: those of {fewest.targets} targets"
+    columns = [
+        Column("table", ["stands" if row.stands else "turns" for row in rows]),
+        Column("targets", [row.targets for row in rows]),
+        Column("angles", [row.angles for row in rows]),
+        Column("lengths", [row.lengths for row in rows]),
+        column_of("minutes", [row.seconds for row in rows], MINUTE, ".1f"),
+        column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".3f"),
+        Column("not tested for", ["; ".join(row.untested) for row in rows]),
+    ]
+    title = "tracer: a table that turns beside one that stands (U with k = 2, rms)"
+    return TradeTable({"need_rad": need, **_rows(rows)}, columns, title, (note,))
 
 
 def _configuration(path: Path | None, usual: str) -> Configuration:

@@ -15,8 +15,8 @@ from itertools import chain
 from typing import Final
 
 import numpy as np
-from scipy.stats import t as student
 
+from rotcal_ros.adjust.distributions import t_isf, t_sf
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.evaluation.combination import UNCHECKED
@@ -28,10 +28,10 @@ from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.table_columns import undecided
+from rotcal_ros.foundation.table_columns import ANGLE, UNITS, undecided
 from rotcal_ros.foundation.table_reading import Reading
 from rotcal_ros.foundation.tables import Row, Table, hashes
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.arrivals import Arrivals, arrivals_of, mean_of_runs
 from rotcal_ros.methods.calibration import prepare
@@ -90,13 +90,16 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     scatter, dof = _scatter(values, arrivals)
     stated = read.points[:, 1] if read.points.shape[1] > 1 else np.zeros(len(values))
     stated = np.where(stated > 0.0, stated, configuration.solver.u_arcsec * ARCSEC)
+    count = configuration.sheet.counts_per_turn
     if not dof and not np.all(stated > 0.0):
         raise DataError(
             f"{configuration.source}: nothing states how sure these deviations are, and none was "
             "measured twice: add a column of standard uncertainties, or state one for all with "
             "--reference-u ARCSEC (k = 1), solver.u_arcsec"
         )
-    wide = scatter * (student.ppf((1.0 + COVERAGE) / 2.0, dof) / COVERAGE_FACTOR if dof else 0.0)
+    # a whole count hides up to half a count, the same in all runs
+    stated = np.hypot(stated, TURN / abs(count) / np.sqrt(12.0) if count else 0.0)
+    wide = scatter * (t_isf((1.0 - COVERAGE) / 2.0, dof) / COVERAGE_FACTOR if dof else 0.0)
     same = arrivals.target[:, None] == arrivals.target
     covariance = np.outer(stated, stated) * same + wide**2 * np.eye(len(values))
     doubts = _strangers(values, arrivals, dof)
@@ -147,7 +150,7 @@ def _strangers(values: Floats, arrivals: Arrivals, dof: int) -> list[Phrase]:
     worst = int(np.argmax(squares))
     rest = float(np.sum(residual**2) - squares[worst]) / (dof - 1)
     size = np.sqrt(squares[worst] / max(rest, 1e-30))
-    if 2.0 * len(values) * student.sf(size, dof - 1) > STRANGE:
+    if 2.0 * len(values) * t_sf(size, dof - 1) > STRANGE:
         return []
     return [
         phrase(
@@ -217,7 +220,7 @@ def require_sign(reading: Reading) -> None:
         REVERSED,
         ACTUAL,
     }
-    ours = {DEVIATION, "deviation_arcsec"}.intersection(reading.form_head)
+    ours = {f"deviation_{unit}" for unit in UNITS[ANGLE]}.intersection(reading.form_head)
     if not (stated or ours or ACTUAL in reading.uses or BY_BOTH in reading.remarks):
         raise _which_sign(reading)
 

@@ -7,7 +7,7 @@ in place of deviations, is asked.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import pairwise
@@ -15,14 +15,26 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import UndecidedError
 from rotcal_ros.foundation.language import phrase
-from rotcal_ros.foundation.table_columns import ANGLE, UNITS, meaning, undecided
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.table_columns import (
+    ANGLE,
+    AS_IT_STANDS,
+    COUNTS,
+    UNITS,
+    SheetSettings,
+    meaning,
+    undecided,
+)
+from rotcal_ros.foundation.units import DEGREE, TURN
+from rotcal_tables.sheets.counters import COUNTERS, is_counter, likely
 from rotcal_tables.sheets.words import ACTUAL, REVERSED, TABLE_ANGLE
 
 NEAR: Final = 0.25
 """Share of the smallest step of commanded angles within which an actual one belongs to it."""
 _BY_ONE: Final = 0.2
 """By how much the slope of positions over commanded angles may differ from 1."""
+_MOST_OF_A_TURN: Final = 0.8 * TURN
+_ALL: Final = 0.99
+"""Share of the spread that a trend explains where nothing else is left."""
 _DIGITS: Final = 9
 """Digits behind the point of a number that a program has computed."""
 _FRACTION: Final = re.compile(r"[.,](\d+)\D*$")
@@ -35,13 +47,14 @@ _TURN: Final = 360 * UNITS[ANGLE]["deg"]
 class Angles:
     """A column of angles: its heading ``text``, its ``cells``, and their ``values`` in rad.
 
-    ``unit`` is that of the cells.
+    ``unit`` is that of the cells, ``size`` what one of it is (rad).
     """
 
     text: str
     cells: Sequence[str]
     values: Sequence[Decimal]
     unit: str
+    size: Decimal
 
     @property
     def fractions(self) -> list[str]:
@@ -53,7 +66,8 @@ class Angles:
         """By how much (rad) a value may be rounded, and as much again."""
         sixtieths = any(":" in cell or "°" in cell for cell in self.cells)
         digits = min(max(map(len, self.fractions)), _DIGITS)
-        return UNITS[ANGLE]["arcsec" if sixtieths else self.unit] * Decimal(10) ** -digits
+        size = UNITS[ANGLE]["arcsec"] if sixtieths else self.size
+        return size * Decimal(10) ** -digits
 
     def is_rounder(self, other: Angles) -> bool:
         """Return whether the values need fewer digits than others, which have no even step."""
@@ -68,10 +82,9 @@ class Angles:
 class StatedDeviations:
     """What a table says of its deviations: ``columns`` by what they are, in ``rows`` of a file.
 
-    ``where`` names it; ``values`` is what a person said: deviations, corrections or positions;
-    ``stated``: of what columns that is known. ``others`` are angles of no known name: where they
-    follow the commanded ones, within NEAR of the smallest ``step`` (rad), the deviation is
-    held against them. ``proposal`` shows the columns side by side.
+    ``where`` names it; ``settings`` are what a person said of it, ``others`` angles of no known
+    name: where they follow the commanded ones, within NEAR of the smallest ``step`` (rad), the
+    deviation is held against them. ``proposal`` shows the columns side by side.
     """
 
     where: str
@@ -80,8 +93,7 @@ class StatedDeviations:
     proposal: Sequence[str]
     step: float
     others: Sequence[Angles] = ()
-    values: str = ""
-    stated: Container[str] = ()
+    settings: SheetSettings = AS_IT_STANDS
 
     def read(self) -> tuple[Sequence[Decimal], str]:
         """Return the deviations (rad) and how they were understood; a question where it is open.
@@ -91,34 +103,31 @@ class StatedDeviations:
         columns = self.columns
         commanded, measured = columns.get(TABLE_ANGLE), columns.get(ACTUAL)
         stated = columns.get("deviation")
-        if self.values == "positions" and stated and not measured:
+        if self.settings.values == "positions" and stated and not measured:
             stated, measured = None, stated
         if commanded and stated and not measured:
             measured = next(
                 (each for each in self.others if self._is_beside(commanded, each)), None
             )
         if commanded and measured:
-            pairs = zip(measured.values, commanded.values, strict=True)
-            found = [_wrapped(actual - angle) for actual, angle in pairs]
+            found = self._differences(
+                measured, commanded, self.settings.counter, self.settings.zero
+            )
+            if measured.unit == COUNTS:
+                self._require_counts_of_a_turn(found, measured, commanded)
             self._require_positions(found, measured, commanded)
-            if TABLE_ANGLE not in self.stated and measured.is_rounder(commanded):
-                raise self._asked(
-                    f"{measured.text!r} is rounder than {commanded.text!r}, as commanded angles "
-                    f"are: {measured.cells[-1]} and {commanded.cells[-1]} in row {self.rows[-1]}",
-                    {meaning(TABLE_ANGLE, each.text): f"{each.text} was commanded"
-                     for each in (measured, commanded)},
-                )  # fmt: skip
+            self._require_finer(measured, commanded)
             if stated is None and REVERSED not in columns:
                 return found, BY_BOTH
             return self._agreed(found, measured, commanded, stated or columns[REVERSED])
         if stated:
-            if commanded and self.values not in ("deviations", "corrections"):
+            if commanded and self.settings.values not in ("deviations", "corrections"):
                 self._require_small(stated, commanded)
-            if self.values == "corrections":
+            if self.settings.values == "corrections":
                 return [-value for value in stated.values], TURNED
             return stated.values, ""
         either = columns[REVERSED]
-        if REVERSED in self.stated:
+        if REVERSED in self.settings.named():
             return [-value for value in either.values], TURNED
         raise self._asked(
             f"{either.text!r} may be actual - commanded, or commanded - actual",
@@ -127,6 +136,22 @@ class StatedDeviations:
                 meaning(REVERSED, either.text): "commanded - actual: its sign is turned",
             },
         )
+
+    def _differences(
+        self, measured: Angles, commanded: Angles, counter: str, zero: str
+    ) -> list[Decimal]:
+        """Return actual - commanded (rad), less whole turns and what a ``counter`` loses.
+
+        From row to row a counter has gone as far as was commanded, but for the deviations.
+        """
+        pairs = list(zip(measured.values, commanded.values, strict=True))
+        found = [actual - angle for actual, angle in pairs]
+        if counter:
+            period = measured.size * COUNTERS[counter]
+            for k, ((a, x), (b, y)) in enumerate(pairwise(pairs), start=1):
+                found[k] = found[k - 1] + _wrapped(b - a - _wrapped(y - x), period)
+        first = found[0] if zero == "first" else Decimal(0)
+        return [_wrapped(each - first) for each in found]
 
     def _is_beside(self, commanded: Angles, other: Angles) -> bool:
         pairs = zip(other.values, commanded.values, strict=True)
@@ -144,6 +169,12 @@ class StatedDeviations:
         """Raise a question where measured angles are none of the positions beside them."""
         k = max(range(len(found)), key=lambda row: abs(found[row]))
         if abs(found[k]) > NEAR * self.step:
+            ways = {way: off for way, off in self._ways(measured, commanded)
+                    if off <= NEAR * self.step}  # fmt: skip
+            if self.settings.zero == "table" and (self.settings.counter, "first") in ways:
+                return
+            if ways:
+                raise self._other_way(ways, measured, found[0])
             cell, angle = measured.cells[k], commanded.cells[k]
             raise self._asked(
                 f"{measured.text!r} is {cell} in row {self.rows[k]}, where {angle} was commanded: "
@@ -151,13 +182,82 @@ class StatedDeviations:
                 {meaning("deviation", measured.text): f"the deviation at {angle} is {cell}"},
             )
 
+    def _require_finer(self, measured: Angles, commanded: Angles) -> None:
+        """Raise a question where commanded and measured angles seem to stand the other way."""
+        sure = measured.unit == COUNTS or TABLE_ANGLE in self.settings.named()
+        if not sure and measured.is_rounder(commanded):
+            raise self._asked(
+                f"{measured.text!r} is rounder than {commanded.text!r}, as commanded angles "
+                f"are: {measured.cells[-1]} and {commanded.cells[-1]} in row {self.rows[-1]}",
+                {meaning(TABLE_ANGLE, each.text): f"{each.text} was commanded"
+                 for each in (measured, commanded)},
+            )  # fmt: skip
+
+    def _ways(
+        self, measured: Angles, commanded: Angles
+    ) -> Iterator[tuple[tuple[str, str], float]]:
+        """Yield counter and zero that may be meant, with the largest deviation then (rad)."""
+        cells = [float(value / measured.size) for value in measured.values]
+        counters = [self.settings.counter]
+        if measured.unit == COUNTS and not self.settings.counter:
+            whole = [round(cell, 6) for cell in cells]
+            counters += [bits for bits in COUNTERS if is_counter(whole, bits)]
+        for counter in counters:
+            for zero in (self.settings.zero, "first"):
+                found = self._differences(measured, commanded, counter, zero)
+                yield (counter, zero), float(max(map(abs, found)))
+
+    def _other_way(
+        self, ways: Mapping[tuple[str, str], float], measured: Angles, first: Decimal
+    ) -> UndecidedError:
+        """Return the question where a counter wraps, or where its zero is."""
+        plain = {counter for counter, _ in ways}
+        if self.settings.counter not in plain:
+            off = {counter: min(ways[way] for way in ways if way[0] == counter)
+                   for counter, _ in ways}  # fmt: skip
+            return self._asked(
+                f"{measured.text!r} follows the commanded angles only if its counter wraps",
+                {bits: f"a counter of {bits} bits: then no deviation is more than "
+                 f"{off[bits] / DEGREE:.6g} degrees" for bits in off},
+                "sheet.counter",
+            )  # fmt: skip
+        offset = float(first) / DEGREE
+        return self._asked(
+            f"{measured.text!r} is {offset:.6g} degrees off in row {self.rows[0]}, and follows "
+            "the commanded angles from there",
+            {
+                "first": "its zero is another one than the table's: deviations from that row",
+                "table": f"its zero is the table's, which stands {offset:.6g} degrees off",
+            },
+            "sheet.zero",
+        )
+
+    def _require_counts_of_a_turn(
+        self, found: Sequence[Decimal], measured: Angles, commanded: Angles
+    ) -> None:
+        """Raise a question where nothing but a trend over a turn is left: a wrong scale.
+
+        A table comes back to where it was, so a deviation cannot grow evenly all around.
+        """
+        x, y = ([float(value) for value in each] for each in (commanded.values, found))
+        if max(x) - min(x) < _MOST_OF_A_TURN:
+            return
+        slope, share = _trend(x, y)
+        now = round(float(_TURN / measured.size))
+        about = now * (1.0 + slope)
+        if share > _ALL and abs(about - now) >= 1.0:
+            raise self._asked(
+                f"the deviations grow evenly to {slope * 360.0:.6g} degrees in a turn, as they do "
+                f"where a turn has {about:.9g} counts and not {now}",
+                {str(n): f"{n} counts" for n in likely(about) or [round(about)]},
+                "sheet.counts_per_turn",
+            )
+
     def _require_small(self, stated: Angles, commanded: Angles) -> None:
         """Raise a question where deviations grow with the angle by 1: they are positions."""
         x, y = ([float(value) for value in each.values] for each in (commanded, stated))
-        middle = sum(x) / len(x)
-        spread = sum((a - middle) ** 2 for a in x)
-        slope = sum((a - middle) * b for a, b in zip(x, y, strict=True)) / (spread or 1.0)
-        if spread and abs(abs(slope) - 1.0) < _BY_ONE:
+        slope, _ = _trend(x, y)
+        if abs(abs(slope) - 1.0) < _BY_ONE:
             last = (y[-1] - x[-1]) / DEGREE
             raise self._asked(
                 f"{stated.text!r} grows with the table angle by {slope:.2f}, as positions do and "
@@ -196,6 +296,15 @@ class StatedDeviations:
         )
 
 
-def _wrapped(angle: Decimal) -> Decimal:
-    """Return an angle (rad) less whole turns, exactly where it has none."""
-    return angle - _TURN * (angle / _TURN).to_integral_value()
+def _wrapped(angle: Decimal, period: Decimal = _TURN) -> Decimal:
+    """Return an angle (rad) less whole periods, exactly where it has none."""
+    return angle - period * (angle / period).to_integral_value()
+
+
+def _trend(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
+    """Return the slope of y over x, and the share of the spread of y that it explains."""
+    count = len(x)
+    x, y = ([value - sum(each) / count for value in each] for each in (x, y))
+    xx, yy = (sum(value**2 for value in each) for each in (x, y))
+    xy = sum(a * b for a, b in zip(x, y, strict=True))
+    return xy / (xx or 1.0), xy**2 / ((xx * yy) or 1.0)

@@ -25,6 +25,7 @@ from rotcal_ros.foundation.errors import (
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.table_columns import (
     ANGLE,
+    COUNTS,
     LENGTH,
     SMALL_ANGLES,
     TIME,
@@ -40,6 +41,7 @@ from rotcal_ros.foundation.table_columns import (
 from rotcal_ros.foundation.table_reading import Known, Pass, Reading, Use, as_planned
 from rotcal_ros.foundation.tables import Header, Table
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_tables.sheets.counters import likely, of_a_turn, slope
 from rotcal_tables.sheets.deviations import NEAR, Angles, StatedDeviations
 from rotcal_tables.sheets.files import Cell, Sheet, TimeCell, sheets
 from rotcal_tables.sheets.layout import (
@@ -52,6 +54,7 @@ from rotcal_tables.sheets.layout import (
 )
 from rotcal_tables.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_tables.sheets.passes import Halt, closed, directed, is_repeated, passes
+from rotcal_tables.sheets.point_names import names_in_question, with_names_apart
 from rotcal_tables.sheets.questions import (
     is_number,
     likely_head,
@@ -78,6 +81,8 @@ from rotcal_tables.sheets.words import (
 _OURS: Final = {TABLE_ANGLE: "table angle", ACTUAL: "actual angle"}
 """Columns as messages call them."""
 _SMALL: Final = ("arcsec", "urad", "deg")
+_NO_ANGLE: Final = 400
+"""More in a column of angles are hardly degrees or gons of a turn, and may be counts."""
 _USUAL: Final = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
 """Likely units of deviations and readings, and of other columns."""
 _LOOKED_AT: Final = 100
@@ -117,12 +122,21 @@ class AnyForm:
                 f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
                 f"{', '.join(names)}"
             )
-        named = settings.named()
+        named, raw = settings.named(), found
+        if settings.names:
+            found = [with_names_apart(grid, settings.names) for grid in raw]
         layout = best_layout(found, headers, named, str(path), settings.table)
         require_named(path, headers, named, layout.head if layout else likely_head(found))
         if layout is None or layout.missing:
+            asked = None if settings.names else names_in_question(str(path), raw, headers)
+            if asked:
+                raise asked
             raise not_understood(path, headers, layout, found, named)
         require_as_wide_as_its_head(path, layout)
+        if settings.names:  # a table is known by its head as it stands in the file
+            at = next((n for n, cells in layout.sheet.rows if texts_of(cells) == layout.form), 0)
+            as_read = next((g for g in raw if g.form == layout.sheet.form), raw[0])
+            layout = replace(layout, form=texts_of(dict(as_read.rows).get(at, ())))
         return _Rows(path, layout, settings, known()).read()
 
     def heads(self, path: Path) -> Iterator[tuple[str, ...]]:
@@ -148,6 +162,7 @@ class _Rows:
         self._angles_deg: tuple[float, ...] = ()
         self._runs, self._both_directions = 1, False
         self._found: tuple[Pass, ...] = ()
+        self._seen: tuple[Sequence[_Row], str] = ((), "")
 
     def read(self) -> Reading:
         """Return the table."""
@@ -162,6 +177,7 @@ class _Rows:
                 "below it"
             )
         mark = self._mark([values for _, values in rows])
+        self._seen = rows, mark
         columns = [self._column(column, rows, mark) for column in self._columns]
         lines = tuple(
             (number, cells)
@@ -365,8 +381,7 @@ class _Rows:
             side_by_side(self._layout, [*self._all_uses(), *self._layout.others][:_SHOWN]),
             _smallest_step([float(angle) for angle in commanded]) if commanded else 2.0 * pi,
             self._others(rows, mark) if "deviation" not in self._settings.named() else (),
-            self._settings.values,
-            self._settings.named(),
+            self._settings,
         ).read()
         self._remarks += [remark] if remark else []
         return list(map(str, found))
@@ -390,7 +405,8 @@ class _Rows:
         cells = [text_of(row[name][0]) for _, row in rows]
         values = [Decimal(self._in_si((n, *row[name]), name, ANGLE, mark)) for n, row in rows]
         unit = use.units[0] if len(use.units) == 1 else self._unit_elsewhere(use, ANGLE, name)
-        return Angles(use.text, cells, values, unit or "deg")
+        size = UNITS[ANGLE][unit or "deg"] / (self._counts(name, use) if unit == COUNTS else 1)
+        return Angles(use.text, cells, values, unit or "deg", abs(size))
 
     def _in_si(self, cell: tuple[int, Cell, Use], name: str, quantity: str, mark: str) -> str:
         number, value, use = cell
@@ -402,7 +418,36 @@ class _Rows:
             )
         if {"dms", "m:s"} & {measure.unit, *use.units}:
             measure = self._sixtieths(number, value, measure, use, name)
-        return str(in_si(measure, measure.unit or self._unit(use, quantity, value, name)))
+        unit = measure.unit or self._unit(use, quantity, value, name)
+        found = in_si(measure, unit)
+        return str(found / self._counts(name, use) if unit == COUNTS else found)
+
+    def _counts(self, name: str, use: Use) -> int:
+        """Return how many counts of a column make a turn; a question where nobody says it."""
+        settings, commanded = self._settings, name == TABLE_ANGLE
+        stated = (commanded and settings.commanded_counts) or settings.counts_per_turn
+        if stated:
+            return stated
+        rows, mark = self._seen
+        own = [float(m.value) for _, row in rows if name in row
+               and (m := parse(row[name][0], mark, ANGLE))]  # fmt: skip
+        shown, about = "", 0.0
+        angle = None if commanded else rows[0][1].get(TABLE_ANGLE)
+        if angle and (settings.commanded_counts or not self._in_counts(TABLE_ANGLE, angle[1])):
+            about = slope([self._angle(row, mark) for row in rows], own)
+            shown = f"; beside the table angles it is about {about:.6g}"
+        found = likely(about) if about else of_a_turn(own) if own else ()
+        raise undecided(
+            f"{self._path}: {use.text!r} is in counts, and how many make a turn of the table is "
+            f"not stated{shown}",
+            "sheet.counts_per_turn",
+            [(str(n), f"{abs(n)} counts{' against the table' * (n < 0)}") for n in found]
+            or [("N", "the counts of a turn, as the encoder's sheet states them")],
+            side_by_side(self._layout, [use]),
+        )
+
+    def _in_counts(self, name: str, use: Use) -> bool:
+        return COUNTS in (use.units or (self._unit_elsewhere(use, ANGLE, name),))
 
     def _sixtieths(self, row: int, value: Cell, measure: Measure, use: Use, name: str) -> Measure:
         """Return degrees or minutes with their 60ths where it is sure which; else ask.
@@ -449,8 +494,14 @@ class _Rows:
         numbers = [n for n in map(number_of, cells or [value]) if n is not None]
         largest = Measure(Decimal(repr(max(numbers, key=abs, default=0.0))))
         usual = _SMALL if name in SMALL_ANGLES else _USUAL.get(quantity, tuple(UNITS[quantity]))
+        if quantity == ANGLE and name not in SMALL_ANGLES and largest.value > _NO_ANGLE:
+            usual = (COUNTS, *usual)
         read = tuple(
-            (u, f"{float(largest.value):.9g} {u} = {float(in_si(largest, u)):.6g} {_si(quantity)}")
+            (
+                u,
+                f"{float(largest.value):.9g} {u}"
+                + ("" if u == COUNTS else f" = {float(in_si(largest, u)):.6g} {_si(quantity)}"),
+            )
             for u in use.units or usual
         )
         setting = unit_setting(name, quantity)

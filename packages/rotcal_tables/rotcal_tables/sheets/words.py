@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +14,7 @@ import yaml
 from rotcal_ros.foundation.table_columns import (
     ANGLE,
     BEHIND,
+    COUNTS,
     IN_BRACKETS,
     LENGTH,
     SMALL_ANGLES,
@@ -76,6 +77,7 @@ class Heading:
         return cls(text, plain(text))
 
 
+@lru_cache(4096)
 def columns_of(head: Heading) -> tuple[str, ...]:
     """Return the columns that a heading may be the name of; none if it is no name of any.
 
@@ -100,6 +102,8 @@ def columns_of(head: Heading) -> tuple[str, ...]:
     quantities = {quantity_of(unit) for unit in head.units}
     if not quantities:
         return found
+    if head.units == (COUNTS,) and not found:
+        return (ACTUAL,)  # whatever it is called, an encoder has counted them
     if ANGLE in quantities and found and set(found) <= {"position", "target"}:
         return (TABLE_ANGLE,)
     return tuple(name for name in found if _QUANTITIES.get(name) in quantities)

@@ -2,7 +2,7 @@
 import { ask, by, desk } from "./web_desk.js";
 import { form, withSetup, work } from "./web_form.js";
 import { asTold, understand } from "./web_reading.js";
-import { element, t, text } from "./words.js";
+import { element, say, t, text } from "./words.js";
 
 const ROLES = { table: t("Measurements"), targets: t("Targets"), setup: t("Set-up file") };
 
@@ -35,7 +35,7 @@ function away(role, words) {
 async function send(role, file) {
   text("file_trouble", "");
   const reply = await ask(`/files/${role}?name=${encodeURIComponent(file?.name ?? "")}`, file ?? undefined, file ? "POST" : "DELETE");
-  if (reply.error) { text("file_trouble", reply.error.text); return; }
+  if (reply.error) { text("file_trouble", say(reply.error.text)); return; }
   desk.names = reply.names;
   if (role === "table") asTold();
   files();

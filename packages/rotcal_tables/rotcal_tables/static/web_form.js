@@ -89,7 +89,7 @@ export function atFields(error) { // what an error says of a setting stands at i
   for (const input of inputs()) {
     const named = new RegExp(`${input.dataset.name.replaceAll(".", "\\.")}(?![\\w.])`);
     const says = (line) => named.test(line) || error.names?.includes(input.dataset.name);
-    const words = error ? [error.text, ...error.log].find(says) : undefined;
+    const words = error ? [say(error.text), ...error.log].find(says) : undefined;
     input.setAttribute("aria-invalid", String(words !== undefined));
     input.setAttribute("aria-describedby", `${input.id}_trouble`);
     text(`${input.id}_trouble`, words ?? "");

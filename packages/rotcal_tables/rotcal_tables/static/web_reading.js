@@ -29,7 +29,7 @@ export async function understand() {
 }
 export function trouble(error) {
   by("error").hidden = !error;
-  text("error_words", error?.text ?? "");
+  text("error_words", say(error?.text ?? ""));
   by("error_log").replaceChildren(...(error?.log ?? []).map((line) => element("li", line)));
   by("answers").replaceChildren(...(error?.question?.answers ?? []).map(([value, words]) => {
     const button = element("button", words);

@@ -68,6 +68,6 @@ export function failed(id, error) {
   atFields(error);
   const log = element("ul", "", "small");
   log.append(...error.log.map((line) => element("li", line)));
-  by(id).replaceChildren(element("p", error.text), log);
+  by(id).replaceChildren(element("p", say(error.text)), log);
   by(id).hidden = false;
 }

@@ -200,7 +200,7 @@ class Posed:
             lengths = _wandering(lengths)
         if self.problem.circle_std is not None:
             lengths = replace(lengths, more={**lengths.more, "lean": 3})
-        if lengths.speed is not None and self.motion is None:
+        if lengths.speed is not None and (self.motion is None or self.motion > ROUND):
             orders = len(turning.low_orders(SPECTRA))
             lengths = replace(lengths, more={**lengths.more, turning.MOTION: 4 * orders})
         return lengths
@@ -275,12 +275,17 @@ class Posed:
     ) -> Model:  # fmt: skip
         """Return the model of a table that turns, with its motion and the lag of its feedback.
 
-        An unstated motion has low orders, common to all runs, of a size that is estimated; beside
-        them it is another at every angle, and as large as is supposed.
+        A motion has low orders, which all runs have in common: as large as it is stated, or of a
+        size that is estimated. Beside them it is another at every angle of each run, as large as
+        stated, or as is supposed.
         """
         problem, m = self.problem, len(lengths.angles)
-        if self.motion is not None:
+        if turning.MOTION not in lengths.more:
             model = motion.beside(model)
+        elif self.motion is not None:
+            rows = csr_array(motion.rows - across @ turning.moved(lengths, SPECTRA))
+            model = motion._replace(rows=rows).beside(model)
+            model = turning.with_stated_motion(model, lengths, SPECTRA, self.motion)
         else:
             rows = csr_array(motion.rows - across @ turning.moved(lengths, SPECTRA))
             model = KnownBeforehand(motion.what, rows, np.tile(supposed.other, m)).beside(model)

@@ -316,6 +316,24 @@ def with_motion(
     return model.scattering(LOW_ORDERS, lengths.rows_of(MOTION), None, free, ways)
 
 
+def with_stated_motion(
+    model: Model, lengths: CarriedLengths, spectra: Mapping[Spectrum, float], size: float
+) -> Model:
+    """Return the model whose MOTION has the standard deviation ``size``, m.
+
+    Each order has the variance that it has in the mean of the ``spectra``.
+    """
+    rows, orders = lengths.rows_of(MOTION), low_orders(spectra)
+    variance, total = np.zeros(len(orders)), 0.0
+    for spectrum, share in spectra.items():
+        if spectrum != WHITE:
+            at = np.searchsorted(orders, spectrum.orders)
+            variance[at] += share * np.array(spectrum.shares) / sum(spectrum.shares)
+            total += share
+    std = size * np.sqrt(np.repeat(variance / total, 4))
+    return model.with_prior(LOW_ORDERS, rows, np.zeros(len(std)), std)
+
+
 def other_motion(runs: Runs, angles: Floats, radial: Floats) -> float:
     """Return how much places scatter across their circle beside low orders, m, in all runs alike.
 

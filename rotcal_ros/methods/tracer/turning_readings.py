@@ -1,0 +1,221 @@
+"""Readings of a tracer on a table that turned, as a table: ``time_s,angle_deg,length_m[,target]``.
+
+Each row is one reading, and where the feedback of the table was at that moment; an empty length
+is a broken beam. Turns are found by themselves: one goes from before the first angle to behind the
+last, or back, at one of the speeds if they are stated. Readings become lengths as live ones do.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from math import ceil, fsum
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.capture.passage import Passage, reduced_length, why_no_reading_counts
+from rotcal_ros.capture.window import ReadingFault, ReducedWindow
+from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import NOTHING
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.tables import Header, Table, hashes
+from rotcal_ros.foundation.units import DEGREE, NANOSECOND, TURN
+from rotcal_ros.methods.calibration import Calibration
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.measurements import LATEST_S, TIME, PlannedMeasurements
+from rotcal_ros.methods.tracer.lengths import LengthCheck
+from rotcal_ros.methods.tracer.turning_table import AS_STATED, planned, run_of, speeds_of, stated
+from rotcal_ros.planning.plan import Point, Step
+from rotcal_ros.planning.table_angles import table_angles
+
+_COLUMNS: Final = (TIME, "angle_deg", "length_m")
+HEADERS: Final[tuple[Header, ...]] = (_COLUMNS, (*_COLUMNS, "target"))
+_TURN_DEG: Final = TURN / DEGREE
+_LEAST: Final = 3
+"""Readings in a turn, without which it has no speed."""
+
+
+@dataclass(frozen=True, eq=False)
+class _RawReadings:
+    """All readings of a ``table``, (n,): seconds, degrees without a wrap, metres, and targets.
+
+    A length is nan where the beam was broken; ``target`` is None where no column names it.
+    """
+
+    table: Table
+    time: Floats
+    angle_deg: Floats
+    length: Floats
+    target: Ints | None
+
+    @classmethod
+    def of(cls, table: Table) -> _RawReadings:
+        """Return those of a table; raises DataError, with the row, for what is no number."""
+        rows = table.rows()
+        time = np.array([row.number(TIME) for row in rows])
+        angle = np.array([row.number("angle_deg") for row in rows])
+        length = np.array([
+            row.metres("length_m") if row.cells["length_m"].strip() else np.nan for row in rows
+        ])  # fmt: skip
+        target = [row.index("target") for row in rows] if "target" in table.header else None
+        if (back := np.flatnonzero(np.diff(time) <= 0.0)).size:
+            raise DataError(f"{rows[int(back[0]) + 1].place}: {TIME} does not grow")
+        if np.abs(time[[0, -1]]).max() > LATEST_S:
+            raise DataError(f"{table.path}: {TIME} is {time[-1]:g} s; are these milliseconds?")
+        whole = np.unwrap(angle, period=_TURN_DEG)
+        return cls(table, time, whole, length, None if target is None else np.array(target))
+
+    def about(self, middle_deg: float) -> _RawReadings:
+        """Return them with angles, whole turns apart, as near to ``middle_deg`` as can be."""
+        own = 0.5 * (self.angle_deg.min() + self.angle_deg.max())
+        turns = round((middle_deg - own) / _TURN_DEG)
+        return replace(self, angle_deg=self.angle_deg + turns * _TURN_DEG)
+
+
+@dataclass(frozen=True, eq=False)
+class _FoundTurn:
+    """One turn: the ``rows`` of its readings, its ``speed`` (deg/s), and its ``target``."""
+
+    rows: slice
+    speed: float
+    target: int
+
+
+def read(
+    configuration: Configuration, table: Table, targets: tuple[Point, ...]
+) -> PlannedMeasurements:
+    """Return the lengths at the table angles, of the readings in a ``table``.
+
+    ``targets``: in place of the plan's. Without angles in the set-up, a whole turn by degrees.
+    Raises DataError where there are no turns, or none knows which targets they are of.
+    """
+    readings, passing = _RawReadings.of(table), configuration.plan.passing_deg
+    wanted = _wanted(configuration, readings)
+    readings = readings.about(0.5 * (wanted[0] + wanted[-1]))
+    found = _turns(readings, wanted[0] - passing, wanted[-1] + passing)
+    if speeds := configuration.plan.turning_deg_s:
+        found = [turn for turn in found if any(_alike(turn.speed, speed) for speed in speeds)]
+    else:
+        speeds = speeds_of(turn.speed for turn in found)
+    calibration = planned(configuration, wanted, speeds, targets)
+    found = _with_targets(found, readings, len(calibration.plan.targets), len(speeds))
+    steps = {(s.station, s.table_position, s.target): s for s in calibration.plan.steps if s.turn}
+    check, observations = LengthCheck(calibration.plan), list[Observation]()
+    attempts, segment = Counter[tuple[int, int]](), 0
+    for turn in found:
+        place = f"{table.path}, from {readings.time[turn.rows][0]:.6g} s on"
+        run = run_of(turn.speed, turn.speed, place, speeds)
+        count = len(wanted)
+        sense = 1 if turn.speed > 0.0 else -1
+        passed = [steps[run, k, turn.target] for k in range(count)][::sense]
+        for step in passed:
+            seen = _observed(readings, turn, step, calibration, segment)
+            seen = replace(seen, attempt=attempts[run, turn.target])
+            observations.append(check(seen))
+        attempts[run, turn.target] += 1
+        segment += 1 + int(np.isnan(readings.length[turn.rows]).sum())
+    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+
+
+def _alike(own: float, stated_deg_s: float) -> bool:
+    """Return whether a turn was made at a speed that is stated, and is not a way to the next."""
+    return abs(own - stated_deg_s) <= AS_STATED * abs(stated_deg_s)
+
+
+def _wanted(configuration: Configuration, readings: _RawReadings) -> Floats:
+    """Return the angles (n,), deg: those of the set-up, or all degrees of a turn."""
+    if stated(configuration):
+        return np.array(table_angles(configuration.plan)) / DEGREE
+    least, most = float(readings.angle_deg.min()), float(readings.angle_deg.max())
+    if most - least < _TURN_DEG + 2.0 * configuration.plan.passing_deg:
+        raise DataError(
+            f"{readings.table.path}: the table turned from {least:.4g} to {most:.4g} deg, which "
+            "is no whole turn: at which angles are lengths wanted? State plan.table_start_deg, "
+            "table_step_deg and table_positions"
+        )
+    first = ceil(0.5 * (least + most) - 0.5 * _TURN_DEG)
+    return np.arange(first, first + _TURN_DEG)
+
+
+def _turns(readings: _RawReadings, first_deg: float, last_deg: float) -> list[_FoundTurn]:
+    """Return the turns that pass all from one angle to the other, either way, in their order."""
+    angle = readings.angle_deg
+    outside = np.flatnonzero((angle <= first_deg) | (angle >= last_deg))
+    side = angle[outside] >= last_deg
+    found = list[_FoundTurn]()
+    for at in np.flatnonzero(side[1:] != side[:-1]).tolist():
+        rows = slice(int(outside[at]), int(outside[at + 1]) + 1)
+        if rows.stop - rows.start < _LEAST:
+            continue
+        time, way = readings.time[rows], angle[rows]
+        found.append(_FoundTurn(rows, float((way[-1] - way[0]) / (time[-1] - time[0])), -1))
+    if not found:
+        raise DataError(
+            f"{readings.table.path}: the table never turned from {first_deg:g} to {last_deg:g} "
+            f"deg or back, it went from {angle.min():.4g} to {angle.max():.4g} deg: correct the "
+            "angles that the plan wants, or plan.passing_deg"
+        )
+    return found
+
+
+def _with_targets(
+    found: list[_FoundTurn], readings: _RawReadings, targets: int, speeds: int
+) -> list[_FoundTurn]:
+    """Return the turns with their targets: by the column, or as many for each, in their order."""
+    if readings.target is None:
+        if len(found) != targets * speeds:
+            raise DataError(
+                f"{readings.table.path}: found {len(found)} turns, expected one at each of "
+                f"{speeds} speeds for each of {targets} targets: which target was which turn of? "
+                "Add a column target"
+            )
+        return [replace(turn, target=k // speeds) for k, turn in enumerate(found)]
+    named = list[_FoundTurn]()
+    for turn in found:
+        numbers = np.unique(readings.target[turn.rows])
+        if len(numbers) > 1 or numbers[0] >= targets:
+            raise DataError(
+                f"{readings.table.path}: the turn from {readings.time[turn.rows][0]:.6g} s on is "
+                f"of target {', '.join(map(str, numbers.tolist()))}, expected one of 0 to "
+                f"{targets - 1}"
+            )
+        named.append(replace(turn, target=int(numbers[0])))
+    return named
+
+
+def _observed(
+    readings: _RawReadings, turn: _FoundTurn, step: Step, calibration: Calibration, segment: int
+) -> Observation:
+    """Return what readings beside its angle make of a ``step``; judged as in a live cell."""
+    settings, sense = calibration.configuration.capture, float(np.sign(turn.speed))
+    ahead = sense * (readings.angle_deg[turn.rows] * DEGREE - step.table_angle)
+    at = int(np.flatnonzero(ahead >= 0.0)[0])
+    first = int(np.flatnonzero(ahead[:at] <= -step.passing)[-1])
+    last = at + int(np.flatnonzero(ahead[at:] >= step.passing)[0])
+    rows = slice(turn.rows.start + first, turn.rows.start + last + 1)
+    stamps: Stamps = np.round(readings.time[rows] / NANOSECOND).astype(np.int64)
+    passed = Passage(stamps, ahead[first : last + 1])
+    near = np.abs(passed.ahead) < step.passing
+    length, away = readings.length[rows][near], passed.ahead[near]
+    if reason := why_no_reading_counts(passed, away, step, settings):
+        reduced = ReducedWindow(reason=reason)
+    else:
+        dark = np.where(np.isnan(length), ReadingFault.BEAM_BROKEN, ReadingFault.NONE)
+        values = np.column_stack([np.zeros(len(length)), length, dark])
+        reduced = reduced_length(away, values, 0, settings)
+    broken = np.isnan(readings.length[turn.rows.start : rows.start])
+    return replace(
+        step.observed(reduced.mean),
+        std=reduced.std,
+        scatter=reduced.scatter,
+        n_samples=int(near.sum()),
+        n_used=reduced.n_used,
+        accepted=not reduced.reason,
+        reason=reduced.reason or NOTHING,
+        table_angle_measured=step.table_angle + sense * fsum(away) / max(len(away), 1),
+        window_start_ns=int(stamps[0]),
+        window_end_ns=int(stamps[-1]),
+        segment=segment + int(np.count_nonzero(broken)),
+    )
