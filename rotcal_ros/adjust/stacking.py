@@ -123,7 +123,7 @@ def _row_names(models: Mapping[str, Model], rows: Sequence[slice]) -> Callable[[
     ]
 
     def name_of(row: int) -> Phrase:
-        at, its_own, name = next(one for one in each if row < one[0].stop)
+        at, its_own, name = next(part for part in each if row < part[0].stop)
         return phrase("{0} of {1}", its_own(row - at.start), name)
 
     return name_of
