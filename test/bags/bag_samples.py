@@ -137,7 +137,7 @@ def _command(r: Command) -> list[tuple[str, bytes]]:
         TYPES[names.TABLE_ANGLE], stamp_ns=START_NS, step=r.step, attempt=r.attempt,
         angle=r.table_angle, approach=int(r.approach),
         turn_speed=r.turn.speed if r.turn else 0.0, turn_begin=r.turn.begin if r.turn else 0.0,
-        turn_end=r.turn.end if r.turn else 0.0, turn_anew=r.anew,
+        turn_end=r.turn.end if r.turn else 0.0, turn_anew=r.turn is not None,
     )  # fmt: skip
     probe = serialised(
         TYPES[names.PROBE_TARGET], stamp_ns=START_NS, step=r.step, attempt=r.attempt,

@@ -50,9 +50,8 @@ probe_samples = st.builds(
 )
 turns = st.none() | st.builds(Turn, any_float, any_float, any_float.filter(bool))
 commands = st.builds(
-    Command, u32, u32, any_float, st.sampled_from(Approach), kinds, u32, points, turn=turns,
-    anew=st.booleans(),
-)  # fmt: skip
+    Command, u32, u32, any_float, st.sampled_from(Approach), kinds, u32, points, turn=turns
+)
 reasons = text.map(phrase) | st.builds(phrase, st.just("{0} of {1:.3g}"), text, any_float)
 observations = st.builds(
     Observation,
