@@ -40,7 +40,7 @@ BUILT_IN = (
 REAL = ("angle_comparison", "ball_plate", "plane_mirror", "table_balls", "tracer", "tracer_six")
 """The configurations of real cells in ``config``, one of each method."""
 UNITS = {
-    "m", "mm", "um", "nm", "m/m", "um/m", "rad", "deg", "arcsec", "s", "ns", "days", "Hz", "m/s",
+    "m", "mm", "um", "nm", "m/m", "um/m", "rad", "deg", "arcsec", "s", "days", "Hz", "m/s",
     "m/s^2", "deg/s", "deg/s^2", "um/h", "arcsec/h", "degC", "K", "K/h", "um/K", "um/(m*K)", "Pa",
     "umol/mol", "bytes",
 }  # fmt: skip

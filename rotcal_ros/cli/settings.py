@@ -64,11 +64,17 @@ def _sections(method: str, groups: Sequence[str]) -> tuple[Section, ...]:
     Raises ConfigurationError, with the nearest name, for an unknown one.
     """
     from rotcal_ros.foundation.errors import ConfigurationError
-    from rotcal_ros.methods.settings_reference import all_sections, method_sections
+    from rotcal_ros.methods.settings_reference import (
+        all_sections,
+        controller_section,
+        method_sections,
+    )
 
-    sections = method_sections(method) if method else all_sections()
+    controllers = () if method else plugins.names(plugins.CONTROLLERS)
+    named = map(controller_section, (name for name in groups if name in controllers))
+    sections = (*(method_sections(method) if method else all_sections()), *named)
     known = dict.fromkeys(section.group for section in sections if section.group)
-    others = () if method else plugins.names(plugins.METHODS)
+    others = () if method else (*plugins.names(plugins.METHODS), *controllers)
     for name in groups:
         if name not in known:
             what = "group" if method else "method, group or controller"

@@ -11,7 +11,7 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, Final
 
 from rotcal_ros.bags.settings import ReadingLimits
-from rotcal_ros.compensation.controllers import controller_names, make_controller
+from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.settings import Declaration, declarations
 from rotcal_ros.methods.configuration import GROUPS, SHARED_GROUPS
@@ -109,10 +109,9 @@ def reading_section() -> Section:
 
 
 def all_sections() -> tuple[Section, ...]:
-    """Return every group: the shared ones, of each method, what stands elsewhere, controllers."""
+    """Return every group: the shared ones, those of each method, what stands elsewhere."""
     own = (section for name in method_names() for section in own_sections(name))
-    controllers = map(controller_section, controller_names())
-    return (*shared_sections(), *own, *goal_sections(), reading_section(), *controllers)
+    return (*shared_sections(), *own, *goal_sections(), reading_section())
 
 
 def first_settings(sections: Iterable[Section]) -> tuple[tuple[str, Declaration], ...]:
