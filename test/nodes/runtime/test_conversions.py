@@ -60,7 +60,7 @@ probe_samples = st.builds(
 turns = st.none() | st.builds(Turn, reals, reals, reals.filter(bool))
 commands = st.builds(
     Command, counts, counts, reals, st.sampled_from(Approach), st.sampled_from(PointKind), counts,
-    points, counts, turns, st.booleans(),
+    points, counts, turns,
 )  # fmt: skip
 reasons = st.text("abc ", max_size=20).map(phrase) | st.builds(
     partial(phrase, "{0} of {1:.3g}: {2}"),
@@ -105,6 +105,7 @@ def test_temperature_sample(sample):
 def test_command(command, now_ns):
     table, probe = conversions.command_messages(command, now_ns)
     assert messages.command(sent(table), sent(probe)) == command
+    assert table.turn_anew == (command.turn is not None)
     assert (table.header.frame_id, probe.header.frame_id) == ("table_base", "machine")
 
 
