@@ -18,8 +18,10 @@ HEAD = """| controller | setting | what it does to the table | what is done | so
 def filled(page: str) -> str:
     """Return the page with the facts of each controller below its words, and their settings.
 
-    Raises ValueError for a controller without a section.
+    Raises ValueError for a controller without a section, and without the place of their table.
     """
+    if TABLE not in page:
+        raise ValueError(f"controllers.md has no line {TABLE}")
     for name in controller_names():
         section = re.compile(rf"(^## [^\n]+ \(`{name}`\)\n.*?)(?=^## )", re.DOTALL | re.MULTILINE)
         page, found = section.subn(lambda words, of=name: words[1] + _facts(of) + "\n", page)

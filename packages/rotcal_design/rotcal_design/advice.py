@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -198,22 +198,16 @@ def _best(
     tried, refused = list[Advice](), list[str]()
     for effort in way.efforts(goal.positions):
         stated = (*way.settings, *effort, *of_machine, *own)
-        with noting(refused):
+        try:
             tried.append(_predicted(instrument, way, goal, known, stated))
-            if tried[-1].meets:
-                return tried[-1]
+        except RotcalError as error:
+            refused.append(str(error))
+            continue
+        if tried[-1].meets:
+            return tried[-1]
     if tried:
         return min(tried, key=lambda each: each.shortfall)
     return _refused(instrument, way, refused[0])
-
-
-@contextmanager
-def noting(refused: list[str]) -> Iterator[None]:
-    """Note why an effort is refused, and go on."""
-    try:
-        yield
-    except RotcalError as error:
-        refused.append(str(error))
 
 
 def _predicted(instrument: str, way: Route, goal: Goal, known: Known, stated: Changes) -> Advice:

@@ -39,6 +39,14 @@ def curve(rng, orders, size, angles):
     return np.cos(phase) @ a + np.sin(phase) @ b
 
 
+def noise_in_time(white, correlated_s):
+    """White noise at RATE_HZ, as it stands or, as large, correlated over ``correlated_s``."""
+    if not correlated_s:
+        return white
+    keeps = np.exp(-1.0 / (RATE_HZ * correlated_s))
+    return lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], white)
+
+
 def turning_scene(
     seed,
     *,
@@ -82,10 +90,7 @@ def turning_scene(
             stands = np.column_stack(
                 [c * place[0] - s * place[1], s * place[0] + c * place[1], place[2] + 0.0 * c]
             ) + np.column_stack([np.interp(shown, fine, part) for part in moved])
-            error = rng.normal(0.0, noise, len(time))
-            if correlated_s:
-                keeps = np.exp(-1.0 / (RATE_HZ * correlated_s))
-                error = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], error)
+            error = noise_in_time(rng.normal(0.0, noise, len(time)), correlated_s)
             read = np.linalg.norm(stands - true[target], axis=1) + error + rng.normal()
             readings.append(np.column_stack([begun + time, shown / DEGREE, read]))
             for k in range(angles)[:: int(sense)]:
