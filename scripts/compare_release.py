@@ -1,4 +1,4 @@
-"""Two versions side by side: do they make the same of all golden measurements, and promise as much?
+"""Two versions side by side: do they make the same of all golden things, and promise as much?
 
 usage: python scripts/compare_release.py OLD NEW     each a commit, or a folder of `make release`
 
@@ -114,9 +114,11 @@ def judged(old: dict[str, Any], new: dict[str, Any], files: list[dict[str, str]]
     if files[0] != files[1]:
         changed = sorted(set(files[0].items()) ^ set(files[1].items()))
         return f"different: {changed[0][0]}"
+    if old["code"]:
+        return f"refused by both: {old['error'][-200:]}"
     if old["out"] == new["out"]:
         return "same bits"
-    if old["code"] or not old["out"].startswith("{"):
+    if not old["out"].startswith("{"):
         return "different: what is printed"
     first, second = json.loads(old["out"]), json.loads(new["out"])
     share = difference(first, second)
