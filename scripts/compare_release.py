@@ -1,4 +1,4 @@
-"""Two versions side by side: do they make the same of golden files, and promise as much?
+"""Compare two versions: what they make of golden files, and what they promise.
 
 usage: python scripts/compare_release.py OLD NEW     each a commit, or a folder of `make release`
 
