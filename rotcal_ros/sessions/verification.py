@@ -271,12 +271,12 @@ def _read_request(folder: Path) -> Request:
     except FileNotFoundError:
         raise ConfigurationError(
             f"{folder} holds no verification: its {REQUEST} is missing; begin one with 'rotcal "
-            "verify CONFIG', or go on with a single measurement: rotcal run --resume "
+            "verify CONFIG', or resume a single measurement: rotcal run --resume "
             f"{folder}"
         ) from None
     except (OSError, ValueError) as error:
         raise ConfigurationError(
-            f"{folder / REQUEST} is damaged: {why(error)}; begin anew: rotcal verify CONFIG"
+            f"{folder / REQUEST} is damaged: {why(error)}; start again: rotcal verify CONFIG"
         ) from error
 
 
@@ -370,7 +370,7 @@ def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
         for file, text in of_the_controller(export.files).items():
             if (folder / file).is_file() and read_text(folder / file, "latin-1") != text:
                 raise DataError(
-                    f"{folder / file} was changed since it was written; restore it, or begin anew"
+                    f"{folder / file} was changed since it was written; restore it, or start again"
                 )
         there = {file: text for file, text in export.files.items() if (folder / file).exists()}
         rest = {file: text for file, text in export.files.items() if file not in there}
