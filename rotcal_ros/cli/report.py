@@ -12,7 +12,7 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
 from rotcal_ros.cli.options import language_option, set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.language import speaking
+from rotcal_ros.foundation.language import use_language
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command, unfinished
 from rotcal_ros.report.terminal.console import say, understood
 
@@ -134,7 +134,7 @@ def _report(asked: _ReportRequest) -> int:
     require_writable(output)
     _require_new(output, source)
     _require_empty(asked.tables, source)
-    with speaking(asked.language):
+    with use_language(asked.language):
         result = _written(asked, source, output)
     say(f"report: {output.absolute()}")
     for path in () if asked.tables is None else write_tables(result, asked.tables):

@@ -27,7 +27,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.in_force import NONE, UNKNOWN, describe, known_hash
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN, describe, is_table_hash
 from rotcal_ros.foundation.units import ARCSEC
 
 Combination = Literal["as_measured", "replace", "add"]
@@ -65,7 +65,7 @@ def combined(
             f"there is no table to add to: {describe(table.measured_on)}; name it (rotcal export "
             "--add-to), or restore it"
         )
-    if known_hash(table.measured_on) and held.in_force != table.measured_on:
+    if is_table_hash(table.measured_on) and held.in_force != table.measured_on:
         raise DataError(
             f"not added: {describe(table.measured_on)}, and the one to add to is "
             f"{held.in_force[:12]}; measure again with what the controller holds now"
@@ -94,7 +94,7 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
         )
     if table.measured_on == NONE and word == "add":
         raise DataError(f"not added: {describe(NONE)}; let it replace the table in force")
-    if known_hash(table.measured_on) and word == "replace":
+    if is_table_hash(table.measured_on) and word == "replace":
         raise DataError(
             f"not replaced: {describe(table.measured_on)}, and replacing that table would lose "
             "what it corrects; add to it"

@@ -27,7 +27,7 @@ from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.foundation.files import make_folder, sync_folder, write_atomically
-from rotcal_ros.foundation.untrusted import read_bytes, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, read_bytes, read_text
 
 T = TypeVar("T")
 
@@ -86,7 +86,7 @@ def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -
         ) from error
     except OSError as error:
         raise ControllerError(
-            f"the controller in {place} does not answer: cannot {what}: {why(error)}"
+            f"the controller in {place} does not answer: cannot {what}: {cause_of(error)}"
         ) from error
 
 

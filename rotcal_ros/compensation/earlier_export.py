@@ -14,9 +14,9 @@ from rotcal_ros.compensation.held_table import Effect, HeldTable, effect_of_resu
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.foundation.in_force import describe, known_hash
+from rotcal_ros.foundation.in_force import describe, is_table_hash
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.untrusted import load_json, read_text, reading
+from rotcal_ros.foundation.untrusted import load_json, read_errors_as, read_text
 
 
 def to_be_in_force(
@@ -96,7 +96,7 @@ def loaded_table(
     """
     pairs = {(side["controller"], side["axis"]) for side in map(_side, _sides(folder))}
     held = {pair: read_earlier(folder, *pair) for pair in sorted(pairs)}
-    word = controllers is not None and not known_hash(in_force)
+    word = controllers is not None and not is_table_hash(in_force)
     found = [
         table
         for (name, _), table in held.items()
@@ -145,5 +145,5 @@ def _checked(path: Path, sha256: str) -> str:
 
 
 def _text(path: Path) -> str:
-    with reading(path, BagError):
+    with read_errors_as(path, BagError):
         return read_text(path)

@@ -42,7 +42,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.in_force import describe, known_hash
+from rotcal_ros.foundation.in_force import describe, is_table_hash
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND, TURN
 
 CONFIRMATION: Final = "confirmation_sha256"
@@ -187,7 +187,7 @@ def _refuse(
 ) -> None:
     """Raise DataError or ConfigurationError for a table that may not be fed to ``controller``."""
     check_verdict(table)
-    if known_hash(table.measured_on) and not table.adds_to:
+    if is_table_hash(table.measured_on) and not table.adds_to:
         raise DataError(
             f"{describe(table.measured_on)}, and alone it would lose what that table corrects: "
             "add to it (rotcal export --add-to); nothing was written"

@@ -42,7 +42,7 @@ from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, WRITTEN, of_the_controller, write_files
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
-from rotcal_ros.foundation.in_force import NONE, UNKNOWN, known_hash
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN, is_table_hash
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.foundation.untrusted import load_json, read_bytes
@@ -135,7 +135,7 @@ class Feed:
 
     def contradiction(self, held: str) -> str | None:
         """Return in words what contradicts that ``held`` is in force, if anything does."""
-        if held == UNKNOWN and known_hash(noted := self._last_noted()):
+        if held == UNKNOWN and is_table_hash(noted := self._last_noted()):
             return (
                 "the controller shows no table, but according to the journal it was given "
                 f"{noted[:12]}: inspect the controller; then restore, which removes the table or "
@@ -152,7 +152,7 @@ class Feed:
         """Return what is in force where the controller has no file."""
         if not self._journal.entries():
             return NONE if self._stated == NONE else UNKNOWN
-        return UNKNOWN if known_hash(self._last_noted()) else NONE
+        return UNKNOWN if is_table_hash(self._last_noted()) else NONE
 
     def _last_noted(self) -> str:
         history = self._journal.history()
@@ -304,14 +304,14 @@ class Feed:
         from_ns = table.measured_from_ns or stamp_ns
         then = self._journal.held_while(from_ns, table.measured_until_ns or stamp_ns)
         wrong = [event for event in then if event[1] != stated]
-        if not wrong and known_hash(stated):  # nor may it have come only then
+        if not wrong and is_table_hash(stated):  # nor may it have come only then
             wrong = [event for event in then[:1] if event[0] > from_ns]
         if not wrong:
             return
         since_ns, held = wrong[0]
         raise DataError(
             f"{claim}, but according to the journal of this bridge the controller held "
-            f"{f'the table {held[:12]}' if known_hash(held) else 'no table'} then (since "
+            f"{f'the table {held[:12]}' if is_table_hash(held) else 'no table'} then (since "
             f"{utc(since_ns)}): so the statement about the measurement is wrong, and would spoil "
             "the correction. Measure again, and let this bridge announce what is "
             "in force (leave cell.table_in_force out)"

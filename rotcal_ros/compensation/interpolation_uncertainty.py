@@ -18,7 +18,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
-from rotcal_ros.foundation.curves.interpolation import regular_root
+from rotcal_ros.foundation.curves.interpolation import regularised_cholesky
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -144,7 +144,7 @@ def content_of(nodes: Floats, values: Floats, covariance: Floats) -> Content:
     if size < NOTHING:
         return Content(np.zeros(1), np.zeros(1))
     size = max(size, QUIET * float(np.sqrt(np.trace(covariance) / n)))
-    root = regular_root(covariance / size**2 + EXACT**2 * np.eye(n))
+    root = regularised_cholesky(covariance / size**2 + EXACT**2 * np.eye(n))
     white = np.linalg.solve(root, np.column_stack([np.ones(n), values / size, np.eye(n)]))
     without_constant = np.linalg.qr(white[:, :1], mode="complete")[0][:, 1:].T
     seen, into = without_constant @ white[:, 1], without_constant @ white[:, 2:]

@@ -13,7 +13,7 @@ from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.foundation.files import append_line
 from rotcal_ros.foundation.records import record
-from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, load_json, read_text
 
 Action = Literal["applying", "applied", "restoring", "restored", "rolled_back"]
 BEGUN: Final = ("applying", "restoring")
@@ -81,8 +81,8 @@ class Journal:
             return [_entry(load_json(line)) for line in lines]
         except (OSError, ValueError) as error:
             raise ControllerError(
-                f"{path} is damaged: {why(error)}; the last applied table is not known; look at "
-                "the controller, then move the file away"
+                f"{path} is damaged: {cause_of(error)}; the last applied table is not known; look "
+                "at the controller, then move the file away"
             ) from error
 
     def note(self, entry: Entry) -> None:
@@ -111,7 +111,7 @@ class Journal:
             return _contents(load_json(read_text(path)))
         except (OSError, ValueError) as error:
             raise ControllerError(
-                f"the old table in {path} cannot be read: {why(error)}"
+                f"the old table in {path} cannot be read: {cause_of(error)}"
             ) from error
 
     def kept_before(self, entry: Entry) -> dict[str, str | None]:

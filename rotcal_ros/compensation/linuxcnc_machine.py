@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.untrusted import read_bytes, reading
+from rotcal_ros.foundation.untrusted import read_bytes, read_errors_as
 
 AGENT: Final = (
     "/usr/bin/python3",
@@ -239,7 +239,7 @@ class Ini:
     @classmethod
     def read(cls, path: Path) -> Ini:
         """Read the file; ConfigurationError when there is none."""
-        with reading(path, ConfigurationError, "the machine's ini file "):
+        with read_errors_as(path, ConfigurationError, "the machine's ini file "):
             return cls(path, read_bytes(path).decode(ENCODING))
 
     def value(self, section: str, key: str) -> str | None:

@@ -24,13 +24,18 @@ from rotcal_ros.foundation.curves.interpolation import (
     harmonic_estimator,
     interpolation_matrix,
     row_angles,
-    within,
-    wrapped,
+    wrap_to_period,
+    wrap_to_turn,
 )
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
-from rotcal_ros.foundation.in_force import UNKNOWN, agreed, check_in_force, contradiction
+from rotcal_ros.foundation.in_force import (
+    UNKNOWN,
+    agreed_state,
+    check_in_force,
+    describe_contradiction,
+)
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
@@ -265,7 +270,7 @@ def table_from_result(
     weights = _weights_of(harmonics)
     reference = float(result.angles[0] if reference_angle is None else reference_angle)
     curve, between = without_gaps(directional_curve(result, reverse), weights, reference)
-    reference = wrapped(reference) if curve.period else reference
+    reference = wrap_to_turn(reference) if curve.period else reference
     rows = curve.angles if spacing is None else row_angles(curve.angles, curve.period, spacing)
     at = weights(curve, np.append(rows, reference))
     columns = _columns(curve, at)
@@ -370,9 +375,9 @@ def _measured_on(result: Result, reverse: Result | None) -> str:
     states = [r.measured_on for r in (result, reverse) if r is not None]
     if UNKNOWN in states:
         return UNKNOWN
-    if clash := contradiction(states):
+    if clash := describe_contradiction(states):
         raise DataError(f"{clash}: measure both directions with the same table in force")
-    return agreed(states)
+    return agreed_state(states)
 
 
 def _left_out(curve: DirectionalCurve, order: int) -> str:
@@ -431,7 +436,7 @@ def resample(
         return table
     rows = table.angles if spacing is None else row_angles(table.angles, table.period, spacing)
     reference = table.reference_angle if reference_angle is None else float(reference_angle)
-    at = np.append(rows, wrapped(reference) if table.closed else reference)
+    at = np.append(rows, wrap_to_turn(reference) if table.closed else reference)
     weights = interpolation_matrix(table.angles, at, table.period)
     up, down = weights @ table.correction_forward, weights @ table.correction_reverse
     zero = 0.0 if reference_angle is None else up[-1] - table.zero
@@ -501,11 +506,11 @@ class Correction:
                 f"direction {approach!r}: expected the side from which the table comes: POSITIVE "
                 "(angle increasing) or NEGATIVE"
             )
-        at = within(self.table.angles, angle, self.table.period)
+        at = wrap_to_period(self.table.angles, angle, self.table.period)
         return np.asarray(self._curves[approach](at), dtype=np.float64)
 
     def std(self, angle: ArrayLike, approach: Approach = Approach.POSITIVE) -> Floats:
         """Return the standard uncertainty (rad, k = 1), linear between the rows."""
         angles, period = self.table.angles, self.table.period
-        at, std = within(angles, angle, period), self.table.std_of(approach)
+        at, std = wrap_to_period(angles, angle, period), self.table.std_of(approach)
         return np.asarray(np.interp(at, angles, std, period=period or None))

@@ -28,7 +28,7 @@ from rotcal_ros.foundation.curves.directional import refuse_lost_reversal
 from rotcal_ros.foundation.curves.interpolation import curve_through
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.foundation.in_force import describe, known_hash
+from rotcal_ros.foundation.in_force import describe, is_table_hash
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import TURN
 
@@ -58,7 +58,7 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         columns[f"u_{name}_{_si_unit(name)}"] = std[name]
     numbers = np.column_stack(list(columns.values()))
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in numbers.tolist())]
-    on_top = [describe(result.measured_on)] if known_hash(result.measured_on) else []
+    on_top = [describe(result.measured_on)] if is_table_hash(result.measured_on) else []
     data = {
         "schema": 1,
         "kind": KIND,
@@ -151,7 +151,7 @@ def prepare_volumetric(
 def _refuse(result: Result, axis: str) -> None:
     check_verdict(result)
     refuse_lost_reversal(result)
-    if known_hash(result.measured_on):
+    if is_table_hash(result.measured_on):
         raise DataError(
             f"{describe(result.measured_on)}: a volumetric compensation would replace what that "
             "table corrects; measure without a table"

@@ -23,7 +23,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints, std_of
 from rotcal_ros.foundation.curves.directional import COMPONENT, directional_curve
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.in_force import NONE, describe, known_hash
+from rotcal_ros.foundation.in_force import NONE, describe, is_table_hash
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -111,7 +111,7 @@ def _require_before_and_after(results: Mapping[str, Result]) -> None:
     (first, before), (second, after) = results.items()
     if after.measured_on == NONE:
         raise DataError(f"{second}: {describe(NONE)}; give the measurement with the table")
-    if known_hash(after.measured_on) and after.measured_on == before.measured_on:
+    if is_table_hash(after.measured_on) and after.measured_on == before.measured_on:
         raise DataError(f"{first} and {second}: both {describe(after.measured_on)}")
     begun, later = (result.circumstances.from_ns for result in (before, after))
     if 0 < later < begun:
@@ -190,7 +190,7 @@ def _about_table(
     first: _Curve, found: Verification, after: Result, held: HeldTable | None
 ) -> Iterator[Phrase]:
     """Yield what is not known of the table that was loaded, or contradicts the first curve."""
-    if not known_hash(after.measured_on):
+    if not is_table_hash(after.measured_on):
         yield phrase("that the table was loaded is shown by its effect alone")
     if held is None:
         yield phrase(

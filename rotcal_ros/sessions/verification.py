@@ -33,7 +33,7 @@ from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import REQUEST, VERIFICATION, SessionFolder
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.untrusted import cause_of, load_json, read_text
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.configuration import SIMULATION, Configuration, read_configuration
 from rotcal_ros.methods.simulation.table import true_runs
@@ -276,7 +276,7 @@ def _read_request(folder: Path) -> Request:
         ) from None
     except (OSError, ValueError) as error:
         raise ConfigurationError(
-            f"{folder / REQUEST} is damaged: {why(error)}; begin anew: rotcal verify CONFIG"
+            f"{folder / REQUEST} is damaged: {cause_of(error)}; begin anew: rotcal verify CONFIG"
         ) from error
 
 
