@@ -179,9 +179,9 @@ def _acting(result: Result, in_force: Path | None) -> int:
     """Print whether the table in force acts on ``result``; return 1 if it does not."""
     if in_force is None:
         return 0
-    from rotcal_ros.compensation.earlier_export import effect_in_force
+    from rotcal_ros.compensation.earlier_export import effect_of_table_in_force
 
-    effect = effect_in_force(result, in_force)
+    effect = effect_of_table_in_force(result, in_force)
     if effect is not None:
         say(f"warning: {effect.fault}" if effect.fault else f"table acts: {effect.describe()}")
     return 1 if effect is not None and effect.fault else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
+from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, AcceptedConflicts
 from rotcal_ros.compensation.controllers import make_controller, parse_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -115,9 +115,9 @@ class BridgeSettings:
         make_controller(self.controller, self.controller_settings, "options")
 
     @property
-    def accepted(self) -> Accepted:
+    def accepted(self) -> AcceptedConflicts:
         """What a person accepts; ConfigurationError for a word without a meaning."""
-        return Accepted(self.accept, self.max_age_days)
+        return AcceptedConflicts(self.accept, self.max_age_days)
 
     @property
     def controller_settings(self) -> dict[str, Any]:

@@ -62,7 +62,7 @@ StoreMaker = Callable[[Any, Path, float, Controller], ControllerStore]
 an access may take, and the controller."""
 
 
-def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -> T:
+def call_with_timeout(action: Callable[[], T], timeout_s: float, place: str, what: str) -> T:
     """Return what ``action`` returns; ControllerError when it fails or takes too long.
 
     A call into a folder or a library on a network may block forever: it gets a thread of its own.
@@ -214,7 +214,7 @@ class ControllerFolder:
         sync_folder(self.folder)
 
     def _answered(self, action: Callable[[], T], what: str) -> T:
-        return answered(action, self._timeout_s, str(self.folder), what)
+        return call_with_timeout(action, self._timeout_s, str(self.folder), what)
 
 
 def _is_file(path: Path) -> bool:

@@ -13,7 +13,11 @@ from typing import Final, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rotcal_ros.compensation.interpolation_uncertainty import Weights, variances, without_gaps
+from rotcal_ros.compensation.interpolation_uncertainty import (
+    Weights,
+    cut_at_wide_gaps,
+    propagated_variances,
+)
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.directional import DirectionalCurve, directional_curve
@@ -269,7 +273,7 @@ def table_from_result(
     """
     weights = _weights_of(harmonics)
     reference = float(result.angles[0] if reference_angle is None else reference_angle)
-    curve, between = without_gaps(directional_curve(result, reverse), weights, reference)
+    curve, between = cut_at_wide_gaps(directional_curve(result, reverse), weights, reference)
     reference = wrap_to_turn(reference) if curve.period else reference
     rows = curve.angles if spacing is None else row_angles(curve.angles, curve.period, spacing)
     at = weights(curve, np.append(rows, reference))
@@ -350,11 +354,11 @@ def _standard_uncertainties(
 ) -> tuple[Floats, Floats | None]:
     """Return those of both columns; the last row of weights is the zero of the forward one."""
     rows, zero = weights[:-1], weights[-1]
-    up = np.maximum(variances(rows - zero, curve.forward_covariance), 0.0)
+    up = np.maximum(propagated_variances(rows - zero, curve.forward_covariance), 0.0)
     if not curve.both:
         return np.sqrt(up), None
     from_zero = np.hstack([np.tile(-zero, (len(rows), 1)), rows])
-    return np.sqrt(up), np.sqrt(np.maximum(variances(from_zero, curve.covariance), 0.0))
+    return np.sqrt(up), np.sqrt(np.maximum(propagated_variances(from_zero, curve.covariance), 0.0))
 
 
 def _item(result: Result, reverse: Result | None) -> str:
@@ -462,7 +466,7 @@ def _reverse_bound(table: CompensationTable, weights: Floats, *, moved: bool) ->
     return np.asarray(bound, dtype=np.float64)
 
 
-def averaged(table: CompensationTable) -> CompensationTable:
+def average_directions(table: CompensationTable) -> CompensationTable:
     """Return the mean of both directions, zero at the reference angle.
 
     It is for controls with one column. The warnings state what it cannot remove.

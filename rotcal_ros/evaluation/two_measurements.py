@@ -15,7 +15,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.held_table import Effect, HeldTable, effect, effect_of_result
+from rotcal_ros.compensation.held_table import (
+    CorrectionEffect,
+    HeldTable,
+    effect_from_result,
+    regress_on_correction,
+)
 from rotcal_ros.compensation.table import DIRECTIONS
 from rotcal_ros.evaluation.common_angles import require_one_table, same_angles
 from rotcal_ros.evaluation.verification import Positioning, Verification
@@ -81,7 +86,7 @@ def verification_of(
             "repeated runs or a larger uncertainty"
         )
     after = list(results.values())[1]
-    acts = _effect(first, second, shared) if held is None else effect_of_result(after, held)
+    acts = _effect(first, second, shared) if held is None else effect_from_result(after, held)
     found = Verification(
         before=first.positioning(),
         after=second.positioning(),
@@ -146,11 +151,11 @@ def _common(first: _Curve, second: _Curve, names: Mapping[str, object]) -> tuple
     return first.at(rows), second.at(columns)
 
 
-def _effect(first: _Curve, second: _Curve, shared: float) -> Effect | None:
+def _effect(first: _Curve, second: _Curve, shared: float) -> CorrectionEffect | None:
     """Return the effect of a table that was made of the ``first`` measurement."""
     same = shared**2 * (same_angles(first.angles, first.angles, 0.0) * 1.0)
     apart = first.covariance - same
-    found = effect(second.values, first.values, apart + second.covariance - same)
+    found = regress_on_correction(second.values, first.values, apart + second.covariance - same)
     if found is None:
         return None
     n = len(first.values)

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.held_table import Effect
+from rotcal_ros.compensation.held_table import CorrectionEffect
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.errors import DataError
@@ -75,7 +75,7 @@ class Verification:
     iso: Mapping[str, Iso230] = field(default_factory=dict)
     verdict_lines: Mapping[str, str] = field(default_factory=dict)
     again: Positioning | None = None
-    effect: Effect | None = None
+    effect: CorrectionEffect | None = None
     simulated: bool = False
     shared: float = 0.0
     notes: tuple[Phrase, ...] = ()

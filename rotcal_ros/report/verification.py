@@ -7,7 +7,7 @@ from pathlib import Path
 from markupsafe import escape
 from matplotlib.axes import Axes
 
-from rotcal_ros.compensation.earlier_export import effect_in_force
+from rotcal_ros.compensation.earlier_export import effect_of_table_in_force
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.escapes import printable_lines
@@ -62,7 +62,7 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
     Empty if there was no table, or it is unknown; ``in_force`` holds the table's files.
     """
     if in_force is not None:
-        effect = effect_in_force(result, in_force)
+        effect = effect_of_table_in_force(result, in_force)
         acts = (
             phrase("its corrections are too small to show it")
             if effect is None

@@ -135,7 +135,7 @@ def test_a_catalogue_has_every_text_that_is_used_and_none_that_the_code_does_not
 ):
     known, wanted = language(code).texts, words.wanted()
     assert len(wanted) > 900
-    for folder in words.folders():
+    for folder in words.catalogue_folders():
         wanted |= words.wanted(folder)
     assert {text: where for text, where in wanted.items() if text not in known} == {}
     assert [text for text in known if text not in wanted] == []
