@@ -16,7 +16,7 @@ from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import FileVerdict, Item, Scan
 from rotcal_ros.bags.unread_data import note_verdict
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import reading
+from rotcal_ros.foundation.untrusted import read_errors_as
 
 Content = TypeVar("Content")
 
@@ -35,7 +35,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
     Raises BagError when there is no bag at ``path``, or none that may be read.
     """
-    with reading(path, BagError):
+    with read_errors_as(path, BagError):
         if not path.exists():
             raise BagError(f"{path} does not exist; name a bag folder, or an .mcap or .db3 file")
         if path.is_file():
