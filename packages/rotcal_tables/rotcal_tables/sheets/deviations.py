@@ -126,7 +126,10 @@ class StatedDeviations:
             if self.settings.values == "corrections":
                 return [-value for value in stated.values], TURNED
             return stated.values, ""
-        either = columns[REVERSED]
+        return self._of_either_sign(columns[REVERSED])
+
+    def _of_either_sign(self, either: Angles) -> tuple[Sequence[Decimal], str]:
+        """Return differences whose sign a person has stated; else raise the question."""
         if REVERSED in self.settings.named() or self.settings.values == "corrections":
             return [-value for value in either.values], TURNED
         if self.settings.values == "deviations":
