@@ -166,7 +166,7 @@ class Controller(ABC):
         if self.comment is None:
             return dict(files)
         suffix, place, form = self.comment
-        return with_lines(files, suffix, place, [form.format(line) for line in lines])
+        return insert_lines(files, suffix, place, [form.format(line) for line in lines])
 
     def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
         """Return ``files`` with the mark ``text``, where whoever looks at the table sees it."""
@@ -283,7 +283,7 @@ class Controller(ABC):
         return ()
 
 
-def with_lines(
+def insert_lines(
     files: Mapping[str, str], suffix: str, place: int, added: Sequence[str]
 ) -> dict[str, str]:
     """Return ``files`` with the lines ``added`` at ``place`` in those that end with ``suffix``."""

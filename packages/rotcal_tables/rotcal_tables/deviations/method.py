@@ -30,7 +30,7 @@ from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.table_columns import ANGLE, UNITS
 from rotcal_ros.foundation.table_reading import Reading
-from rotcal_ros.foundation.tables import Row, Table, hashes
+from rotcal_ros.foundation.tables import Row, Table, table_hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, TURN
 from rotcal_ros.methods.added_errors import with_steps
 from rotcal_ros.methods.arrivals import Arrivals, arrivals_of, mean_of_runs
@@ -192,7 +192,7 @@ def read(
     for row in table.rows():
         seen = row.radians(DEVIATION, LARGEST_RAD), _std(row), 0.0
         observations.append(read_at(row, find(row).observed(seen)))
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
+    return PlannedMeasurements(calibration, tuple(observations), table_hashes(table))
 
 
 def _std(row: Row) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, Question
-from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.plugins import name_hint
 from rotcal_ros.foundation.table_columns import (
     ANGLE,
     UNITS,
@@ -57,11 +57,11 @@ def require_named(
     there = {folded(part) for text in head for part in (text, *CORNER.split(text))}
     for name, text in named.items():
         if name not in ours.union(known_columns()):
-            raise ConfigurationError(f"sheet.columns: no column {name!r}{nearest(name, ours)}")
+            raise ConfigurationError(f"sheet.columns: no column {name!r}{name_hint(name, ours)}")
         numbered = text[:1] == "#" and text[1:].isdigit()
         if name in ours and folded(text) not in there and not numbered:
             raise BagError(
-                f"{path}: sheet.columns: no column is called {text!r}{nearest(text, head)}"
+                f"{path}: sheet.columns: no column is called {text!r}{name_hint(text, head)}"
             )
 
 
