@@ -193,9 +193,9 @@ INSTRUCTIONS: Final = {
     Why.WORK: "{0}",
     Why.STOPPED: "emergency stop: {0}; no motion is commanded, and the current step will be "
     "repeated; recording continues and the bag is safe; release the stop, then resume",
-    Why.RELEASED: "emergency stop released; the cause was: {0}; nothing moves until a person "
+    Why.RELEASED: "emergency stop released, cause: {0}; nothing moves until a person "
     "resumes: make sure that the cell is clear to move",
-    Why.RELEASED_AND_WORK: "emergency stop released; the cause was: {0}; nothing moves until a "
+    Why.RELEASED_AND_WORK: "emergency stop released, cause: {0}; nothing moves until a "
     "person resumes: make sure that the cell is clear to move ({1})",
 }
 REASONS: Final = {

@@ -381,11 +381,11 @@ _STOPS: Final = {
               "continues and the bag is safe. Release the stop, then press Continue."),
     ),
     Why.RELEASED: (
-        noted("Emergency stop released; the cause was: {0}."),
+        noted("Emergency stop released, cause: {0}."),
         noted("Nothing moves until you press Continue: make sure that the cell is clear to move."),
     ),
     Why.RELEASED_AND_WORK: (
-        noted("Emergency stop released; the cause was: {0}."),
+        noted("Emergency stop released, cause: {0}."),
         noted("Nothing moves until you press Continue: make sure that the cell is clear to move "
               "({1})."),
     ),
