@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
-from rotcal_ros.bags.time_order import Sorting
+from rotcal_ros.bags.time_order import BlockSorter
 
 
 def blocks_of(keys, payloads, per_block):
@@ -28,7 +28,7 @@ def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(run_bytes
     rng = np.random.default_rng(8)
     keys = rng.integers(0, 60, 300)
     payloads = [bytes(rng.integers(0, 256, rng.integers(0, 90), np.uint8)) for _ in keys]
-    sorting = Sorting(run_bytes)
+    sorting = BlockSorter(run_bytes)
     for block, mine in blocks_of(keys, payloads, per_block):
         sorting.add(block, mine)
     found = [
@@ -40,7 +40,7 @@ def test_all_messages_come_by_their_keys_and_equal_ones_in_their_order(run_bytes
 
 
 def test_nothing_gives_nothing():
-    assert list(Sorting().blocks()) == []
+    assert list(BlockSorter().blocks()) == []
 
 
 @pytest.mark.slow
@@ -49,7 +49,7 @@ def test_memory_is_that_of_a_run():
     rng = np.random.default_rng(2)
     payload = bytes(1000)
     tracemalloc.start()
-    sorting = Sorting(run_bytes=1 << 20)
+    sorting = BlockSorter(run_bytes=1 << 20)
     for _ in range(30):  # 30 MB
         for block, keys in blocks_of(rng.integers(0, 1 << 40, 1000), [payload] * 1000, 1000):
             sorting.add(block, keys)
