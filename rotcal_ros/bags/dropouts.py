@@ -71,7 +71,7 @@ class Dropout:
         )  # fmt: skip
 
     def values(self) -> dict[str, str]:
-        """Return the values of the status in its message, as texts; :func:`dropout_from_status` reads them."""
+        """Return the values of its status, as texts; :func:`dropout_from_status` reads them."""
         return {name: str(value) for name, value in asdict(self).items()}
 
     def to_dict(self) -> dict[str, Any]:
