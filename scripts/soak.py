@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.foundation.machine_load import cores, describe
+from rotcal_ros.foundation.machine_load import core_count, describe_load
 from rotcal_ros.foundation.node_names import EXECUTABLES
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.foundation.results import Result
@@ -58,7 +58,7 @@ SESSIONS = {
 def busy(per_core: int) -> Iterator[None]:
     """Keep so many processes per core busy."""
     code = "while True: pass"
-    made = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(per_core * cores())]
+    made = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(per_core * core_count())]
     try:
         yield
     finally:
@@ -134,7 +134,7 @@ def session(
         )
         nodes = Nodes(process.pid, generator, stops=per_core > 0)
         out, err = process.communicate()
-        loaded = describe()
+        loaded = describe_load()
         nodes.end()
     found: dict[str, Any] = {
         "method": method, "busy_per_core": per_core, "seconds": round(time.monotonic() - begin),
