@@ -36,7 +36,7 @@ from rotcal_ros.adjust.model import Disturbing, Grouping, Steps, gathered_of, me
 from rotcal_ros.adjust.observable import columns_of, observable_by, seen_of
 from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.language import Phrase, listed, noted, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, noted, phrase
 
 IN_A_GROUP: Final = noted("one of {0} of {1} that are off together by {2}")
 BEYOND: Final = noted("its test value {0:+.1f} is beyond {1:.2f} (residual {2})")
@@ -344,7 +344,7 @@ class Look:
             begins = phrase("{0} from {1} on", what, first)
             what = begins if stays else phrase("{0} from {1} to {2}", what, first, last)
         return Explanation(
-            what, listed(()), columns @ test.axes, np.zeros(0, dtype=np.int64),
+            what, join_texts(()), columns @ test.axes, np.zeros(0, dtype=np.int64),
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
             hidden=hidden_beside(test, seen),
         )  # fmt: skip

@@ -26,7 +26,7 @@ from rotcal_ros.adjust.scattering import Scattering
 from rotcal_ros.adjust.subsets import distinct, neighbourhoods_of_each, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import Phrase, listed, phrase
+from rotcal_ros.foundation.language import Phrase, join_texts, phrase
 from rotcal_ros.foundation.protection import Effect
 from rotcal_ros.foundation.units import ARCSEC, TURN
 
@@ -615,7 +615,7 @@ class Model:
         def name(row: int) -> Phrase:
             k = int(of_element[row])
             each = zip(groupings, groups[:, k].tolist(), strict=True)
-            plain = listed([g.name_of(number) for g, number in each if number >= 0], ", ")
+            plain = join_texts([g.name_of(number) for g, number in each if number >= 0], ", ")
             return phrase("{0} ({1} of {2})", plain, seen[k], whole[k]) if whole[k] > 1 else plain
 
         return name

@@ -27,7 +27,7 @@ from rotcal_ros.bags.mcap_records import DamagedRecord, R
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, refusal
 from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Item, Scan, State
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import open_plain, why
+from rotcal_ros.foundation.untrusted import cause_of, open_plain
 
 _UNCHUNKED_BYTES: Final = 1 << 20
 """Messages outside chunks are put together to blocks of this size."""
@@ -86,7 +86,7 @@ class McapScan(Scan):
                 self._define_by_summary(file, size)
                 yield from self._items(self._framing)
         except OSError as error:
-            raise BagError(f"cannot read {self.path}: {why(error)}") from error
+            raise BagError(f"cannot read {self.path}: {cause_of(error)}") from error
 
     def verdict(self) -> FileVerdict:
         """Return the verdict on the file, after the iteration."""

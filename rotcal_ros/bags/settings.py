@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final, Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import check_ros_name, expert, group, of_changes, setting
+from rotcal_ros.foundation.settings import (
+    check_ros_name,
+    expert,
+    group,
+    setting,
+    settings_from_changes,
+)
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICRORADIAN
 from rotcal_ros.foundation.untrusted import load_yaml
 
@@ -275,7 +281,7 @@ def is_limit(change: str) -> bool:
 
 def changed_limits(changes: Sequence[str]) -> ReadingLimits:
     """Return the limits with ``reading.name=value`` changes; ConfigurationError for all others."""
-    return of_changes(ReadingLimits, _GROUP, changes, load_yaml)
+    return settings_from_changes(ReadingLimits, _GROUP, changes, load_yaml)
 
 
 def refusal(what: str, setting_name: str, least: int) -> str:

@@ -35,7 +35,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
 from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Scan, TopicCount
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.untrusted import why
+from rotcal_ros.foundation.untrusted import cause_of
 
 _BLOCK_BYTES: Final = 1 << 20
 _MAX_CHANNELS: Final = 1 << 16
@@ -174,7 +174,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
     except _FAILURES as error:
         raise _refusal(path, _words(error)) from error
     except OSError as error:
-        raise BagError(f"cannot read {path}: {why(error)}") from error
+        raise BagError(f"cannot read {path}: {cause_of(error)}") from error
 
 
 def _refusal(path: Path, what: str) -> BagError:

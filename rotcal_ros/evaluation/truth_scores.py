@@ -24,7 +24,7 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, ROTATI
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.results import Verdict, finite_column, finite_columns
-from rotcal_ros.foundation.untrusted import load_json, read_text, reading
+from rotcal_ros.foundation.untrusted import load_json, read_errors_as, read_text
 from rotcal_ros.methods import find_method
 
 TRUTH: Final = "truth.json"
@@ -229,7 +229,7 @@ def _rows(path: Path, given: Floats, true: Floats) -> list[int]:
 
 def read_document(path: Path) -> Mapping[str, Any]:
     """Return the entries of a JSON file; BagError or DataError where it holds none."""
-    with reading(path, BagError):
+    with read_errors_as(path, BagError):
         text = read_text(path)
     try:
         content = load_json(text)

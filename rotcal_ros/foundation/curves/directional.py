@@ -9,7 +9,12 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
-from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve, merging, period_of
+from rotcal_ros.foundation.curves.measured import (
+    MeasuredCurve,
+    average_coincident_angles,
+    measured_curve,
+    period_of,
+)
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.results import Directions, Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -111,7 +116,7 @@ def _merged(result: Result, own: Directions) -> DirectionalCurve:
     k, period = len(own.angles), period_of(own.angles)
     for values, part in ((own.forward, slice(k)), (own.reverse, slice(k, None))):
         side = MeasuredCurve(own.angles, values, own.covariance[part, part], period)
-        angles, merge = merging(side, COMPONENT)
+        angles, merge = average_coincident_angles(side, COMPONENT)
     twice = np.kron(np.eye(2), merge)
     missing = len(result.angles) - k
     note = (

@@ -22,7 +22,7 @@ from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.capture.messages import stamp_ns
-from rotcal_ros.foundation.clock_jumps import noted
+from rotcal_ros.foundation.clock_jumps import jumps_to_metadata
 from rotcal_ros.foundation.errors import BagError, RotcalError
 from rotcal_ros.foundation.node_state import LOADING, NodeState, State, Why
 from rotcal_ros.nodes.recorder.bookkeeping import (
@@ -107,7 +107,7 @@ class RecorderNode(CellNode):
         if counters := self._all_losses() + self._silences.counts:
             recording.note(names.LOSSES, counters)
         if jumps := self.health.clock.since(self._jumps_before):
-            recording.note(names.CLOCK_JUMPS, noted(jumps))
+            recording.note(names.CLOCK_JUMPS, jumps_to_metadata(jumps))
 
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if (recording := self._writing()) is None:
