@@ -63,9 +63,11 @@ import sys
 from importlib.metadata import distribution
 for name in sys.argv[1:]:
     for point in distribution(name).entry_points:
-        of_ros = point.group in ("console_scripts", "rotcal_ros.nodes")
-        if point.value.endswith("cli.start:main") or not (of_ros or point.extras):
-            point.load()
+        try:
+            point.extras or point.load()
+        except ModuleNotFoundError as error:
+            of_ros = error.name == "rclpy" or error.name.endswith(("_msgs", "_interfaces"))
+            assert of_ros, error
 """
 README = ROOT / "README.md"
 OF_README = {

@@ -190,6 +190,13 @@ class Controller(ABC):
         del table
         return ""
 
+    def require_stated(self, table: CompensationTable) -> None:
+        """Raise ConfigurationError for what a person has to say before ``table`` is written.
+
+        A node, which can ask nobody, says it as a warning.
+        """
+        del table
+
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
         """Return what remains because the correction lags behind the rows of ``table``.
 

@@ -70,7 +70,8 @@ UNKNOWN_LIMITS: Final = (
 )
 UNKNOWN_BACKLASH: Final = (
     "BACKLASH of the joint is not known: LinuxCNC ignores it once it has a table, and then what "
-    "it corrected in the measurement is missing (setting machine_ini, or backlash_deg, 0 for none)"
+    "it corrected in the measurement is missing: state --set backlash_deg=DEG, 0 for none, or "
+    "--set machine_ini=FILE"
 )
 DECIMALS: Final = 9
 
@@ -259,6 +260,11 @@ class LinuxCnc(EveryTurnController):
             "in the reverse one, because it acted in the measurement. If it was another one then, "
             "state it: backlash_deg, 0 for none"
         )
+
+    def require_stated(self, table: CompensationTable) -> None:
+        """Raise ConfigurationError where nothing states BACKLASH, and no table was in force."""
+        if self.backlash_deg is None and not table.adds_to:
+            raise ConfigurationError(UNKNOWN_BACKLASH)
 
     def locate(self, lines: Sequence[AxisLine], stem: str, head: Sequence[str]) -> Located:
         """Return HAL lines for the pins of the kinematics."""

@@ -101,7 +101,8 @@ def write_export(
 ) -> tuple[ExportFiles, tuple[Path, ...]]:
     """Write the files for a controller, after reading them back and simulating it.
 
-    ``backward`` is what was measured in the other direction.
+    ``backward`` is what was measured in the other direction. Raises ConfigurationError for what
+    acts beside the table and has to be stated.
     """
     machines, accepted = asked.machines(), asked.accepted()
     export = prepare_export(
@@ -124,6 +125,7 @@ def write_export(
         accept_unverified=asked.accept_unverified,
         sources={**forward.sha256, **(backward.sha256 if backward else {})},
     )
+    export.controller.require_stated(export.table)
     return export, write_files(export.with_machine_files(), asked.out)
 
 
