@@ -46,9 +46,10 @@ PLACE = ROOT / "out" / "endurance"
 LINES = PLACE / "sessions.jsonl"
 HISTORY = ("-m", "rotcal_ros.cli.main", "history", "--database", str(PLACE / "history.db"))
 DEADLINE_S = 1200.0
+TABLE = ("identity.serial=endurance",)
 BEGUN_S = (8.0, 25.0)
 """A trouble begins so long after a session."""
-FULL_S, DISK = 15.0, "64m"
+FULL_S, DISK = 15.0, "200m"
 GROWTH = 1.2
 """Most that the last third of the sessions may need of what the first third needs."""
 Trouble = Callable[["Session"], None]
@@ -66,7 +67,7 @@ class Session:
 
     def run(self, *more: str) -> tuple[int, str]:
         """Calibrate; return exit code and the output; -1 for a session that did not end."""
-        command = [*command_of(self.method), *more]
+        command = [*command_of(self.method, TABLE), *more]
         process = subprocess.Popen(
             command, cwd=ROOT, env=self.environment, text=True, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -74,7 +75,8 @@ class Session:
         self.nodes = Nodes(process.pid, self.generator, stops="stops" in self.noted)
         try:
             out, error = process.communicate(timeout=DEADLINE_S)
-            self.noted["error"] = error.strip().splitlines()[-1:]
+            if process.returncode:
+                self.noted["error"] = error.strip().splitlines()[-1:]
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
