@@ -80,7 +80,7 @@ class McapScan(Scan):
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
                 self._unpacker = compression.Unpacker(self._limits, self._size)
-                self._framing = Framing(file, size, self._limits.record_bytes)
+                self._framing = Framing(file, size, self._limits.chunk_bytes)
                 report = self._framing.index_fault, self._framing.damage
                 self._index = IndexCheck(*report) if self._check_index else None
                 self._define_by_summary(file, size)
@@ -188,7 +188,7 @@ class McapScan(Scan):
         if record.size and not record.content:
             self._loss_unknown |= opcode == mcap.MESSAGE
             what = f"a record has {record.size} bytes"
-            raise mcap.DamagedRecord(refusal(what, "record_bytes", record.size))
+            raise mcap.DamagedRecord(refusal(what, "chunk_bytes", record.size))
         if opcode not in _DATA:
             self._memory.check_record(record.content)
 
@@ -380,7 +380,7 @@ class McapScan(Scan):
 
     def _define_by_summary(self, file: BinaryIO, size: int) -> None:
         """Add schemas and channels from the summary of a complete file, before its data."""
-        for record, checked in summary_definitions(file, size, self._limits.record_bytes):
+        for record, checked in summary_definitions(file, size, self._limits.chunk_bytes):
             trust = Trust.CHECKED_INDEX if checked else Trust.PLAIN_INDEX
             try:
                 self._define(record, record.opcode, record.content, trust)
